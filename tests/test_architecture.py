@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import ast
+import dataclasses
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import epi360
+
+PACKAGE = Path(epi360.__file__).parent
+LAYERS = [
+    "_core", "poses", "cameras", "features", "epipolar", "estimation", "two_view", "odometry",
+    "synthetic", "datasets", "experiments", "interop", "jobs", "report", "cli",
+]  # fmt: skip
+HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
+
+
+def source_files() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def room_files() -> list[Path]:
+    front = {PACKAGE / "__init__.py", PACKAGE / "__main__.py"}
+    return [path for path in source_files() if path not in front]
+
+
+def name_in_package(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def absolute_modules(node: ast.AST, path: Path) -> list[str]:
+    """Full names of the modules (or names in modules) that an import statement asks for."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if not isinstance(node, ast.ImportFrom):
+        return []
+    base = node.module.split(".") if node.module else []
+    if node.level:
+        package = ["epi360", *path.relative_to(PACKAGE).parent.parts]
+        base = package[: len(package) - node.level + 1] + base
+    return [".".join([*base, alias.name]) for alias in node.names]
+
+
+def rooms_imported_by(path: Path) -> set[str]:
+    """Rooms that a file imports anywhere, also inside functions; "" is the front page."""
+    names = {
+        tuple(name.split("."))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in absolute_modules(node, path)
+    }
+    inside = {name[1] if len(name) > 1 else "" for name in names if name[0] == "epi360"}
+    return {room if is_room(room) else "" for room in inside}
+
+
+def is_room(name: str) -> bool:
+    return name in LAYERS or (PACKAGE / name).is_dir() or (PACKAGE / f"{name}.py").is_file()
+
+
+def public_objects() -> dict[str, object]:
+    """Public functions, classes and modules, and the public methods of the classes."""
+    objects: dict[str, object] = {}
+    for name in epi360.__all__:
+        value = getattr(epi360, name)
+        if callable(value) or inspect.ismodule(value):  # constants have no docstring
+            objects[name] = value
+        if inspect.isclass(value):
+            objects |= {f"{name}.{m}": member for m, member in public_members(value).items()}
+    return objects
+
+
+def public_members(cls: type) -> dict[str, object]:
+    kinds = (property, classmethod, staticmethod)
+    return {
+        name: member
+        for name, member in vars(cls).items()
+        if not name.startswith("_") and (inspect.isfunction(member) or isinstance(member, kinds))
+    }
+
+
+def test_every_room_has_its_place_in_the_list_of_layers():
+    unknown = {room_of(path) for path in room_files()} - set(LAYERS)
+    assert not unknown, f"add {sorted(unknown)} to LAYERS, or put the code into an existing room"
+
+
+@pytest.mark.parametrize("path", room_files(), ids=name_in_package)
+def test_imports_point_to_earlier_rooms(path):
+    for imported in rooms_imported_by(path):
+        if room_of(path) == "cli" and imported == "":
+            continue  # the command line is a user of the public names
+        assert imported, f"{path} imports the front page of epi360; import from the room instead"
+        assert LAYERS.index(imported) <= LAYERS.index(room_of(path)), f"{path} imports {imported}"
+
+
+def test_relative_and_absolute_imports_are_both_seen(tmp_path):
+    path = PACKAGE / "estimation" / "example.py"
+    seen = {
+        name
+        for statement in ("from ..poses import Pose", "from . import result", "import epi360.cli")
+        for name in absolute_modules(ast.parse(statement).body[0], path)
+    }
+    assert seen == {"epi360.poses.Pose", "epi360.estimation.result", "epi360.cli"}
+
+
+def test_importing_epi360_does_not_load_the_heavy_libraries():
+    code = "import json, sys, epi360; print(json.dumps(sorted(sys.modules)))"
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    loaded = {name.partition(".")[0] for name in json.loads(answer.stdout)}
+    assert not loaded & HEAVY
+
+
+def test_public_names_exist_and_are_listed_once():
+    assert len(set(epi360.__all__)) == len(epi360.__all__)
+    assert [name for name in epi360.__all__ if not hasattr(epi360, name)] == []
+
+
+@pytest.mark.parametrize("name", sorted(public_objects()))
+def test_public_name_is_documented(name):
+    value = public_objects()[name]
+    doc = inspect.getdoc(value) or ""
+    assert doc.strip(), f"epi360.{name} has no docstring"
+    if dataclasses.is_dataclass(value):  # a dataclass without docstring is given its signature
+        assert not doc.startswith(f"{value.__name__}("), f"epi360.{name} has no docstring"
+
+
+@pytest.mark.parametrize(
+    "name", sorted(name for name, value in public_objects().items() if inspect.isfunction(value))
+)
+def test_public_function_documents_each_of_its_parameters(name):
+    value = public_objects()[name]
+    doc = inspect.getdoc(value) or ""
+    parameters = [p for p in inspect.signature(value).parameters if p != "self"]
+    assert [p for p in parameters if p not in doc] == []
+
+
+@pytest.mark.parametrize("path", source_files(), ids=name_in_package)
+def test_source_file_states_its_licence_and_prints_nothing(path):
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# SPDX-License-Identifier: BSD-3-Clause\n")
+    if room_of(path) != "cli":
+        calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+        assert not [call for call in calls if getattr(call.func, "id", "") == "print"]
