@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What every camera model offers: pixels to bearings and back."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+BORDER_TOLERANCE_PX = 1e-9  # a pixel on the border stays in the image after rounding
+
+
+@dataclass(frozen=True)
+class Camera(ABC):
+    """Central camera: each pixel looks along one direction, all through one point.
+
+    Frame: x right, y down, z forward. Pixels are continuous: the centre of the top-left pixel is
+    (0.5, 0.5), the image is the rectangle [0, width] x [0, height].
+
+    Parameters
+    ----------
+    width, height : int
+        Size of the image in pixels.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is not a number or out of its range.
+    """
+
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        """Check and convert the numbers of the model."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value is None and field.default is None:
+                continue
+            converted = _size if field.name in ("width", "height") else _finite_number
+            object.__setattr__(self, field.name, converted(value, field.name))
+
+    def bearings_from_pixels(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Directions in which pixels look.
+
+        Parameters
+        ----------
+        pixels : array_like, shape (N, 2)
+            Continuous pixels (u, v). They need not lie in the image: see the class.
+
+        Returns
+        -------
+        bearings : ndarray, shape (N, 3)
+            Unit vectors; NaN rows where the pixel is NaN or infinite or the model has no ray.
+
+        Raises
+        ------
+        ValueError
+            If ``pixels`` has another shape.
+        """
+        u, v = _finite_columns(pixels, 2, "pixels")
+        return self._bearings(u, v)
+
+    def pixels_from_bearings(self, bearings: ArrayLike) -> NDArray[np.float64]:
+        """Pixels that look in given directions.
+
+        Parameters
+        ----------
+        bearings : array_like, shape (N, 3)
+            Directions of any length.
+
+        Returns
+        -------
+        pixels : ndarray, shape (N, 2)
+            Continuous pixels (u, v) in the image; NaN rows for directions outside the field of
+            view, and for NaN, infinite and zero-length rows.
+
+        Raises
+        ------
+        ValueError
+            If ``bearings`` has another shape.
+        """
+        x, y, z = _finite_columns(bearings, 3, "bearings")
+        no_direction = (x == 0) & (y == 0) & (z == 0)
+        pixels = self._pixels(x, y, z)
+        pixels[no_direction] = np.nan
+        return pixels
+
+    def bearing_jacobians(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """First derivatives of the unit bearings with respect to the pixels.
+
+        Parameters
+        ----------
+        pixels : array_like, shape (N, 2)
+            Continuous pixels (u, v).
+
+        Returns
+        -------
+        jacobians : ndarray, shape (N, 3, 2)
+            ``jacobians[i, j, k]`` = d bearing_j / d pixel_k in 1/px; NaN where the bearing is NaN.
+
+        Raises
+        ------
+        ValueError
+            If ``pixels`` has another shape.
+        """
+        u, v = _finite_columns(pixels, 2, "pixels")
+        return self._jacobians(u, v)
+
+    def field_of_view_mask(self) -> NDArray[np.bool_]:
+        """Whether the centre of each pixel has a ray, shape (height, width)."""
+        return np.ones((self.height, self.width), dtype=np.bool_)
+
+    @abstractmethod
+    def _bearings(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bearings (N, 3), unit length, of finite or NaN pixels."""
+
+    @abstractmethod
+    def _pixels(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Pixels (N, 2) of finite or NaN directions of any length; may overwrite its input."""
+
+    @abstractmethod
+    def _jacobians(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Jacobians (N, 3, 2) at finite or NaN pixels."""
+
+    def _keep_inside(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Set pixels outside the image to NaN, in place; those off by rounding go to its border."""
+        for column, size in ((pixels[:, 0], self.width), (pixels[:, 1], self.height)):
+            inside = (column >= -BORDER_TOLERANCE_PX) & (column <= size + BORDER_TOLERANCE_PX)
+            pixels[~inside] = np.nan
+            np.clip(column, 0.0, size, out=column)
+        return pixels
+
+
+def check_positive(camera: Camera, *names: str) -> None:
+    """Raise ``ValueError`` if one of these parameters of ``camera`` is not positive."""
+    for name in names:
+        if getattr(camera, name) <= 0:
+            raise ValueError(f"{name} must be positive, got {getattr(camera, name)}")
+
+
+def _size(value: object, name: str) -> int:
+    if isinstance(value, bool) or not isinstance(value, Integral) or value <= 0:
+        raise ValueError(f"{name} must be a positive integer number of pixels, got {value!r}")
+    return int(value)
+
+
+def _finite_number(value: object, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
+        raise ValueError(f"{name} must be a finite number, got {value!r}")
+    return float(value)
+
+
+def _finite_columns(array: ArrayLike, count: int, name: str) -> list[NDArray[np.float64]]:
+    """Contiguous columns of an (N, count) array, NaN rows where a number is not finite."""
+    try:
+        rows = np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numbers of shape (N, {count}): {error}") from None
+    if rows.ndim != 2 or rows.shape[1] != count:
+        raise ValueError(f"{name} must have shape (N, {count}), got {rows.shape}")
+    columns = np.array(rows.T, order="C")
+    columns[:, ~np.isfinite(columns).all(axis=0)] = np.nan
+    return list(columns)

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rigid transforms between camera frames, and the angles between two of them.
+
+A pose is named for what it maps: ``cam2_from_cam1`` takes x1 to x2 = R x1 + t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ROTATION_TOLERANCE = 1e-6  # a rotation read from a file with seven digits still passes
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Rigid transform x_a = R x_b + t, named ``a_from_b``.
+
+    From two views the length of the translation is unknown and set to one. Numbers that the data
+    do not determine are NaN. Two poses are compared with `rotation_error_deg` and
+    `translation_error_deg`; ``==`` asks only whether they are the same object.
+
+    Parameters
+    ----------
+    rotation : array_like, shape (3, 3)
+        Rotation matrix, orthonormal to 1e-6 with determinant +1, or NaN.
+    translation : array_like, shape (3,)
+        In the frame a; finite or NaN.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number is infinite or the matrix is not a rotation.
+    """
+
+    rotation: NDArray[np.float64]
+    translation: NDArray[np.float64]
+    __array_ufunc__ = None  # pose @ array is a TypeError, not NumPy's guess
+
+    def __post_init__(self) -> None:
+        """Check both arrays and keep read-only copies of them."""
+        rotation = _checked(self.rotation, (3, 3), "rotation")
+        translation = _checked(self.translation, (3,), "translation")
+        _check_is_rotation(rotation)
+        for name, array in (("rotation", rotation), ("translation", translation)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @classmethod
+    def nan(cls) -> Pose:
+        """Pose of NaN: what an estimate returns that found no answer."""
+        return cls(np.full((3, 3), np.nan), np.full(3, np.nan))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Pose:
+        """Pose of a transformation matrix.
+
+        Parameters
+        ----------
+        matrix : array_like, shape (3, 4) or (4, 4)
+            ``[R | t]``, with or without the last row (0, 0, 0, 1).
+
+        Returns
+        -------
+        Pose
+
+        Raises
+        ------
+        ValueError
+            If the shape or the last row is another one, or R is not a rotation.
+        """
+        array = np.asarray(matrix, dtype=np.float64)
+        if array.shape not in ((3, 4), (4, 4)):
+            raise ValueError(f"matrix must have shape (3, 4) or (4, 4), got {array.shape}")
+        if array.shape == (4, 4) and not np.allclose(array[3], (0, 0, 0, 1), rtol=0, atol=1e-9):
+            raise ValueError(f"the last row of matrix must be (0, 0, 0, 1), got {array[3]}")
+        return cls(array[:3, :3], array[:3, 3])
+
+    def matrix(self) -> NDArray[np.float64]:
+        """4 x 4 transformation matrix, with the last row (0, 0, 0, 1)."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation
+        matrix[:3, 3] = self.translation
+        return matrix
+
+    def inverse(self) -> Pose:
+        """Pose ``b_from_a`` of this ``a_from_b``."""
+        return Pose(self.rotation.T, -(self.rotation.T @ self.translation))
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Pose ``a_from_c`` of this ``a_from_b`` and the other's ``b_from_c``."""
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return Pose(
+            self.rotation @ other.rotation,
+            self.rotation @ other.translation + self.translation,
+        )
+
+    @property
+    def quaternion_wxyz(self) -> NDArray[np.float64]:
+        """Unit quaternion (w, x, y, z) of the rotation with w >= 0, shape (4,)."""
+        return _quaternion_from_rotation(self.rotation)
+
+
+def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
+    """Rotation about the direction of a vector by its length.
+
+    Parameters
+    ----------
+    vector : array_like, shape (3,)
+        Axis times angle in radians; any length.
+
+    Returns
+    -------
+    rotation : ndarray, shape (3, 3)
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one or a number is infinite.
+
+    Notes
+    -----
+    Rodrigues' formula with (1 - cos a) / a^2 = sinc(a / 2)^2 / 2, exact down to a zero angle.
+    """
+    axis_angle = _checked(vector, (3,), "vector")
+    x, y, z = axis_angle
+    half_turns = float(np.linalg.norm(axis_angle)) / (2 * np.pi)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    rotation: NDArray[np.float64] = (
+        np.eye(3) + np.sinc(2 * half_turns) * cross + 0.5 * np.sinc(half_turns) ** 2 * cross @ cross
+    )
+    return rotation
+
+
+def vector_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
+    """Axis times angle of a rotation; the inverse of `rotation_from_vector`.
+
+    Parameters
+    ----------
+    rotation : array_like, shape (3, 3)
+        Rotation matrix, or NaN.
+
+    Returns
+    -------
+    vector : ndarray, shape (3,)
+        Radians, length in [0, pi]; at exactly pi either of the two axes is right.
+
+    Raises
+    ------
+    ValueError
+        If the matrix is not a rotation.
+    """
+    matrix = _checked(rotation, (3, 3), "rotation")
+    _check_is_rotation(matrix)
+    w, *axis = _quaternion_from_rotation(matrix)
+    sine = float(np.linalg.norm(axis))
+    factor = 2 * np.arctan2(sine, w) / sine if sine != 0 else 2.0
+    return np.asarray(axis) * factor
+
+
+def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
+    """Angle of the rotation that takes one rotation to another.
+
+    Parameters
+    ----------
+    a, b : Pose or array_like of shape (3, 3)
+        Two poses, or their rotations.
+
+    Returns
+    -------
+    float
+        Degrees in [0, 180]; NaN where either rotation is NaN.
+
+    Raises
+    ------
+    ValueError
+        If an array is not a rotation matrix.
+    """
+    rotation_a, rotation_b = (
+        pose if isinstance(pose, Pose) else Pose(_checked(pose, (3, 3), name), np.zeros(3))
+        for pose, name in ((a, "a"), (b, "b"))
+    )
+    difference = rotation_a.rotation.T @ rotation_b.rotation
+    sine = 0.5 * float(np.linalg.norm((difference - difference.T)[[2, 0, 1], [1, 2, 0]]))
+    cosine = 0.5 * (float(np.trace(difference)) - 1.0)
+    return float(np.degrees(np.arctan2(sine, cosine)))
+
+
+def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
+    """Angle between the directions of two translations.
+
+    Parameters
+    ----------
+    a, b : Pose or array_like of shape (3,)
+        Two poses, or their translations; lengths do not matter.
+
+    Returns
+    -------
+    float
+        Degrees in [0, 180]; NaN where either translation is NaN or zero, which has no direction.
+
+    Raises
+    ------
+    ValueError
+        If an array has another shape or an infinite number.
+    """
+    translation_a, translation_b = (
+        _unit(pose.translation if isinstance(pose, Pose) else _checked(pose, (3,), name))
+        for pose, name in ((a, "a"), (b, "b"))
+    )
+    sine = float(np.linalg.norm(np.cross(translation_a, translation_b)))
+    return float(np.degrees(np.arctan2(sine, float(translation_a @ translation_b))))
+
+
+def _checked(array: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
+    """Float64 copy of an array of this shape without infinite numbers."""
+    copy = np.array(array, dtype=np.float64)
+    if copy.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {copy.shape}")
+    if np.isinf(copy).any():
+        raise ValueError(f"{name} must be finite or NaN, got {copy.tolist()}")
+    return copy
+
+
+def _check_is_rotation(matrix: NDArray[np.float64]) -> None:
+    if np.isnan(matrix).any():
+        return
+    deviation = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if deviation > ROTATION_TOLERANCE:
+        raise ValueError(
+            f"rotation must be orthonormal to {ROTATION_TOLERANCE:g}, R R^T is off by "
+            f"{deviation:.3g}; build it from a quaternion, or from U V^T of its SVD"
+        )
+    if np.linalg.det(matrix) < 0:
+        raise ValueError("rotation must have determinant +1, got -1: a reflection")
+
+
+def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Direction of a vector, NaN where it has none."""
+    largest = float(np.abs(vector).max())
+    scaled = vector / largest if largest > 0 else np.full(3, np.nan)  # no over- or underflow
+    return scaled / float(np.linalg.norm(scaled))
+
+
+def _quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(w, x, y, z) of unit length, w >= 0; Shepperd 1978: divide by the largest component."""
+    R = rotation
+    # Four times the outer product q q^T; its row of largest diagonal is q up to a factor.
+    outer = np.array([
+        [1 + R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+        [R[2, 1] - R[1, 2], 1 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+        [R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1 - R[0, 0] + R[1, 1] - R[2, 2], R[1, 2] + R[2, 1]],
+        [R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1 - R[0, 0] - R[1, 1] + R[2, 2]],
+    ])  # fmt: skip
+    row = outer[int(np.argmax(np.diag(outer)))]
+    quaternion: NDArray[np.float64] = row / float(np.linalg.norm(row))
+    return -quaternion if quaternion[0] < 0 else quaternion
