@@ -1,0 +1,226 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Thin: arrays in, arrays out. Shapes and values are checked in Python, where the messages are.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <cstring>
+#include <optional>
+#include <stdexcept>
+
+#include "core/eight_point.h"
+#include "core/essential.h"
+#include "core/five_point.h"
+#include "core/refine.h"
+#include "core/robust.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+using namespace epi360;
+
+namespace {
+
+using Bearings = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using Weights = nb::ndarray<const double, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
+using Jacobians = nb::ndarray<const double, nb::shape<-1, 3, 2>, nb::c_contig, nb::device::cpu>;
+using Matrix3 = nb::ndarray<const double, nb::shape<3, 3>, nb::c_contig, nb::device::cpu>;
+using Vector3 = nb::ndarray<const double, nb::shape<3>, nb::c_contig, nb::device::cpu>;
+
+template <typename T>
+nb::ndarray<nb::numpy, T> array_of(std::vector<T> values, std::vector<std::size_t> shape) {
+  auto* owned = new std::vector<T>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nb::ndarray<nb::numpy, T>(owned->data(), shape.size(), shape.data(), owner);
+}
+
+template <typename Derived>
+std::vector<double> flat(const Eigen::MatrixBase<Derived>& m) {
+  std::vector<double> values;
+  for (Eigen::Index r = 0; r < m.rows(); ++r) {
+    for (Eigen::Index c = 0; c < m.cols(); ++c) values.push_back(m(r, c));
+  }
+  return values;
+}
+
+nb::object matrix(const Eigen::MatrixXd& m) {
+  return array_of(flat(m), {static_cast<std::size_t>(m.rows()), static_cast<std::size_t>(m.cols())})
+      .cast();
+}
+
+nb::object vector(const Eigen::Vector3d& v) { return array_of(flat(v), {3}).cast(); }
+
+Eigen::Matrix3d to_matrix(const Matrix3& m) {
+  return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(m.data());
+}
+
+RelativePose to_pose(const Matrix3& R, const Vector3& t) {
+  return {to_matrix(R), Eigen::Map<const Eigen::Vector3d>(t.data())};
+}
+
+Residual residual_named(const std::string& name) {
+  if (name == "paper") return Residual::kPaper;
+  if (name == "angular") return Residual::kAngular;
+  if (name == "sampson") return Residual::kSampson;
+  if (name == "tangent_sampson") return Residual::kTangentSampson;
+  throw nb::value_error(("unknown residual " + name).c_str());
+}
+
+Loss loss_named(const std::string& name) {
+  if (name == "squared") return Loss::kSquared;
+  if (name == "huber") return Loss::kHuber;
+  if (name == "cauchy") return Loss::kCauchy;
+  if (name == "geman_mcclure") return Loss::kGemanMcClure;
+  if (name == "truncated") return Loss::kTruncated;
+  if (name == "mixture") return Loss::kMixture;
+  throw nb::value_error(("unknown loss " + name).c_str());
+}
+
+Matches matches_of(const Bearings& b1, const Bearings& b2, const std::optional<Weights>& weights,
+                   const std::optional<Jacobians>& j1, const std::optional<Jacobians>& j2) {
+  return make_matches(b1.data(), b2.data(), b1.shape(0), weights ? weights->data() : nullptr,
+                      j1 ? j1->data() : nullptr, j2 ? j2->data() : nullptr);
+}
+
+nb::list five_point_binding(Bearings b1, Bearings b2) {
+  if (b1.shape(0) != 5 || b2.shape(0) != 5) throw nb::value_error("five matches are needed");
+  Eigen::Matrix3d essentials[10];
+  const int count =
+      five_point(Eigen::Map<const Eigen::Matrix<double, 3, 5>>(b1.data()),
+                 Eigen::Map<const Eigen::Matrix<double, 3, 5>>(b2.data()), essentials);
+  nb::list out;
+  for (int k = 0; k < count; ++k) out.append(matrix(essentials[k]));
+  return out;
+}
+
+nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
+                         const std::string& residual, const std::string& loss, double scale,
+                         std::optional<Weights> weights, std::optional<Jacobians> j1,
+                         std::optional<Jacobians> j2, int max_iterations) {
+  const Matches m = matches_of(b1, b2, weights, j1, j2);
+  RefineOptions options;
+  options.residual = residual_named(residual);
+  options.loss.loss = loss_named(loss);
+  options.loss.scale = scale;
+  options.max_iterations = max_iterations;
+  RefineResult result;
+  RefineWorkspace workspace;
+  std::vector<double> residuals(m.padded), front(m.padded);
+  const RelativePose start = to_pose(R, t);
+  {
+    nb::gil_scoped_release unlocked;
+    if (options.loss.loss == Loss::kMixture && !(scale > 0.0)) {
+      compute_residuals(m, options.residual, plain(start), 0.0, residuals.data(), front.data());
+      std::fill(front.begin(), front.end(), 1.0);
+      options.loss = fit_mixture(m, residuals.data(), front.data(), options.loss.outlier_density,
+                                 options.smallest_scale);
+    }
+    result = refine(m, start, options, workspace);
+    compute_residuals(m, options.residual, plain(result.pose), 0.0, residuals.data(), front.data());
+  }
+  residuals.resize(m.size);
+  return nb::make_tuple(matrix(result.pose.R), vector(result.pose.t),
+                        array_of(std::move(residuals), {m.size}), result.cost,
+                        matrix(result.information), result.loss.scale, result.loss.share[0],
+                        result.num_iterations, result.converged);
+}
+
+nb::dict result_dict(RobustResult&& r, std::size_t n) {
+  nb::dict out;
+  r.residuals.resize(n);
+  nb::list alternatives;
+  for (const RelativePose& pose : r.alternatives) {
+    alternatives.append(nb::make_tuple(matrix(pose.R), vector(pose.t)));
+  }
+  out["status"] = static_cast<int>(r.status);
+  out["rotation"] = matrix(r.pose.R);
+  out["translation"] = vector(r.pose.t);
+  out["scale"] = r.scale;
+  out["threshold"] = r.threshold;
+  out["inlier"] = array_of(std::move(r.inlier), {n});
+  out["residuals"] = array_of(std::move(r.residuals), {n});
+  out["num_iterations"] = r.num_iterations;
+  out["parallax"] = r.parallax;
+  out["coverage"] = r.coverage;
+  out["match_coverage"] = r.match_coverage;
+  out["rotation_share"] = r.rotation_share;
+  out["rival_share"] = r.rival_share;
+  out["rival_evidence"] = r.rival_evidence;
+  out["chance_log10"] = r.chance_log10;
+  out["covariance"] = matrix(r.covariance);
+  out["alternatives"] = alternatives;
+  return out;
+}
+
+nb::dict estimate_binding(Bearings b1, Bearings b2, const std::string& residual,
+                          double threshold_rad, int sample_size, int min_iterations,
+                          int max_iterations, double confidence, std::uint64_t seed,
+                          std::optional<Weights> weights, std::optional<Jacobians> j1,
+                          std::optional<Jacobians> j2) {
+  RobustOptions options;
+  options.residual = residual_named(residual);
+  options.threshold = threshold_rad;
+  options.sample_size = sample_size;
+  options.min_iterations = min_iterations;
+  options.max_iterations = max_iterations;
+  options.confidence = confidence;
+  options.seed = seed;
+  RobustResult result;
+  const std::size_t n = b1.shape(0);
+  {
+    nb::gil_scoped_release unlocked;
+    result = estimate_relative_pose(matches_of(b1, b2, weights, j1, j2), options);
+  }
+  return result_dict(std::move(result), n);
+}
+
+}  // namespace
+
+NB_MODULE(_core, m) {
+  m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
+  m.def(
+      "eight_point",
+      [](Bearings b1, Bearings b2, std::optional<Weights> weights) {
+        Eigen::Matrix3d E;
+        {
+          nb::gil_scoped_release unlocked;
+          E = eight_point(matches_of(b1, b2, weights, {}, {}));
+        }
+        return matrix(E);
+      },
+      "bearings1"_a, "bearings2"_a, "weights"_a.none() = nb::none());
+  m.def(
+      "pose_from_essential",
+      [](Matrix3 E, Bearings b1, Bearings b2) {
+        const RelativePose pose = pose_from_essential(matches_of(b1, b2, {}, {}, {}), to_matrix(E));
+        return nb::make_tuple(matrix(pose.R), vector(pose.t));
+      },
+      "E"_a, "bearings1"_a, "bearings2"_a);
+  m.def(
+      "residuals",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, const std::string& kind,
+         std::optional<Jacobians> j1, std::optional<Jacobians> j2) {
+        const Matches matches = matches_of(b1, b2, {}, j1, j2);
+        const RelativePose pose = to_pose(R, t);
+        const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+        std::vector<double> r(matches.padded), front(matches.padded), J(5 * matches.padded);
+        compute_jacobians(matches, residual_named(kind), plain(pose), basis.data(), 0.0, r.data(),
+                          front.data(), J.data());
+        std::vector<double> rows;
+        for (std::size_t i = 0; i < matches.size; ++i) {
+          for (std::size_t k = 0; k < 5; ++k) rows.push_back(J[k * matches.padded + i]);
+        }
+        r.resize(matches.size);
+        return nb::make_tuple(array_of(std::move(r), {matches.size}),
+                              array_of(std::move(rows), {matches.size, 5}));
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "kind"_a,
+      "jacobians1"_a.none() = nb::none(), "jacobians2"_a.none() = nb::none());
+  m.def("refine", &refine_binding, "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a,
+        nb::kw_only(), "residual"_a, "loss"_a, "scale"_a, "weights"_a.none(), "jacobians1"_a.none(),
+        "jacobians2"_a.none(), "max_iterations"_a);
+  m.def("estimate_relative_pose", &estimate_binding, "bearings1"_a, "bearings2"_a, nb::kw_only(),
+        "residual"_a, "threshold_rad"_a, "sample_size"_a, "min_iterations"_a, "max_iterations"_a,
+        "confidence"_a, "seed"_a, "weights"_a.none(), "jacobians1"_a.none(), "jacobians2"_a.none());
+}

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "essential.h"
+
+#include <Eigen/SVD>
+
+namespace epi360 {
+namespace {
+
+Eigen::Matrix3d cofactors(const Eigen::Matrix3d& m) {
+  Eigen::Matrix3d c;
+  c.row(0) = m.row(1).cross(m.row(2));
+  c.row(1) = m.row(2).cross(m.row(0));
+  c.row(2) = m.row(0).cross(m.row(1));
+  return c;
+}
+
+// One Newton step of the polar decomposition: squares the error of a nearly orthogonal matrix.
+Eigen::Matrix3d orthonormalised(const Eigen::Matrix3d& R) {
+  return 1.5 * R - 0.5 * R * R.transpose() * R;
+}
+
+}  // namespace
+
+std::array<RelativePose, 4> decompose_essential(const Eigen::Matrix3d& E) {
+  // t spans the left null space: the longest cross product of two columns.
+  Eigen::Vector3d t = E.col(0).cross(E.col(1));
+  for (int k = 1; k < 3; ++k) {
+    const Eigen::Vector3d candidate = E.col(k).cross(E.col((k + 1) % 3));
+    if (candidate.squaredNorm() > t.squaredNorm()) t = candidate;
+  }
+  t.normalize();
+  const Eigen::Matrix3d cofactor = cofactors(E);
+  const Eigen::Matrix3d tE = skew(t) * E;
+  const Eigen::Matrix3d R1 = orthonormalised(cofactor - tE);
+  const Eigen::Matrix3d R2 = orthonormalised(cofactor + tE);
+  return {{{R1, t}, {R1, -t}, {R2, t}, {R2, -t}}};
+}
+
+Eigen::Matrix3d project_to_essential(const Eigen::Matrix3d& E) {
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(E, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  const Eigen::Vector3d singular(1.0, 1.0, 0.0);
+  return svd.matrixU() * singular.asDiagonal() * svd.matrixV().transpose();
+}
+
+double count_in_front(const Matches& m, const RelativePose& pose) {
+  double count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const Eigen::Vector3d b1(m.x1[i], m.y1[i], m.z1[i]), b2(m.x2[i], m.y2[i], m.z2[i]);
+    if (in_front(pose, b1, b2, 0.0)) count += m.weight[i];
+  }
+  return count;
+}
+
+RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E) {
+  RelativePose best;
+  double best_count = -1.0;
+  for (const RelativePose& pose : decompose_essential(project_to_essential(E))) {
+    const double count = count_in_front(m, pose);
+    if (count > best_count) {
+      best_count = count;
+      best = pose;
+    }
+  }
+  return best;
+}
+
+}  // namespace epi360

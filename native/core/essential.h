@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Essential matrix to relative poses; depths along the rays.
+#pragma once
+
+#include <array>
+
+#include "matches.h"
+#include "pose.h"
+
+namespace epi360 {
+
+// The four poses (R, t), (R, -t), (R', t), (R', -t) of a valid essential matrix, without an SVD
+// (Horn, "Recovering baseline and orientation from essential matrix", 1990).
+std::array<RelativePose, 4> decompose_essential(const Eigen::Matrix3d& E);
+
+// Nearest matrix with singular values (1, 1, 0).
+Eigen::Matrix3d project_to_essential(const Eigen::Matrix3d& E);
+
+// Whether both depths are positive for one match, up to `tolerance`: the parallax (radians) that
+// may have the wrong sign. Depth 1 has the sign of (a x b).(b x t) and depth 2 that of
+// (a x b).(a x t), with a = R b1, b = b2.
+inline bool in_front(const RelativePose& pose, const Eigen::Vector3d& b1, const Eigen::Vector3d& b2,
+                     double tolerance) {
+  const Eigen::Vector3d a = pose.R * b1;
+  const double c = a.dot(b2), ta = pose.t.dot(a), tb = pose.t.dot(b2);
+  return c * tb - ta > -tolerance && tb - c * ta > -tolerance;
+}
+
+// Number (weights summed) of matches in front of both cameras.
+double count_in_front(const Matches& m, const RelativePose& pose);
+
+// The pose of E with most matches in front of both cameras.
+RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E);
+
+}  // namespace epi360

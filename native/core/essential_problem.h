@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// The relative-pose problem for the RANSAC loop, and the pool of its best distinct hypotheses.
+#pragma once
+
+#include <limits>
+#include <vector>
+
+#include "matches.h"
+#include "refine.h"
+
+namespace epi360 {
+
+struct Hypothesis {
+  RelativePose pose;
+  double score;
+  bool polished;
+};
+
+// A refined hypothesis with its mixture; comparable across scales by the evidence: log-likelihood
+// of all matches plus scale_evidence.
+struct Candidate {
+  RelativePose pose;
+  LossModel loss;
+  double evidence = -std::numeric_limits<double>::infinity();
+};
+
+class EssentialProblem {
+ public:
+  using Model = RelativePose;
+  static constexpr int kMaxModels = 20;  // ten essential matrices, rarely two poses each
+  static constexpr std::size_t kPoolSize = 12;
+
+  EssentialProblem(const Matches& m, Residual residual, int sample_size, double outlier_density);
+
+  // The gates of the truncated score, radians. Rescores the pool.
+  void set_gates(std::vector<double> gates);
+
+  int sample_size() const { return sample_size_; }
+  int generate(const std::uint32_t* sample, RelativePose* models);
+  double score(const RelativePose& pose, double limit);
+  void refine(RelativePose& pose, double& score);
+  double inlier_ratio(const RelativePose& pose);
+
+  // Residuals, depths and the most likely mixture at a pose.
+  LossModel mixture_at(const RelativePose& pose);
+  // Maximum-likelihood pose under the mixture, its scale and shares estimated.
+  Candidate polish(const RelativePose& pose, int max_iterations);
+  // Polishes the pool, and the best of it once more from far away (graduated non-convexity): the
+  // wide loss forgets the local minimum, the narrowing one finds the deepest near by.
+  void polish_pool(int max_iterations);
+  RelativePose annealed(const Candidate& start);
+
+  const std::vector<Candidate>& candidates() const { return candidates_; }
+
+ private:
+  // Wrong parallax that a sample may show: the middle one of several gates.
+  double sample_tolerance() const { return gates_[gates_.size() / 2]; }
+  void keep(const RelativePose& pose, double score);
+  void keep(const Candidate& candidate);
+
+  const Matches& m_;
+  Residual residual_;
+  int sample_size_;
+  double outlier_density_;
+  std::vector<double> gates_;
+  std::vector<Hypothesis> pool_;       // sampled, ascending score
+  std::vector<Candidate> candidates_;  // refined, descending evidence
+  RefineWorkspace workspace_;
+};
+
+// Residual at which an inlier and an outlier are equally likely, within [2, 4] standard deviations.
+double gate_of(const LossModel& mixture);
+
+// Whether two poses are so close that they are one hypothesis.
+bool same_pose(const RelativePose& a, const RelativePose& b, double rotation_rad,
+               double direction_rad);
+
+}  // namespace epi360

@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "evidence.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "random.h"
+#include "refine.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kPi = 3.141592653589793;
+constexpr std::size_t kChancePairs = 768;
+constexpr int kBands = 4, kSectors = 12;
+
+int cell_of(double x, double y, double z) {
+  const int band = std::min(kBands - 1, static_cast<int>(0.5 * (y + 1.0) * kBands));
+  const double turn = (std::atan2(x, z) + kPi) / (2.0 * kPi);
+  return band * kSectors + std::min(kSectors - 1, static_cast<int>(turn * kSectors));
+}
+
+double log10_choose(int n, int k) {
+  return (std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) / std::log(10.0);
+}
+
+}  // namespace
+
+ChanceDensity::ChanceDensity(const Matches& m, Residual residual, std::uint64_t seed)
+    : residual_(residual) {
+  Random random(seed ^ 0x5bf03635f0a5b5d7ULL);
+  const auto n = static_cast<std::uint32_t>(m.size);
+  std::vector<double> b1, b2, j1, j2;
+  for (std::size_t k = 0; k < kChancePairs; ++k) {
+    const std::uint32_t i = random.below(n);
+    std::uint32_t j = random.below(n);
+    if (j == i) j = (j + 1) % n;
+    b1.insert(b1.end(), {m.x1[i], m.y1[i], m.z1[i]});
+    b2.insert(b2.end(), {m.x2[j], m.y2[j], m.z2[j]});
+    if (!m.has_jacobians()) continue;
+    j1.insert(j1.end(), {m.u1x[i], m.v1x[i], m.u1y[i], m.v1y[i], m.u1z[i], m.v1z[i]});
+    j2.insert(j2.end(), {m.u2x[j], m.v2x[j], m.u2y[j], m.v2y[j], m.u2z[j], m.v2z[j]});
+  }
+  shuffled_ = make_matches(b1.data(), b2.data(), kChancePairs, nullptr,
+                           j1.empty() ? nullptr : j1.data(), j2.empty() ? nullptr : j2.data());
+  residuals_.resize(shuffled_.padded);
+  front_.resize(shuffled_.padded);
+}
+
+double ChanceDensity::at(const RelativePose& pose, double range) const {
+  compute_residuals(shuffled_, residual_, plain(pose), std::min(range, 0.07), residuals_.data(),
+                    front_.data());
+  double count = 1.0;  // never zero
+  for (std::size_t i = 0; i < shuffled_.size; ++i) {
+    count += front_[i] > 0.5 && std::abs(residuals_[i]) < range;
+  }
+  return count / (static_cast<double>(shuffled_.size) * 2.0 * range);
+}
+
+double log10_false_alarms(int matches, int inliers, double probability, int sample_size) {
+  if (inliers <= sample_size) return std::log10(10.0 * std::max(matches - sample_size, 1));
+  const double p = std::min(std::max(probability, 1e-12), 1.0);
+  return std::log10(10.0 * std::max(matches - sample_size, 1)) + log10_choose(matches, inliers) +
+         log10_choose(inliers, sample_size) + (inliers - sample_size) * std::log10(p);
+}
+
+double sphere_coverage(const Matches& m, const unsigned char* chosen) {
+  std::array<bool, kBands * kSectors> cells1{}, cells2{};
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (chosen && !chosen[i]) continue;
+    cells1[static_cast<std::size_t>(cell_of(m.x1[i], m.y1[i], m.z1[i]))] = true;
+    cells2[static_cast<std::size_t>(cell_of(m.x2[i], m.y2[i], m.z2[i]))] = true;
+  }
+  const auto occupied = std::min(std::count(cells1.begin(), cells1.end(), true),
+                                 std::count(cells2.begin(), cells2.end(), true));
+  return static_cast<double>(occupied) / (kBands * kSectors);
+}
+
+double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen) {
+  std::vector<double> angles;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!chosen[i]) continue;
+    const Eigen::Vector3d a = pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
+    angles.push_back(direction_angle(a, Eigen::Vector3d(m.x2[i], m.y2[i], m.z2[i])));
+  }
+  if (angles.empty()) return std::nan("");
+  const auto middle = angles.begin() + static_cast<std::ptrdiff_t>(angles.size() / 2);
+  std::nth_element(angles.begin(), middle, angles.end());
+  return *middle;
+}
+
+}  // namespace epi360

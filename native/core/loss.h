@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Robust losses of a squared residual s with scale c: cost rho(s) and weight rho'(s).
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+namespace epi360 {
+
+enum class Loss { kSquared, kHuber, kCauchy, kGemanMcClure, kTruncated, kMixture };
+
+// Parameters of a loss. The mixture is a Gaussian of standard deviation `scale` (the inliers),
+// wider ones of 4, 16 and 64 times that (the near misses of real matches, at whatever scale they
+// come: one fixed outlier density lets the inliers' Gaussian swell until it swallows them, and the
+// pose follows), and a constant density of outliers per radian of signed residual.
+struct LossModel {
+  static constexpr int kGaussians = 4;
+
+  Loss loss = Loss::kSquared;
+  double scale = 1.0;
+  double share[kGaussians] = {0.4, 0.1, 0.1, 0.1};
+  double outlier_density = 0.35;
+
+  double uniform_share() const { return 1.0 - share[0] - share[1] - share[2] - share[3]; }
+};
+
+struct LossValue {
+  double cost, weight;
+};
+
+// Densities of the parts at squared residual s, times their shares.
+struct MixtureParts {
+  double gaussian[LossModel::kGaussians], uniform;
+  double total() const { return gaussian[0] + gaussian[1] + gaussian[2] + gaussian[3] + uniform; }
+};
+
+inline MixtureParts mixture_parts(double s, const LossModel& m) {
+  const double peak = 0.3989422804014327 / m.scale;
+  // exp(-z / 16^k) for k = 3, 2, 1, 0: each the sixteenth power of the one before.
+  double e = std::exp(-0.5 * s / (m.scale * m.scale * 4096.0));
+  MixtureParts p;
+  double height = peak / 64.0;
+  for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
+    p.gaussian[k] = m.share[k] * height * e;
+    e *= e;
+    e *= e;
+    e *= e;
+    e *= e;
+    height *= 4.0;
+  }
+  p.uniform = m.uniform_share() * m.outlier_density;
+  return p;
+}
+
+inline LossValue evaluate_loss(double s, const LossModel& m) {
+  const double c2 = m.scale * m.scale;
+  switch (m.loss) {
+    case Loss::kSquared:
+      return {s, 1.0};
+    case Loss::kHuber: {
+      if (s <= c2) return {s, 1.0};
+      const double r = std::sqrt(s);
+      return {2.0 * m.scale * r - c2, m.scale / r};
+    }
+    case Loss::kCauchy:
+      return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
+    case Loss::kGemanMcClure: {
+      const double d = 1.0 / (1.0 + s / c2);
+      return {s * d, d * d};
+    }
+    case Loss::kTruncated:
+      return s < c2 ? LossValue{s, 1.0} : LossValue{c2, 0.0};
+    case Loss::kMixture:
+      break;  // whole passes at once: mixture.h
+  }
+  return {s, 1.0};
+}
+
+// What a match costs that no residual can make good (both depths must be positive); the losses
+// that grow without bound have no such value and ignore depths.
+inline double outlier_cost(const LossModel& m) {
+  switch (m.loss) {
+    case Loss::kGemanMcClure:
+    case Loss::kTruncated:
+      return m.scale * m.scale;
+    default:
+      return -1.0;
+  }
+}
+
+}  // namespace epi360

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Matches of two views as structure of arrays: what every hot loop reads.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+namespace epi360 {
+
+// Bearings are unit vectors. Arrays are padded to a multiple of kBlock with copies of a harmless
+// match of weight zero, so that loops run over whole blocks.
+struct Matches {
+  static constexpr std::size_t kBlock = 32;
+
+  std::size_t size = 0;    // matches
+  std::size_t padded = 0;  // length of each array
+  std::vector<double> x1, y1, z1, x2, y2, z2;
+  std::vector<double> weight;
+  // Columns of the cameras' unprojection Jacobians, only for tangent Sampson: u1 = d b1 / d column.
+  std::vector<double> u1x, u1y, u1z, v1x, v1y, v1z, u2x, u2y, u2z, v2x, v2y, v2z;
+
+  bool has_jacobians() const { return !u1x.empty(); }
+};
+
+// bearings: (n, 3) row-major; weights: (n) or null; jacobians: (n, 3, 2) row-major or null.
+Matches make_matches(const double* bearings1, const double* bearings2, std::size_t n,
+                     const double* weights = nullptr, const double* jacobians1 = nullptr,
+                     const double* jacobians2 = nullptr);
+
+}  // namespace epi360

@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "mixture.h"
+
+#include <cstdint>
+#include <cstring>
+
+#include "matches.h"
+#include "multiversion.h"
+
+namespace epi360 {
+namespace {
+
+constexpr std::size_t kBlock = Matches::kBlock;
+
+EPI360_INLINE std::uint64_t bits_of(double x) {
+  std::uint64_t b;
+  std::memcpy(&b, &x, sizeof b);
+  return b;
+}
+
+EPI360_INLINE double double_of(std::uint64_t b) {
+  double x;
+  std::memcpy(&x, &b, sizeof x);
+  return x;
+}
+
+// e^x for x in [-700, 0], to 2 units in the last place: 2^k e^r with |r| <= ln 2 / 2.
+EPI360_INLINE double exp_of(double x) {
+  constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
+  x = x < -700.0 ? -700.0 : x;
+  const double shifted = x * 1.4426950408889634 + kRound;
+  const double k = shifted - kRound;
+  const double r = (x - k * 0.6931471803691238) - k * 1.9082149292705877e-10;
+  double p = 1.0 / 479001600.0;  // Taylor series
+  p = p * r + 1.0 / 39916800.0;
+  p = p * r + 1.0 / 3628800.0;
+  p = p * r + 1.0 / 362880.0;
+  p = p * r + 1.0 / 40320.0;
+  p = p * r + 1.0 / 5040.0;
+  p = p * r + 1.0 / 720.0;
+  p = p * r + 1.0 / 120.0;
+  p = p * r + 1.0 / 24.0;
+  p = p * r + 1.0 / 6.0;
+  p = p * r + 0.5;
+  p = p * r + 1.0;
+  p = p * r + 1.0;
+  return p * double_of((bits_of(shifted) << 52) + (std::uint64_t{1023} << 52));
+}
+
+// Natural logarithm of a positive normal number: e ln 2 + 2 artanh((m - 1) / (m + 1)).
+EPI360_INLINE double log_of(double x) {
+  constexpr double kTwo52 = 4503599627370496.0;
+  const std::uint64_t b = bits_of(x);
+  double exponent = double_of((b >> 52) | 0x4330000000000000ULL) - kTwo52 - 1023.0;
+  double m = double_of((b & 0x000fffffffffffffULL) | 0x3ff0000000000000ULL);
+  const bool large = m > 1.4142135623730951;
+  m = large ? 0.5 * m : m;
+  exponent = large ? exponent + 1.0 : exponent;
+  const double f = (m - 1.0) / (m + 1.0), s = f * f;
+  double p = 1.0 / 21.0;
+  p = p * s + 1.0 / 19.0;
+  p = p * s + 1.0 / 17.0;
+  p = p * s + 1.0 / 15.0;
+  p = p * s + 1.0 / 13.0;
+  p = p * s + 1.0 / 11.0;
+  p = p * s + 1.0 / 9.0;
+  p = p * s + 1.0 / 7.0;
+  p = p * s + 1.0 / 5.0;
+  p = p * s + 1.0 / 3.0;
+  p = p * s + 1.0;
+  return exponent * 0.6931471805599453 + 2.0 * f * p;
+}
+
+struct Parts {
+  double g0, g1, g2, g3, uniform;
+};
+
+// As mixture_parts of loss.h, with the constants of the model at hand.
+struct Model {
+  double factor;  // -1 / (2 * 4096 * scale^2)
+  double height[LossModel::kGaussians];
+  double uniform;
+};
+
+EPI360_INLINE Model prepared(const LossModel& m) {
+  Model out;
+  out.factor = -0.5 / (m.scale * m.scale * 4096.0);
+  double height = 0.3989422804014327 / m.scale;
+  for (int k = 0; k < LossModel::kGaussians; ++k) {
+    out.height[k] = m.share[k] * height;
+    height *= 0.25;
+  }
+  out.uniform = m.uniform_share() * m.outlier_density;
+  return out;
+}
+
+EPI360_INLINE Parts parts_at(double residual, double front, const Model& m) {
+  Parts p;
+  double e = exp_of(residual * residual * m.factor) * front;
+  p.g3 = m.height[3] * e;
+  e *= e;
+  e *= e;
+  e *= e;
+  e *= e;
+  p.g2 = m.height[2] * e;
+  e *= e;
+  e *= e;
+  e *= e;
+  e *= e;
+  p.g1 = m.height[1] * e;
+  e *= e;
+  e *= e;
+  e *= e;
+  e *= e;
+  p.g0 = m.height[0] * e;
+  p.uniform = m.uniform;
+  return p;
+}
+
+EPI360_INLINE double precision_of(const Parts& p) {
+  return p.g0 + p.g1 / 16.0 + p.g2 / 256.0 + p.g3 / 4096.0;
+}
+
+EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
+
+EPI360_INLINE double front_at(const MixturePass& pass, std::size_t i) {
+  return pass.front ? pass.front[i] : 1.0;
+}
+
+// Eight lanes, so that the order of additions does not depend on the vector width.
+EPI360_INLINE double block_sum(const double* values) {
+  double lanes[8];
+  for (int j = 0; j < 8; ++j) lanes[j] = values[j];
+  for (std::size_t i = 8; i < kBlock; i += 8) {
+    for (int j = 0; j < 8; ++j) lanes[j] += values[i + j];
+  }
+  return ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5])) +
+         ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]));
+}
+
+}  // namespace
+
+EPI360_MULTIVERSION
+MixtureSums mixture_expectation(const MixturePass& pass, const LossModel& model) {
+  const Model m = prepared(model);
+  MixtureSums sums = {{0.0, 0.0, 0.0, 0.0}, 0.0, 0.0};
+  double part[LossModel::kGaussians][kBlock], squares[kBlock], count[kBlock];
+  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
+    for (std::size_t j = 0; j < kBlock; ++j) {
+      const std::size_t i = start + j;
+      const double r = pass.residuals[i];
+      const Parts p = parts_at(r, front_at(pass, i), m);
+      const double share = pass.weight[i] / total_of(p);
+      part[0][j] = share * p.g0;
+      part[1][j] = share * p.g1;
+      part[2][j] = share * p.g2;
+      part[3][j] = share * p.g3;
+      squares[j] = share * r * r * precision_of(p);
+      count[j] = pass.weight[i];
+    }
+    for (int k = 0; k < LossModel::kGaussians; ++k) sums.part[k] += block_sum(part[k]);
+    sums.squares += block_sum(squares);
+    sums.count += block_sum(count);
+  }
+  return sums;
+}
+
+EPI360_MULTIVERSION
+double mixture_weights(const MixturePass& pass, const LossModel& model, double* weights) {
+  const Model m = prepared(model);
+  double total = 0.0;
+  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
+    for (std::size_t j = 0; j < kBlock; ++j) {
+      const std::size_t i = start + j;
+      const Parts p = parts_at(pass.residuals[i], front_at(pass, i), m);
+      weights[i] = pass.weight[i] * precision_of(p) / total_of(p);
+    }
+    total += block_sum(weights + start);
+  }
+  return total;
+}
+
+EPI360_MULTIVERSION
+double mixture_log_likelihood(const MixturePass& pass, const LossModel& model) {
+  const Model m = prepared(model);
+  double total = 0.0, term[kBlock];
+  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
+    for (std::size_t j = 0; j < kBlock; ++j) {
+      const std::size_t i = start + j;
+      term[j] =
+          pass.weight[i] * log_of(total_of(parts_at(pass.residuals[i], front_at(pass, i), m)));
+    }
+    total += block_sum(term);
+  }
+  return total;
+}
+
+}  // namespace epi360

@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// EPI360_MULTIVERSION compiles a function once more for AVX2 + FMA processors and picks at load
+// time, where the compiler and the platform can; elsewhere it is empty and the code is the same.
+// Only for files without Eigen, which chooses its vector code by preprocessor.
+#pragma once
+
+#if defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__) && defined(__GNUC__) && \
+    !defined(__clang__) && __GNUC__ >= 12
+#define EPI360_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define EPI360_MULTIVERSION
+#endif
+
+#if defined(_MSC_VER)
+#define EPI360_INLINE static __forceinline
+#else
+#define EPI360_INLINE static inline __attribute__((always_inline))
+#endif

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Levenberg-Marquardt over SO(3) x S^2 with analytic Jacobians and a robust loss.
+#pragma once
+
+#include <vector>
+
+#include "loss.h"
+#include "matches.h"
+#include "pose.h"
+#include "residuals.h"
+
+namespace epi360 {
+
+// Parallax of the wrong sign (radians) that noise of this scale explains; at most 4 degrees.
+double depth_tolerance(double scale);
+
+PlainPose plain(const RelativePose& pose);
+
+struct RefineOptions {
+  Residual residual = Residual::kSampson;
+  LossModel loss;
+  bool estimate_mixture = true;  // re-estimate scale and shares of a mixture after each step
+  bool use_depths = false;       // a match behind a camera is an outlier (bounded losses only)
+  double smallest_scale = 1e-6;  // radians: exact data must not drive the mixture to zero
+  double largest_scale = 0.1;    // radians: with more noise than that nothing is an outlier
+  int max_iterations = 100;
+  double step_tolerance = 1e-10;  // radians
+};
+
+struct RefineResult {
+  RelativePose pose;
+  LossModel loss;  // with the estimated scale and shares of a mixture
+  double cost = 0.0;
+  int num_iterations = 0;
+  bool converged = false;
+  Eigen::Matrix<double, 5, 5> information = Eigen::Matrix<double, 5, 5>::Zero();  // J^T W J
+  double effective_matches = 0.0;  // sum of the weights
+};
+
+// Scratch memory of one refinement: reused between calls, one per thread.
+struct RefineWorkspace {
+  std::vector<double> residuals, front, weights, jacobian;
+  void resize(std::size_t padded);
+};
+
+RefineResult refine(const Matches& m, const RelativePose& start, const RefineOptions& options,
+                    RefineWorkspace& workspace);
+
+// Five matches can always be fitted perfectly. Added to the log-likelihood, this is the part of the
+// pose's Laplace evidence that depends on the scale: it takes back what five residuals near zero
+// gain.
+double scale_evidence(const LossModel& mixture);
+
+// Scale and shares of the mixture that make these residuals most likely, from a grid of scales:
+// where the iteration starts. residuals and front have m.padded entries.
+LossModel fit_mixture(const Matches& m, const double* residuals, const double* front,
+                      double outlier_density, double smallest_scale);
+
+}  // namespace epi360

@@ -1,0 +1,268 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "robust.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "essential.h"
+#include "essential_problem.h"
+#include "evidence.h"
+#include "ransac.h"
+#include "rotation_problem.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kDegree = 0.017453292519943295;
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// Gates of the first round when the noise is unknown: a sum of truncated costs over these scales
+// follows the logarithm of the residual, so no scale is preferred.
+const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * kDegree,
+                                        4.0 * kDegree};
+constexpr int kScaleRounds = 3;          // re-sampling rounds while the gate still moves
+constexpr double kGateSettled = 1.25;    // ratio of successive gates that counts as settled
+constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
+constexpr double kFalseAlarms = -3.0;    // log10; accepted below
+constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
+constexpr double kSmallestGate = 4e-6;   // radians, for exact data
+constexpr double kLargestWrongParallax = 0.07;  // radians: depths must be right beyond it
+
+// Among the four poses of this E, the one with most inliers in front of both cameras.
+void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlier,
+                       RelativePose& pose) {
+  const Eigen::Matrix3d half_turn = 2.0 * pose.t * pose.t.transpose() - Eigen::Matrix3d::Identity();
+  const RelativePose variants[4] = {
+      pose, {pose.R, -pose.t}, {half_turn * pose.R, pose.t}, {half_turn * pose.R, -pose.t}};
+  double best = -1.0;
+  for (const RelativePose& variant : variants) {
+    double count = 0.0;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (!inlier[i]) continue;
+      const Eigen::Vector3d b1(m.x1[i], m.y1[i], m.z1[i]), b2(m.x2[i], m.y2[i], m.z2[i]);
+      count += in_front(variant, b1, b2, 0.0);
+    }
+    if (count > best) {
+      best = count;
+      pose = variant;
+    }
+  }
+}
+
+// Flags matches inside the gate and in front of both cameras; returns their number.
+int mark_inliers(const Matches& m, const RobustOptions& options, const RelativePose& pose,
+                 double gate, bool use_depths, std::vector<unsigned char>& inlier,
+                 std::vector<double>& residuals) {
+  std::vector<double> front(m.padded);
+  residuals.resize(m.padded);
+  compute_residuals(m, options.residual, plain(pose), std::min(gate, kLargestWrongParallax),
+                    residuals.data(), front.data());
+  inlier.assign(m.size, 0);
+  int count = 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    inlier[i] = std::abs(residuals[i]) < gate && (!use_depths || front[i] > 0.5);
+    count += inlier[i];
+  }
+  return count;
+}
+
+// Sampling until the gate agrees with the noise found. Returns the number of samples.
+int sample_poses(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
+                 Random& random) {
+  LoopOptions loop{options.min_iterations, options.max_iterations, options.confidence};
+  LoopResult<EssentialProblem> result;
+  const auto n = static_cast<std::uint32_t>(m.size);
+  problem.set_gates(options.threshold > 0.0 ? std::vector<double>{options.threshold} : kAllScales);
+  ransac(problem, n, loop, random, result);
+  if (options.threshold > 0.0 || !result.found()) return result.num_iterations;
+  loop.min_iterations = 0;
+  double gate = kAllScales.back();
+  for (int round = 0; round < kScaleRounds; ++round) {
+    problem.polish_pool(12);
+    const Candidate best = problem.candidates().front();
+    const double next = std::max(gate_of(best.loss), kSmallestGate);
+    const double change = std::max(next / gate, gate / next);
+    gate = next;
+    if (change < kGateSettled) break;
+    problem.set_gates({gate});
+    result.model = best.pose;
+    result.score = problem.score(best.pose, kInfinity);
+    ransac(problem, n, loop, random, result);
+  }
+  return result.num_iterations;
+}
+
+// The rotation that explains most matches; its inliers within the gate.
+double best_rotation(const Matches& m, const RobustOptions& options, double gate, Random& random,
+                     Eigen::Matrix3d* R, std::vector<double>* residuals) {
+  RotationProblem problem(m, {gate, 3.0 * gate});
+  const LoopOptions loop{20, 500, 0.999};
+  LoopResult<RotationProblem> result;
+  ransac(problem, static_cast<std::uint32_t>(m.size), loop, random, result);
+  (void)options;
+  if (!result.found()) return 0.0;
+  *R = result.model;
+  const double count = problem.count_within(*R, gate);
+  *residuals = problem.residuals();
+  return count;
+}
+
+void set_pure_rotation(const Matches& m, const Eigen::Matrix3d& R, double gate,
+                       std::vector<double> residuals, RobustResult& out) {
+  out.status = Status::kPureRotation;
+  out.pose.R = R;
+  out.residuals = std::move(residuals);
+  out.inlier.assign(m.size, 0);
+  double sum = 0.0, count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(out.residuals[i] < gate)) continue;
+    out.inlier[i] = 1;
+    sum += out.residuals[i] * out.residuals[i];
+    count += 1.0;
+  }
+  // Two components a match, three parameters.
+  out.scale = std::sqrt(sum / std::max(2.0 * count - 3.0, 1.0));
+  // Each match measures the two components of the rotation across its direction, with variance
+  // 2 scale^2: information (I - b b^T) / (2 scale^2).
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!out.inlier[i]) continue;
+    const Eigen::Vector3d b(m.x2[i], m.y2[i], m.z2[i]);
+    information += Eigen::Matrix3d::Identity() - b * b.transpose();
+  }
+  const double variance = 2.0 * std::max(out.scale * out.scale, 1e-24);
+  out.covariance.setConstant(std::nan(""));
+  out.covariance.topLeftCorner<3, 3>() = variance * information.inverse();
+  out.coverage = sphere_coverage(m, out.inlier.data());
+  RelativePose turn;
+  turn.R = R;
+  out.parallax = median_parallax(m, turn, out.inlier.data());
+}
+
+// Covariance from the inliers' normal equations; the inliers' scale is corrected for the part of a
+// Gaussian that the gate cuts off.
+void set_uncertainty(const Matches& m, const RobustOptions& options, double gate,
+                     RobustResult& out) {
+  Matches inliers_only = m;
+  double sum = 0.0, count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!out.inlier[i]) inliers_only.weight[i] = 0.0;
+    sum += inliers_only.weight[i] * out.residuals[i] * out.residuals[i];
+    count += inliers_only.weight[i];
+  }
+  double variance = sum / std::max(count - 5.0, 0.2 * count + 1e-9);
+  // Variance of a unit Gaussian cut at +-k: 1 - 2 k phi(k) / (2 Phi(k) - 1); fixed point.
+  const double observed = variance;
+  for (int round = 0; round < 20; ++round) {
+    const double k = gate / std::sqrt(std::max(variance, 1e-30));
+    const double inside = std::erf(k / std::sqrt(2.0));
+    const double kept = 1.0 - 2.0 * k * 0.3989422804014327 * std::exp(-0.5 * k * k) / inside;
+    variance = observed / std::max(kept, 0.25);
+  }
+  out.scale = std::sqrt(variance);
+
+  RefineWorkspace w;
+  w.resize(m.padded);
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(out.pose.t);
+  compute_jacobians(m, options.residual, plain(out.pose), basis.data(), gate, w.residuals.data(),
+                    w.front.data(), w.jacobian.data());
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, w.jacobian.data(), w.residuals.data(),
+                              inliers_only.weight.data(), upper, gradient);
+  Eigen::Matrix<double, 5, 5> information;
+  int entry = 0;
+  for (int p = 0; p < 5; ++p) {
+    for (int q = p; q < 5; ++q) information(p, q) = information(q, p) = upper[entry++];
+  }
+  out.covariance = variance * information.inverse();
+}
+
+// Whether two poses differ by more than the uncertainty of the first can explain.
+bool distinct(const RelativePose& a, const RelativePose& b,
+              const Eigen::Matrix<double, 5, 5>& covariance) {
+  const double sigma_rotation = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
+  const double sigma_direction = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+  return !same_pose(a, b, std::max(3.0 * kDegree, 6.0 * sigma_rotation),
+                    std::max(8.0 * kDegree, 6.0 * sigma_direction));
+}
+
+// The most likely pose that is truly different, and its support relative to the best pose.
+void find_rival(const Matches& m, const RobustOptions& options,
+                const std::vector<Candidate>& candidates, double evidence, int support, double gate,
+                RobustResult& out) {
+  for (const Candidate& c : candidates) {  // descending evidence
+    if (!distinct(out.pose, c.pose, out.covariance)) continue;
+    std::vector<unsigned char> inlier;
+    std::vector<double> residuals;
+    const int count = mark_inliers(m, options, c.pose, gate, true, inlier, residuals);
+    out.rival_share = static_cast<double>(count) / std::max(support, 1);
+    out.rival_evidence = c.evidence - evidence;
+    if (out.rival_evidence > kRivalEvidence) out.alternatives.assign(1, c.pose);
+    return;
+  }
+}
+
+}  // namespace
+
+RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options) {
+  RobustResult out;
+  out.inlier.assign(m.size, 0);
+  out.residuals.assign(m.padded, std::nan(""));
+  out.covariance.setConstant(std::nan(""));
+  out.scale = out.parallax = std::nan("");
+  out.threshold = options.threshold > 0.0 ? options.threshold : std::nan("");
+  if (m.size < static_cast<std::size_t>(options.sample_size)) return out;
+
+  Random random(options.seed);
+  const ChanceDensity chance(m, options.residual, options.seed);
+  const double typical_density = 0.35;  // of wrong matches in front of both cameras
+  EssentialProblem problem(m, options.residual, options.sample_size, typical_density);
+  out.num_iterations = sample_poses(m, options, problem, random);
+  out.match_coverage = sphere_coverage(m, nullptr);
+
+  problem.polish_pool(25);
+  const std::vector<Candidate>& candidates = problem.candidates();
+  double gate = options.threshold;
+  double evidence = 0.0;
+  int support = 0;
+  if (!candidates.empty()) {
+    const Candidate best = problem.polish(candidates[0].pose, 50);
+    out.pose = best.pose;
+    evidence = best.evidence;
+    if (!(options.threshold > 0.0)) gate = std::max(gate_of(candidates[0].loss), kSmallestGate);
+    mark_inliers(m, options, out.pose, gate, false, out.inlier, out.residuals);
+    decide_cheirality(m, out.inlier, out.pose);
+    support = mark_inliers(m, options, out.pose, gate, true, out.inlier, out.residuals);
+  }
+  if (!(gate > 0.0)) gate = kAllScales.front();
+  out.threshold = gate;
+
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
+  std::vector<double> rotation_residuals;
+  const double turned = best_rotation(m, options, gate, random, &R, &rotation_residuals);
+  out.rotation_share = turned / std::max(support, 1);
+  const double density = candidates.empty()
+                             ? typical_density
+                             : chance.at(out.pose, std::max(4.0 * kDegree, 2.0 * gate));
+  const int n = static_cast<int>(m.size);
+  if (turned >= kRotationShare * support &&
+      log10_false_alarms(n, static_cast<int>(turned), gate * gate, 2) < kFalseAlarms) {
+    set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
+    return out;
+  }
+  out.chance_log10 = log10_false_alarms(n, support, 2.0 * gate * density, options.sample_size);
+  if (out.chance_log10 > kFalseAlarms) {
+    out.status = Status::kTooFewInliers;
+    return out;
+  }
+  out.status = Status::kOk;
+  set_uncertainty(m, options, gate, out);
+  out.coverage = sphere_coverage(m, out.inlier.data());
+  out.parallax = median_parallax(m, out.pose, out.inlier.data());
+  find_rival(m, options, candidates, evidence, support, gate, out);
+  if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
+  return out;
+}
+
+}  // namespace epi360

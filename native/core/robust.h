@@ -1,0 +1,55 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// The robust two-view estimator: sampling, refinement, verdict.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "matches.h"
+#include "pose.h"
+#include "residuals.h"
+
+namespace epi360 {
+
+enum class Status {
+  kOk,
+  kTooFewMatches,
+  kTooFewInliers,
+  kPureRotation,
+  kPlanarAmbiguous,
+  kConcentratedInliers,
+};
+
+struct RobustOptions {
+  Residual residual = Residual::kSampson;
+  double threshold = 0.0;  // radians; 0: estimated from the data
+  int sample_size = 5;     // 5 or 8
+  int min_iterations = 30;
+  int max_iterations = 5000;
+  double confidence = 0.999;
+  std::uint64_t seed = 0;
+};
+
+struct RobustResult {
+  Status status = Status::kTooFewMatches;
+  RelativePose pose;
+  double scale = 0.0;      // standard deviation of the inliers' residuals, radians
+  double threshold = 0.0;  // radians
+  std::vector<unsigned char> inlier;
+  std::vector<double> residuals;
+  int num_iterations = 0;
+  double parallax = 0.0;        // radians, median over inliers
+  double coverage = 0.0;        // share of the sphere's cells with an inlier
+  double match_coverage = 0.0;  // ... with a match
+  double rotation_share = 0.0;  // inliers of the best rotation over those of the pose
+  double chance_log10 = 0.0;    // log10 of the number of poses with this support by chance
+  Eigen::Matrix<double, 5, 5> covariance = Eigen::Matrix<double, 5, 5>::Zero();
+  std::vector<RelativePose> alternatives;
+  double rival_share = 0.0;  // support of the best rival pose over that of the pose
+  double rival_evidence = -std::numeric_limits<double>::infinity();  // log-likelihood ratio
+};
+
+RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options);
+
+}  // namespace epi360
