@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Bearings to essential matrix, in plain NumPy: the readable twin of the native core."""
+
+from epi360.epipolar.essential import (
+    cheirality_mask,
+    decompose_essential,
+    essential_from_pose,
+    pose_from_essential,
+    project_to_essential,
+    triangulate,
+)
+from epi360.epipolar.linear import EightPointSolution, eight_point, observation_matrix
+from epi360.epipolar.residuals import (
+    RESIDUALS,
+    angular_residuals,
+    paper_residuals,
+    pose_residuals,
+    residual_jacobians,
+    sampson_residuals,
+    tangent_basis,
+    tangent_sampson_residuals,
+)
+
+__all__ = [
+    "RESIDUALS",
+    "EightPointSolution",
+    "angular_residuals",
+    "cheirality_mask",
+    "decompose_essential",
+    "eight_point",
+    "essential_from_pose",
+    "observation_matrix",
+    "paper_residuals",
+    "pose_from_essential",
+    "pose_residuals",
+    "project_to_essential",
+    "residual_jacobians",
+    "sampson_residuals",
+    "tangent_basis",
+    "tangent_sampson_residuals",
+    "triangulate",
+]

@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Essential matrix, its four poses, depths along the rays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from epi360.epipolar.arguments import bearing_pair
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+
+
+def skew(vector: ArrayLike) -> Array:
+    """Return [v]x, so that ``skew(v) @ w == np.cross(v, w)``.
+
+    Parameters
+    ----------
+    vector : array_like, shape (3,)
+        v.
+    """
+    x, y, z = np.asarray(vector, dtype=np.float64)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def essential_from_pose(cam2_from_cam1: Pose) -> Array:
+    """Return E = [t]x R with t scaled to unit length (paper eq. 3).
+
+    Parameters
+    ----------
+    cam2_from_cam1 : Pose
+        x2 = R x1 + t; a zero translation gives NaN.
+
+    Returns
+    -------
+    E : ndarray, shape (3, 3)
+        Frobenius norm sqrt(2).
+    """
+    t = cam2_from_cam1.translation
+    norm = float(np.linalg.norm(t))
+    return skew(t / norm if norm > 0.0 else np.full(3, np.nan)) @ cam2_from_cam1.rotation
+
+
+def project_to_essential(E: ArrayLike) -> Array:
+    """Return the nearest matrix with singular values (1, 1, 0).
+
+    Parameters
+    ----------
+    E : array_like, shape (3, 3)
+        Any matrix.
+
+    Raises
+    ------
+    ValueError
+        If E is not a finite (3, 3) matrix.
+    """
+    U, _, Vt = np.linalg.svd(_matrix(E))
+    return np.asarray(U @ np.diag([1.0, 1.0, 0.0]) @ Vt)
+
+
+def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
+    """Return the four poses (R, t), (R, -t), (R', t), (R', -t) of an essential matrix.
+
+    Parameters
+    ----------
+    E : array_like, shape (3, 3)
+        Essential matrix, any scale; it is projected first.
+
+    Raises
+    ------
+    ValueError
+        If E is not a finite (3, 3) matrix.
+
+    Notes
+    -----
+    Horn, "Recovering baseline and orientation from essential matrix", 1990, in the form
+    R = cof(E) - [t]x E for unit t with t^T E = 0; R' is R turned by half a turn about t.
+    """
+    E = project_to_essential(E)
+    columns = [np.cross(E[:, k], E[:, (k + 1) % 3]) for k in range(3)]
+    t = max(columns, key=lambda column: float(column @ column))
+    t = t / np.linalg.norm(t)
+    cofactors = np.stack([np.cross(E[(k + 1) % 3], E[(k + 2) % 3]) for k in range(3)])
+    tE = skew(t) @ E
+    R1, R2 = _orthonormalised(cofactors - tE), _orthonormalised(cofactors + tE)
+    return Pose(R1, t), Pose(R1, -t), Pose(R2, t), Pose(R2, -t)
+
+
+def triangulate(
+    bearings1: ArrayLike, bearings2: ArrayLike, cam2_from_cam1: Pose
+) -> tuple[Array, Array, Array]:
+    """Return points in camera 1 and their depths along both rays.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : array_like, shape (N, 3)
+        Directions; row i of both is one match; NaN rows give NaN.
+    cam2_from_cam1 : Pose
+        x2 = R x1 + t, in any scale: depths come in the same.
+
+    Returns
+    -------
+    points : ndarray, shape (N, 3)
+        Middle of the shortest segment between the two rays, in the frame of camera 1.
+    depths1, depths2 : ndarray, shape (N,)
+        Distances along the rays, negative behind the camera, infinite for parallel rays.
+
+    Raises
+    ------
+    ValueError
+        If the bearings are no valid pair.
+
+    Notes
+    -----
+    Least squares of depth2 b2 = depth1 R b1 + t. With a = R b1, c = a.b2, the depths are
+    (c t.b2 - t.a) / (1 - c^2) and (t.b2 - c t.a) / (1 - c^2).
+    """
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    R, t = cam2_from_cam1.rotation, cam2_from_cam1.translation
+    a = b1 @ R.T
+    sign1, sign2, squared_sine = _depth_terms(a, b2, t)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depths1, depths2 = sign1 / squared_sine, sign2 / squared_sine
+        in_camera2 = 0.5 * (depths1[:, None] * a + t + depths2[:, None] * b2)
+        points = (in_camera2 - t) @ R
+    return points, depths1, depths2
+
+
+def cheirality_mask(
+    bearings1: ArrayLike, bearings2: ArrayLike, cam2_from_cam1: Pose
+) -> NDArray[np.bool_]:
+    """Return which matches have positive depth along both rays, anywhere on the sphere.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : array_like, shape (N, 3)
+        Directions; NaN rows give False.
+    cam2_from_cam1 : Pose
+        x2 = R x1 + t.
+
+    Raises
+    ------
+    ValueError
+        If the bearings are no valid pair.
+
+    Notes
+    -----
+    The sign of z plays no part: half of a panorama's scene has z < 0.
+    """
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    a = b1 @ cam2_from_cam1.rotation.T
+    sign1, sign2, _ = _depth_terms(a, b2, cam2_from_cam1.translation)
+    return np.asarray((sign1 > 0.0) & (sign2 > 0.0))
+
+
+def pose_from_essential(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Pose:
+    """Return the pose of E that puts most matches in front of both cameras.
+
+    Parameters
+    ----------
+    E : array_like, shape (3, 3)
+        Essential matrix, any scale.
+    bearings1, bearings2 : array_like, shape (N, 3)
+        Directions; row i of both is one match.
+
+    Returns
+    -------
+    cam2_from_cam1 : Pose
+        With unit translation.
+
+    Raises
+    ------
+    ValueError
+        If E or the bearings are not valid.
+    """
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    poses = decompose_essential(E)
+    return max(poses, key=lambda pose: int(cheirality_mask(b1, b2, pose).sum()))
+
+
+def _depth_terms(a: Array, b2: Array, t: Array) -> tuple[Array, Array, Array]:
+    cosine = np.einsum("ij,ij->i", a, b2)
+    ta, tb = a @ t, b2 @ t
+    cross = np.cross(a, b2)
+    return cosine * tb - ta, tb - cosine * ta, np.einsum("ij,ij->i", cross, cross)
+
+
+def _orthonormalised(R: Array) -> Array:
+    U, _, Vt = np.linalg.svd(R)
+    return np.asarray(U @ Vt)
+
+
+def _matrix(E: ArrayLike) -> Array:
+    array = np.asarray(E, dtype=np.float64)
+    if array.shape != (3, 3) or not np.isfinite(array).all():
+        raise ValueError(f"E must be a finite (3, 3) matrix, got shape {array.shape}")
+    return array

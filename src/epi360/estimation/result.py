@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the robust estimator returns: a pose, the evidence for it and a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.poses import Pose
+
+Status = Literal[
+    "ok",
+    "too_few_matches",
+    "too_few_inliers",
+    "pure_rotation",
+    "planar_ambiguous",
+    "concentrated_inliers",
+]
+
+
+@dataclass(frozen=True)
+class RelativePoseResult:
+    """Relative pose of two central cameras and the evidence for it.
+
+    Numbers that the data do not determine are NaN: after a pure rotation the rotation is set and
+    the translation, ``E`` and their covariance are NaN; after any other failure but
+    ``planar_ambiguous`` the whole pose is NaN.
+
+    Attributes
+    ----------
+    cam2_from_cam1 : Pose
+        x2 = R x1 + t with |t| = 1: two views do not fix the scale.
+    E : ndarray, shape (3, 3)
+        Essential matrix [t]x R, Frobenius norm sqrt(2).
+    inlier_mask : ndarray, shape (M,), bool
+        Residual below the threshold and both depths positive; same order as the input.
+    residuals_rad : ndarray, shape (M,)
+        Signed residual of each match under the pose, NaN for missing rows. After a pure rotation:
+        the angle between R b1 and b2 over sqrt 2, the same unit. In pixels of the camera when
+        the residual is ``tangent_sampson``.
+    noise_deg : float
+        Standard deviation of the bearings' noise, per axis and view, over the inliers.
+    inlier_threshold_deg : float
+        The gate that was used, given or estimated.
+    parallax_deg : float
+        Median angle between R b1 and b2 over the inliers; near the noise, t means nothing.
+    sphere_coverage : float
+        Share of 48 equal-area cells of the sphere that hold an inlier, the lower of both views.
+    num_iterations : int
+        Minimal samples drawn.
+    status : str
+        "ok" or the reason why the pose must not be used as it is.
+    covariance : ndarray, shape (5, 5)
+        Of d where R_true = exp([d_0:3]x) R, t_true = (t + B d_3:5) / |.|; radians squared.
+    translation_basis : ndarray, shape (3, 2)
+        B: the two tangent directions at t.
+    alternatives : tuple of Pose
+        Other poses that explain the matches about as well.
+    warnings : tuple of str
+        Sentences for a person; empty when there is nothing to say.
+    """
+
+    cam2_from_cam1: Pose
+    E: NDArray[np.float64]
+    inlier_mask: NDArray[np.bool_]
+    residuals_rad: NDArray[np.float64]
+    noise_deg: float
+    inlier_threshold_deg: float
+    parallax_deg: float
+    sphere_coverage: float
+    num_iterations: int
+    status: Status
+    covariance: NDArray[np.float64]
+    translation_basis: NDArray[np.float64]
+    alternatives: tuple[Pose, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether the pose may be used as it is."""
+        return self.status == "ok"
+
+    @property
+    def num_matches(self) -> int:
+        """Number of input rows, missing ones included."""
+        return len(self.inlier_mask)
+
+    @property
+    def num_inliers(self) -> int:
+        """Number of matches that support the pose."""
+        return int(np.count_nonzero(self.inlier_mask))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagePairResult(RelativePoseResult):
+    """Relative pose of two images, with the matched key points behind it.
+
+    Attributes
+    ----------
+    keypoints1, keypoints2 : ndarray, shape (M, 2)
+        Continuous pixels of the original images, row i of both is match i.
+    """
+
+    keypoints1: NDArray[np.float64]
+    keypoints2: NDArray[np.float64]
