@@ -1,0 +1,358 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""SIFT key points of one image, with no blind spots at the seam and the poles of a panorama."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular
+from epi360.features.images import ImageSource, read_image, read_mask, require_panorama
+
+Array = NDArray[np.float64]
+
+# SIFT's default of 0.04 finds too little on wide baselines indoors: with 0.02 twice the matches.
+CONTRAST_THRESHOLD = 0.02
+# The rows around the horizon are searched as they are (pixels stretched by at most 1.5), two square
+# faces see the rest: as many right matches on real pairs as six cube faces, at 0.6 of their pixels.
+_STRIP_LATITUDE_DEG = 47.0
+_FACE_LATITUDE_DEG = 43.0  # the overlap: a key point near the border is found by one of the two
+_MARGIN_DEG = 9.0  # context around a view's own part, for the descriptors' windows
+_DUPLICATE_PX = 1.0
+
+
+@dataclass(frozen=True)
+class Features:
+    """Key points of one image.
+
+    Attributes
+    ----------
+    keypoints : ndarray, shape (N, 2)
+        Continuous pixels (u, v) of the original image.
+    descriptors : ndarray, shape (N, 128), float32
+        RootSIFT, unit length.
+    sizes_px : ndarray, shape (N,)
+        Diameter of the described region, in pixels of the original image at the horizon.
+    """
+
+    keypoints: Array
+    descriptors: NDArray[np.float32]
+    sizes_px: Array
+
+    def __len__(self) -> int:
+        """Return the number of key points."""
+        return len(self.keypoints)
+
+
+def extract_features(
+    image: ImageSource,
+    camera: Camera | None = None,
+    mask: ImageSource | None = None,
+    *,
+    mask_nadir_deg: float = 0.0,
+    max_width: int = 4096,
+    max_features: int = 10000,
+    contrast_threshold: float = CONTRAST_THRESHOLD,
+) -> Features:
+    """SIFT key points and RootSIFT descriptors of an image.
+
+    Parameters
+    ----------
+    image : path or array
+        What ``read_image`` takes.
+    camera : Camera, optional
+        Default: a full equirectangular panorama of the image's size.
+    mask : path or array, optional
+        White = use; of the image's size.
+    mask_nadir_deg : float
+        Ignore this angle around straight down (+y): the tripod and who holds it.
+    max_width : int
+        A wider image is searched at this width; key points are in pixels of the original.
+    max_features : int
+        The strongest are kept.
+    contrast_threshold : float
+        Of SIFT; lower finds more.
+
+    Returns
+    -------
+    features : Features
+        Possibly none.
+
+    Raises
+    ------
+    ValueError
+        If image, camera and mask do not fit together, or the image is no panorama and no camera
+        is given.
+
+    Notes
+    -----
+    Lowe, IJCV 2004; RootSIFT: Arandjelović & Zisserman, CVPR 2012. A full panorama is searched as a
+    strip around the horizon, continued across the seam, and two faces at the poles.
+    """
+    picture = read_image(image)
+    camera = camera_of(picture, camera, "image")
+    height, width = picture.shape[:2]
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    scale = min(1.0, max_width / width)
+    if scale < 1.0:
+        size = (round(width * scale), round(height * scale))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    sift = cv2.SIFT_create(contrastThreshold=contrast_threshold)  # type: ignore[attr-defined]
+    parts = [_searched(sift, view) for view in _views(np.asarray(grey), camera)]
+    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
+    found = _merged([part.stretched(stretch) for part in parts], camera, stretch[0])
+    usable = None if mask is None else read_mask(mask, (height, width))
+    kept = _kept(found, camera, usable, mask_nadir_deg, max_features)
+    return Features(found.pixels[kept], _root_sift(found.descriptors[kept]), found.sizes[kept])
+
+
+def camera_of(picture: NDArray[np.uint8], camera: Camera | None, name: str) -> Camera:
+    """Return the camera of a picture, by default a full panorama of its size.
+
+    Parameters
+    ----------
+    picture : ndarray, shape (H, W, 3)
+        The picture.
+    camera : Camera or None
+        The camera given by the user.
+    name : str
+        What messages call the picture.
+
+    Raises
+    ------
+    ValueError
+        If the sizes differ, or there is no camera and the picture is no panorama.
+    """
+    height, width = picture.shape[:2]
+    if camera is None:
+        require_panorama(picture, name)
+        try:
+            return Equirectangular.for_image(width, height)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    if (camera.width, camera.height) != (width, height):
+        raise ValueError(
+            f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
+            "give the camera of this image size"
+        )
+    return camera
+
+
+@dataclass(frozen=True)
+class _View:
+    """A picture to search and how its pixels map back to the searched image."""
+
+    picture: NDArray[np.uint8]
+    mask: NDArray[np.uint8] | None
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Pixels of the image, which of them are this view's to report, and relative scale."""
+        return pixels, np.ones(len(pixels), dtype=bool), np.ones(len(pixels))
+
+
+@dataclass(frozen=True)
+class _Strip(_View):
+    """Rows around the horizon, continued across the seam."""
+
+    camera: Equirectangular
+    padding: int
+    top: int
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        moved = pixels + [-self.padding, self.top]
+        width, height = self.camera.width, self.camera.height
+        own = (moved[:, 0] >= 0.0) & (moved[:, 0] < width)
+        degrees_per_row = self.camera.vertical_fov_deg / height
+        latitude = self.camera.center_latitude_deg + (height / 2 - moved[:, 1]) * degrees_per_row
+        return moved, own & (np.abs(latitude) < _STRIP_LATITUDE_DEG), np.ones(len(pixels))
+
+
+@dataclass(frozen=True)
+class _Face(_View):
+    """A perspective view of a pole."""
+
+    camera: Equirectangular
+    rotation: Array  # panorama from face
+    focal: float
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        centred = (pixels - self.picture.shape[0] / 2.0) / self.focal
+        rays = np.column_stack([centred, np.ones(len(centred))])
+        lengths = np.linalg.norm(rays, axis=1)
+        bearings = (rays / lengths[:, None]) @ self.rotation.T
+        own = np.abs(bearings[:, 1]) > np.sin(np.radians(_FACE_LATITUDE_DEG))
+        moved = self.camera.pixels_from_bearings(bearings)
+        return moved, own & np.isfinite(moved).all(axis=1), 1.0 / lengths
+
+
+def _views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[_View]:
+    height, width = grey.shape
+    if not isinstance(camera, Equirectangular):
+        yield _View(grey, _lens_mask(camera, height, width))
+        return
+    scaled = Equirectangular(
+        width, height, camera.horizontal_fov_deg, camera.vertical_fov_deg,
+        camera.center_longitude_deg, camera.center_latitude_deg,
+    )  # fmt: skip
+    if camera.horizontal_fov_deg < 360.0:
+        yield _View(grey, None)
+        return
+    yield _strip(grey, scaled)
+    for sign in (1.0, -1.0):
+        if scaled.vertical_fov_deg / 2 + sign * scaled.center_latitude_deg > _STRIP_LATITUDE_DEG:
+            yield _face(grey, scaled, sign)
+
+
+def _lens_mask(camera: Camera, height: int, width: int) -> NDArray[np.uint8] | None:
+    """Field of view less its rim, where key points are artefacts of the lens's edge."""
+    visible = camera.field_of_view_mask()
+    if visible.all():
+        return None
+    mask = cv2.resize(255 * visible.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=255), dtype=np.uint8)
+
+
+def _strip(grey: NDArray[np.uint8], camera: Equirectangular) -> _Strip:
+    height, width = grey.shape
+    rows_per_degree = height / camera.vertical_fov_deg
+    reach = (_STRIP_LATITUDE_DEG + _MARGIN_DEG) * rows_per_degree
+    horizon = height / 2 + camera.center_latitude_deg * rows_per_degree
+    top, bottom = max(0, round(horizon - reach)), min(height, round(horizon + reach))
+    padding = max(16, round(_MARGIN_DEG * width / 360.0))
+    strip = cv2.copyMakeBorder(grey[top:bottom], 0, 0, padding, padding, cv2.BORDER_WRAP)
+    return _Strip(np.asarray(strip, dtype=np.uint8), None, camera, padding, top)
+
+
+def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> _Face:
+    """View of the zenith (sign +1) or the nadir (-1) at the panorama's resolution."""
+    focal = camera.width / np.radians(camera.horizontal_fov_deg)
+    half_angle = 90.0 - _FACE_LATITUDE_DEG + _MARGIN_DEG / 2
+    size = 2 * int(np.ceil(focal * np.tan(np.radians(half_angle))))
+    u, v = _face_map(camera, size, focal, sign)
+    picture = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return _Face(np.asarray(picture, dtype=np.uint8), None, camera, _pole_rotation(sign), focal)
+
+
+def _pole_rotation(sign: float) -> Array:
+    """Panorama from face: the face's z axis is the pole, its x axis the panorama's."""
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -sign], [0.0, sign, 0.0]])
+
+
+@lru_cache(maxsize=4)  # both images of a pair, two poles each
+def _face_map(
+    camera: Equirectangular, size: int, focal: float, sign: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where each pixel of a face lies in the panorama, for cv2.remap (centres at integers)."""
+    axis = (np.arange(size) + 0.5 - size / 2.0).astype(np.float32) / np.float32(focal)
+    x, y = np.meshgrid(axis, axis)
+    # The face's ray (x, y, 1) is (x, -sign, sign * y) in the panorama.
+    longitude = np.degrees(np.arctan2(x, np.float32(sign) * y))
+    latitude = np.degrees(np.arctan2(np.float32(sign), np.hypot(x, y)))
+    turned = (longitude - camera.center_longitude_deg) / camera.horizontal_fov_deg
+    u = (turned - np.floor(turned + 0.5) + 0.5) * camera.width - 0.5
+    down = (camera.center_latitude_deg - latitude) / camera.vertical_fov_deg + 0.5
+    v = np.clip(down * camera.height - 0.5, 0.0, camera.height - 1.0)
+    return u.astype(np.float32), v.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Key points of one view in image pixels."""
+
+    pixels: Array
+    sizes: Array
+    strengths: Array
+    descriptors: NDArray[np.float32]
+
+    def chosen(self, index: NDArray[np.bool_]) -> _Found:
+        """Return some of them."""
+        return _Found(
+            self.pixels[index], self.sizes[index], self.strengths[index], self.descriptors[index]
+        )
+
+    def stretched(self, stretch: Array) -> _Found:
+        """Return them in the pixels of the original image."""
+        return _Found(
+            self.pixels * stretch, self.sizes * stretch[0], self.strengths, self.descriptors
+        )
+
+
+def _searched(sift: cv2.Feature2D, view: _View) -> _Found:
+    points, descriptors = sift.detectAndCompute(view.picture, view.mask)
+    if not points:
+        return _Found(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
+    table = np.array([(*p.pt, p.size, p.response) for p in points])
+    pixels = table[:, :2] + 0.5  # OpenCV puts pixel centres at integers
+    moved, own, relative = view.to_image(pixels)
+    return _Found(
+        moved, table[:, 2] * relative, table[:, 3], np.asarray(descriptors, np.float32)
+    ).chosen(own)
+
+
+def _merged(parts: list[_Found], camera: Camera, pixel: float) -> _Found:
+    """All views' key points; one that an earlier view found too is dropped.
+
+    Twins would be each other's runner-up and fail the ratio test.
+    """
+    merged = parts[0]
+    for part in parts[1:]:
+        fresh = ~_repeated(part, merged, camera, pixel)
+        part = part.chosen(fresh)
+        merged = _Found(
+            np.concatenate([merged.pixels, part.pixels]),
+            np.concatenate([merged.sizes, part.sizes]),
+            np.concatenate([merged.strengths, part.strengths]),
+            np.concatenate([merged.descriptors, part.descriptors]),
+        )
+    return merged
+
+
+def _repeated(part: _Found, others: _Found, camera: Camera, pixel: float) -> NDArray[np.bool_]:
+    """Which key points lie within a pixel, on the sphere, of another view's of similar size."""
+    repeated = np.zeros(len(part.pixels), dtype=bool)
+    near1 = _in_overlap(part.pixels, camera)
+    near2 = _in_overlap(others.pixels, camera)
+    if not near1.any() or not near2.any():
+        return repeated
+    b1 = camera.bearings_from_pixels(part.pixels[near1])
+    b2 = camera.bearings_from_pixels(others.pixels[near2])
+    chord = _DUPLICATE_PX * pixel * 2.0 * np.pi / camera.width
+    close = b1 @ b2.T > 1.0 - 0.5 * chord**2
+    ratio = part.sizes[near1][:, None] / others.sizes[near2][None, :]
+    repeated[near1] = (close & (ratio > 1 / 1.5) & (ratio < 1.5)).any(axis=1)
+    return repeated
+
+
+def _in_overlap(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
+    y = np.abs(camera.bearings_from_pixels(pixels)[:, 1])
+    low, high = np.sin(np.radians([_FACE_LATITUDE_DEG - 0.5, _STRIP_LATITUDE_DEG + 0.5]))
+    return np.asarray((y > low) & (y < high))
+
+
+def _kept(
+    found: _Found,
+    camera: Camera,
+    mask: NDArray[np.bool_] | None,
+    mask_nadir_deg: float,
+    max_features: int,
+) -> NDArray[np.int64]:
+    """Indices of the usable key points, strongest first, limited in number."""
+    order = np.argsort(-found.strengths, kind="stable")
+    if mask is not None:
+        columns = np.clip(found.pixels[order, 0].astype(int), 0, camera.width - 1)
+        rows = np.clip(found.pixels[order, 1].astype(int), 0, camera.height - 1)
+        order = order[mask[rows, columns]]
+    if mask_nadir_deg > 0.0:
+        down = camera.bearings_from_pixels(found.pixels[order])[:, 1]
+        order = order[down < np.cos(np.radians(mask_nadir_deg))]
+    return order[:max_features]
+
+
+def _root_sift(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+    sums = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.sqrt(descriptors / sums), dtype=np.float32)

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures and masks: any image file or array in, 8-bit RGB and booleans out, or a clear reason."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.features.image_files import MAX_PIXELS, decode_image_file
+
+ImageSource = str | os.PathLike[str] | NDArray[Any]
+"""A path or an array, see `read_image`."""
+
+
+def read_image(
+    source: ImageSource, *, max_pixels: int = MAX_PIXELS, name: str = "image"
+) -> NDArray[np.uint8]:
+    """Picture as 8-bit RGB, upright.
+
+    Parameters
+    ----------
+    source : str, path or ndarray
+        JPEG, PNG, TIFF, WebP or BMP file, or an array of shape (H, W), (H, W, 1), (H, W, 3) RGB
+        or (H, W, 4) RGBA of type uint8, uint16, bool, or float in [0, 1].
+    max_pixels : int
+        Limit on width x height of a file. OpenCV has one of its own, 2**30, which the environment
+        variable ``OPENCV_IO_MAX_IMAGE_PIXELS`` changes.
+    name : str
+        What error messages call the picture.
+
+    Returns
+    -------
+    image : ndarray, shape (H, W, 3), uint8
+        Shares memory with ``source`` where that is such an array already.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the file does not exist.
+    ValueError
+        If the source is no complete picture, is larger than ``max_pixels`` or has another type.
+
+    Notes
+    -----
+    The orientation tag (EXIF) of a file is applied, except with transparency. Transparent pixels
+    are blended with black. 16 bits become 8 by value / 257, rounded.
+    """
+    if not isinstance(source, str | os.PathLike):
+        return _rgb_from_array(np.asarray(source), name)
+    path = Path(source)
+    image = _rgb_from_array(decode_image_file(path, max_pixels, name), f"{name} {path}")
+    cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image)
+    return image
+
+
+def read_mask(
+    source: ImageSource, shape: tuple[int, int], *, name: str = "mask"
+) -> NDArray[np.bool_]:
+    """Pixels to use: those brighter than half of the range.
+
+    Parameters
+    ----------
+    source : str, path or ndarray
+        White = use, black = ignore; any picture that `read_image` takes.
+    shape : (int, int)
+        Height and width of the image that the mask belongs to.
+    name : str
+        What error messages call the mask.
+
+    Returns
+    -------
+    mask : ndarray, shape (H, W), bool
+
+    Raises
+    ------
+    FileNotFoundError
+        If the file does not exist.
+    ValueError
+        If the source is no picture, has another size than the image, or is black throughout.
+    """
+    if isinstance(source, np.ndarray) and source.dtype == np.bool_ and source.ndim == 2:
+        mask = source
+    else:
+        mask = cv2.cvtColor(read_image(source, name=name), cv2.COLOR_RGB2GRAY) > 127
+    if mask.shape != tuple(shape):
+        raise ValueError(
+            f"{name} must have the size of its image, {shape[1]}x{shape[0]}, got "
+            f"{mask.shape[1]}x{mask.shape[0]}; resize it with nearest neighbour"
+        )
+    if not mask.any():
+        raise ValueError(
+            f"{name} has no pixel above half of its range, so nothing would be used; "
+            "white (255, or True) means use"
+        )
+    return mask
+
+
+def nadir_mask(camera: Camera, degrees: float) -> NDArray[np.bool_]:
+    """Pixels farther than an angle from straight down, where tripods and their holders stand.
+
+    Parameters
+    ----------
+    camera : Camera
+        Held upright: down is the bearing (0, 1, 0).
+    degrees : float
+        Radius of the ignored cap, in [0, 180); 0 ignores nothing.
+
+    Returns
+    -------
+    mask : ndarray, shape (height, width), bool
+        False inside the cap, tested at the pixels' centres.
+
+    Raises
+    ------
+    ValueError
+        If ``degrees`` is outside [0, 180).
+    """
+    if not 0 <= degrees < 180:
+        raise ValueError(f"mask_nadir_deg must be in [0, 180), got {degrees}")
+    mask = np.ones((camera.height, camera.width), dtype=np.bool_)
+    if degrees == 0:
+        return mask
+    columns = np.arange(camera.width) + 0.5
+    rows_per_block = max(1, 2**18 // camera.width)  # all bearings of 5760x2880 would be 400 MB
+    for top in range(0, camera.height, rows_per_block):
+        block = mask[top : top + rows_per_block]
+        rows = np.arange(top, top + len(block)) + 0.5
+        pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+        x, y, z = camera.bearings_from_pixels(pixels).T
+        inside = np.arctan2(np.hypot(x, z), y) < np.radians(degrees)
+        block &= ~inside.reshape(block.shape)
+    return mask
+
+
+def looks_like_dual_fisheye(image: NDArray[np.uint8]) -> bool:
+    """Whether a picture is the raw frame of a 360 camera: two discs side by side on black.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W, 3), uint8
+
+    Returns
+    -------
+    bool
+        True for a 2:1 frame of which both halves have four black corners and, at the diagonals,
+        end on a circle. Dark frames, where no circle is visible, give False.
+    """
+    height, width = image.shape[:2]
+    if abs(width - 2 * height) > 0.02 * width:
+        return False
+    small = cv2.resize(image, (256, 128), interpolation=cv2.INTER_AREA).max(axis=2)
+    return _is_disc_on_black(small[:, :128]) and _is_disc_on_black(small[:, 128:])
+
+
+def require_panorama(image: NDArray[np.uint8], name: str = "image") -> None:
+    """Refuse the raw frame of a 360 camera, which would be mistaken for a panorama.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W, 3), uint8
+    name : str
+        What the error message calls the image.
+
+    Raises
+    ------
+    ValueError
+        If the image looks like a raw dual fisheye frame.
+    """
+    if looks_like_dual_fisheye(image):
+        raise ValueError(
+            f"{name} looks like a raw dual fisheye frame (two circles on black); "
+            "export a stitched panorama first"
+        )
+
+
+def _is_disc_on_black(half: NDArray[np.uint8]) -> bool:
+    """Whether a square picture is one disc of about its own size on black."""
+    size = len(half)
+    axis = (np.arange(size) + 0.5) * 2 / size - 1
+    radius = np.hypot(axis[:, None], axis[None, :])
+    corners = half[radius > 1.2]
+    black, brightest = np.percentile(corners, (50, 95))  # 5 %: dust, flares, text
+    threshold = black + max(4, 2 * (brightest - black))
+    if threshold > 40:  # 24 of black and 8 of noise, such as JPEG and glare leave
+        return False
+    # Along rays near the diagonals, where a disc ends inside the square, the outermost lit pixel
+    # of a disc stays at one radius. A dark ceiling or floor ends on a line instead.
+    angles = np.radians((np.arange(25, 66, 2)[None, :] + np.arange(0, 360, 90)[:, None]).ravel())
+    radii = np.linspace(0.5, 1.2, 71)
+    columns = (radii * np.cos(angles)[:, None] + 1) * size / 2
+    rows = (radii * np.sin(angles)[:, None] + 1) * size / 2
+    lit = half[rows.astype(int).clip(0, size - 1), columns.astype(int).clip(0, size - 1)]
+    lit = lit > threshold
+    ends = np.where(lit.any(axis=1), radii[lit.shape[1] - 1 - lit[:, ::-1].argmax(axis=1)], 0.0)
+    # Seen from a point d off its centre, a disc of radius r ends at r + d.u in direction u.
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    quadrants = np.median(ends.reshape(4, -1), axis=1)
+    centre = quadrants @ directions.reshape(4, -1, 2).mean(axis=1) / 2
+    disc_radius = quadrants.mean()
+    fits = abs(ends - disc_radius - directions @ centre) < 0.06
+    return bool(0.78 < disc_radius < 1.15 and np.hypot(*centre) < 0.12 and fits.mean() > 0.7)
+
+
+def _rgb_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 from any array that `read_image` takes."""
+    if array.ndim == 2:
+        array = array[:, :, None]
+    if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
+        raise ValueError(
+            f"{name} must have shape (H, W), (H, W, 3) or (H, W, 4), got {array.shape}"
+        )
+    pixels = np.ascontiguousarray(_uint8_from_array(array, name))
+    if pixels.shape[2] == 1:
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+    if pixels.shape[2] == 3:
+        return pixels
+    alpha = pixels[:, :, 3]
+    rgb = cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB)
+    if alpha.min() < 255:
+        cv2.multiply(rgb, cv2.merge([alpha] * 3), dst=rgb, scale=1 / 255)
+    return np.asarray(rgb, dtype=np.uint8)
+
+
+def _uint8_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
+    if array.dtype == np.uint8:
+        return array
+    if array.dtype == np.bool_:
+        return array.astype(np.uint8) * np.uint8(255)
+    if array.dtype == np.uint16:
+        scale = 1 / 257
+    elif np.issubdtype(array.dtype, np.floating):
+        low, high = array.min(), array.max()
+        if not (low >= 0 and high <= 1):  # also NaN
+            raise ValueError(
+                f"{name} of floats must lie in [0, 1] without NaN, got {low} to {high}; "
+                "divide by 255 if that is its range"
+            )
+        array, scale = array.astype(np.float32, copy=False), 255.0
+    else:
+        raise ValueError(
+            f"{name} must be uint8, uint16, bool, or float in [0, 1], got {array.dtype}"
+        )
+    scaled = cv2.convertScaleAbs(np.ascontiguousarray(array), alpha=scale)
+    return np.asarray(scaled, dtype=np.uint8).reshape(array.shape)
