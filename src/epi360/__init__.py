@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Relative pose of 360-degree and wide fisheye images, with an uncertainty and a verdict."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from epi360 import epipolar
+    from epi360.cameras import (
+        Camera,
+        Equirectangular,
+        KannalaBrandt,
+        Pinhole,
+        load_camera,
+        load_cameras,
+    )
+    from epi360.epipolar import eight_point, pose_from_essential, triangulate
+    from epi360.estimation import (
+        ImagePairResult,
+        RansacOptions,
+        RefinementResult,
+        RelativePoseResult,
+        estimate_relative_pose,
+        refine_pose,
+    )
+    from epi360.features import (
+        Features,
+        Tracks,
+        extract_features,
+        match_features,
+        read_image,
+        read_mask,
+        track_features,
+    )
+    from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+    from epi360.two_view import relative_pose_of_images
+
+# Where each public name lives. Modules load on first use, so that starting the command or asking
+# for a pose does not pay for what it does not need.
+_HOMES = {
+    "epi360.cameras": (
+        "Camera",
+        "Equirectangular",
+        "KannalaBrandt",
+        "Pinhole",
+        "load_camera",
+        "load_cameras",
+    ),
+    "epi360.epipolar": ("eight_point", "pose_from_essential", "triangulate"),
+    "epi360.estimation": (
+        "ImagePairResult",
+        "RansacOptions",
+        "RefinementResult",
+        "RelativePoseResult",
+        "estimate_relative_pose",
+        "refine_pose",
+    ),
+    "epi360.features": (
+        "Features",
+        "Tracks",
+        "extract_features",
+        "match_features",
+        "read_image",
+        "read_mask",
+        "track_features",
+    ),
+    "epi360.poses": ("Pose", "rotation_error_deg", "translation_error_deg"),
+    "epi360.two_view": ("relative_pose_of_images",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Camera",
+    "Equirectangular",
+    "Features",
+    "ImagePairResult",
+    "KannalaBrandt",
+    "Pinhole",
+    "Pose",
+    "RansacOptions",
+    "RefinementResult",
+    "RelativePoseResult",
+    "Tracks",
+    "eight_point",
+    "epipolar",
+    "estimate_relative_pose",
+    "extract_features",
+    "load_camera",
+    "load_cameras",
+    "match_features",
+    "pose_from_essential",
+    "read_image",
+    "read_mask",
+    "refine_pose",
+    "relative_pose_of_images",
+    "rotation_error_deg",
+    "track_features",
+    "translation_error_deg",
+    "triangulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "epipolar":
+        return import_module("epi360.epipolar")
+    if name in _HOME_OF:
+        return getattr(import_module(_HOME_OF[name]), name)
+    raise AttributeError(f"module 'epi360' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,331 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The command `epi360`: parse, one library call, report.
+
+Exit codes: 0 success, 1 honest failure (the result's status says why), 2 wrong use (one line on
+stderr), 130 interrupted. Heavy imports are inside the functions: the help appears at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError, Group, Parameter
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from epi360.cameras import Camera
+    from epi360.estimation.result import ImagePairResult
+    from epi360.poses import Pose
+
+SUCCESS, FAILURE, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
+Progress = Callable[[str], None]
+Flag = Annotated[bool, Parameter(negative=())]
+
+
+def _version() -> str:
+    from epi360.report.records import package_version
+
+    return package_version()
+
+
+app = App(
+    name="epi360",
+    help="Relative pose of 360° and other wide-angle images.",
+    version=_version,
+    suppress_keyboard_interrupt=False,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code of the command, after it has run.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; those of the process by default.
+
+    Returns
+    -------
+    code : int
+        0 success, 1 honest failure, 2 wrong use, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except (CycloptsError, ImportError, OSError, ValueError) as error:
+        print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
+        return WRONG_USE
+    except KeyboardInterrupt:
+        print("epi360: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return code if isinstance(code, int) else SUCCESS
+
+
+@Parameter(name="*", group=Group("Images", sort_key=1))
+@dataclass(frozen=True)
+class PairInput:
+    """What is known about the images of a pair."""
+
+    camera: str | None = None
+    """Calibration file of both images (Kalibr, COLMAP or own YAML);
+    FILE:NAME where it holds several cameras. Without one, an image is a full panorama."""
+    camera1: str | None = None
+    """Calibration file of the first image."""
+    camera2: str | None = None
+    """Calibration file of the second image."""
+    mask: Path | None = None
+    """Mask for both images, of their size; white = use."""
+    mask1: Path | None = None
+    """Mask for the first image."""
+    mask2: Path | None = None
+    """Mask for the second image."""
+
+
+@Parameter(name="*", group=Group("Estimation", sort_key=2))
+@dataclass(frozen=True)
+class PairOptions:
+    """How a pair is estimated."""
+
+    mask_nadir_deg: float = 0.0
+    """Ignore this angle around straight down: a tripod and its holder."""
+    inlier_threshold_deg: float | Literal["auto"] = "auto"
+    """Largest residual of an inlier in degrees, or auto: from the noise of the matches."""
+    max_width: int = 4096
+    """Shrink wider images to this width to find key points."""
+    seed: int = 0
+    """Of the random samples; the same seed gives the same result."""
+
+
+@Parameter(name="*", group=Group("Output", sort_key=3))
+@dataclass(frozen=True)
+class PairOutput:
+    """Which files are written."""
+
+    json: Path | None = None
+    """Write the result with its matches for programs."""
+    figure: Path | None = None
+    """Draw matches, epipoles and epipolar curves; .png, .jpg, .webp, .pdf or .svg."""
+    save_images: Path | None = None
+    """With --demo: write the two panoramas into this folder, to try the command on files."""
+
+
+NO_INPUT, DEFAULT_OPTIONS, NO_OUTPUT = PairInput(), PairOptions(), PairOutput()
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two images as they go into the estimate, with the truth where it is known."""
+
+    names: tuple[str, str]
+    images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
+    cameras: tuple[Camera | None, Camera | None] = (None, None)
+    masks: tuple[Path | None, Path | None] = (None, None)
+    truth: Pose | None = None
+
+
+@app.command
+def pair(
+    image1: Path | None = None,
+    image2: Path | None = None,
+    /,
+    *,
+    demo: Flag = False,
+    given: PairInput = NO_INPUT,
+    options: PairOptions = DEFAULT_OPTIONS,
+    output: PairOutput = NO_OUTPUT,
+) -> int:
+    """Relative pose of two images, with its uncertainty and a verdict.
+
+    Exit code 0 with a pose, 1 when the images do not determine one (the status says why), 2 for
+    wrong use.
+
+    Parameters
+    ----------
+    image1
+        First image; a stitched panorama unless a camera is given.
+    image2
+        Second image.
+    demo
+        Run on a pair that is rendered here and print the estimate beside the truth.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    _check_pair_words(image1, image2, demo, given, output)
+    _check_outputs(output)
+    with _progress() as progress:
+        if image1 is None or image2 is None:
+            images = _demo_pair(progress)
+        else:
+            images = _read_pair(image1, image2, given, progress)
+        result = _estimate(images, options, progress)
+        _write_outputs(images, result, output, progress)
+    from epi360.report.text import describe_pair
+
+    print(describe_pair(result, images.truth))
+    return SUCCESS if result.success else FAILURE
+
+
+def _check_pair_words(
+    image1: Path | None, image2: Path | None, demo: bool, given: PairInput, output: PairOutput
+) -> None:
+    """Raise where the words of the command do not fit together."""
+    if demo and (image1 is not None or given != NO_INPUT):
+        raise ValueError("--demo makes its own images; drop the image, camera and mask arguments")
+    if not demo and output.save_images is not None:
+        raise ValueError("--save-images needs --demo: it saves the images that the demo renders")
+    if not demo and (image1 is None or image2 is None):
+        raise ValueError("pair needs two images: epi360 pair A.jpg B.jpg (or try --demo)")
+    if given.camera is not None and (given.camera1, given.camera2) != (None, None):
+        raise ValueError("--camera is for both images; use it or --camera1 and --camera2")
+    if given.mask is not None and (given.mask1, given.mask2) != (None, None):
+        raise ValueError("--mask is for both images; use it or --mask1 and --mask2")
+
+
+def _check_outputs(output: PairOutput) -> None:
+    """Raise before the work where its results could not be written."""
+    from epi360.report.files import check_figure_name, check_writable
+
+    if output.json is not None:
+        check_writable(output.json, name="--json")
+    if output.figure is not None:
+        check_figure_name(output.figure, name="--figure")
+        check_writable(output.figure, name="--figure")
+    if output.save_images is not None:
+        output.save_images.mkdir(exist_ok=True)
+
+
+def _demo_pair(progress: Progress) -> _Pair:
+    from epi360.synthetic.room import demo_pair
+
+    progress("rendering two panoramas of a room")
+    demo = demo_pair()
+    return _Pair(
+        names=("demo view 1", "demo view 2"),
+        images=(demo.image1, demo.image2),
+        cameras=(demo.camera, demo.camera),
+        truth=demo.cam2_from_cam1,
+    )
+
+
+def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Progress) -> _Pair:
+    from epi360.features.images import read_image
+
+    progress("reading the images")
+    camera1 = _read_camera(given.camera1 or given.camera, "camera1")
+    camera2 = _read_camera(given.camera2 or given.camera, "camera2")
+    return _Pair(
+        names=(str(image1), str(image2)),
+        images=(read_image(image1, name="image1"), read_image(image2, name="image2")),
+        cameras=(camera1, camera2),
+        masks=(given.mask1 or given.mask, given.mask2 or given.mask),
+    )
+
+
+def _read_camera(source: str | None, name: str) -> Camera | None:
+    """Camera of a calibration file, by name where the file holds several."""
+    if source is None:
+        return None
+    from epi360.cameras import load_cameras
+
+    file, colon, wanted = source.rpartition(":")
+    if not colon or Path(source).exists():
+        file, wanted = source, ""
+    cameras = load_cameras(file)
+    known = ", ".join(cameras)
+    if wanted and wanted not in cameras:
+        raise ValueError(f"{name}: {file} has no camera {wanted!r}; it holds {known}")
+    if not wanted and len(cameras) != 1:
+        raise ValueError(f"{name}: {source} holds {known}; name one as {source}:NAME")
+    return cameras[wanted] if wanted else next(iter(cameras.values()))
+
+
+def _estimate(images: _Pair, options: PairOptions, progress: Progress) -> ImagePairResult:
+    from epi360.two_view import relative_pose_of_images
+
+    return relative_pose_of_images(
+        *images.images,
+        camera1=images.cameras[0],
+        camera2=images.cameras[1],
+        mask1=images.masks[0],
+        mask2=images.masks[1],
+        mask_nadir_deg=options.mask_nadir_deg,
+        inlier_threshold_deg=options.inlier_threshold_deg,
+        max_width=options.max_width,
+        seed=options.seed,
+        progress=progress,
+    )
+
+
+def _write_outputs(
+    images: _Pair, result: ImagePairResult, output: PairOutput, progress: Progress
+) -> None:
+    if output.save_images is not None:
+        _write_images(images, output.save_images)
+    if output.json is not None:
+        from epi360.report.records import write_json
+
+        write_json(output.json, _record(images, result))
+    if output.figure is not None:
+        progress("drawing the figure")
+        from epi360.cameras import Equirectangular
+        from epi360.report.figure import draw_pair
+
+        camera1, camera2 = (
+            camera or Equirectangular(width=image.shape[1], height=image.shape[0])
+            for image, camera in zip(images.images, images.cameras, strict=True)
+        )
+        draw_pair(*images.images, camera1, camera2, result, path=output.figure)
+
+
+def _record(images: _Pair, result: ImagePairResult) -> dict[str, Any]:
+    from epi360.report.records import pair_record, truth_record
+
+    record = {"image1": images.names[0], "image2": images.names[1], **pair_record(result)}
+    if images.truth is not None:
+        record["truth"] = truth_record(result.cam2_from_cam1, images.truth)
+    return record
+
+
+def _write_images(images: _Pair, folder: Path) -> None:
+    import cv2
+
+    from epi360.report.files import write_file
+
+    for number, image in enumerate(images.images, start=1):
+        encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
+        write_file(folder / f"demo{number}.png", encoded.tobytes())
+
+
+@contextmanager
+def _progress() -> Iterator[Progress]:
+    """Show what is being done on stderr while that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda message: None
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    with Console(stderr=True).status("starting") as status:
+        yield lambda message: status.update(Text(message))
+
+
+def _one_line(error: Exception) -> str:
+    """Error message without its number and line breaks."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror is not None:
+        text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return " ".join(text.split()) or type(error).__name__
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Great circles as curves in an image, and which matches to show them for."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.estimation.result import RelativePoseResult
+
+# A quarter of a degree: 0.7 px of a panorama 1024 px wide.
+CURVE_SAMPLES = 1440
+SEAM_SAMPLES = 64
+# Nearer to an epipole (sine of the angle) a match says nothing about its plane.
+MIN_EPIPOLE_SINE = 0.3
+
+
+def epipolar_curve(
+    camera: Camera,
+    normal: NDArray[np.float64],
+    start: NDArray[np.float64],
+    num_samples: int = CURVE_SAMPLES,
+) -> NDArray[np.float64]:
+    """Great circle with a given plane normal as a polyline in an image.
+
+    Parameters
+    ----------
+    camera : Camera
+        Model of the image.
+    normal : ndarray, shape (3,)
+        Of the epipolar plane, in the camera's frame, any length: ``E b1`` in view 2 and
+        ``E^T b2`` in view 1.
+    start : ndarray, shape (3,)
+        Direction near the circle: the sample nearest to it is exact, so that the curve passes
+        through the match however coarse the sampling.
+    num_samples : int
+        Steps of the full circle.
+
+    Returns
+    -------
+    curve : ndarray, shape (K, 2)
+        Continuous pixels. Rows of NaN where the circle leaves the field of view and where it
+        jumps across the seam, so that a plotted line breaks there.
+    """
+    normal = normal / np.linalg.norm(normal)
+    first = start - (start @ normal) * normal
+    if np.linalg.norm(first) < 1e-9:  # the start is the pole of the circle: begin anywhere on it
+        first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first = first / np.linalg.norm(first)
+    second = np.cross(normal, first)
+
+    def pixels_at(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+        directions = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
+        return camera.pixels_from_bearings(directions)
+
+    angles = np.linspace(0.0, 2.0 * np.pi, num_samples + 1)
+    jumps = _jumps(pixels_at(angles), camera.width)
+    # Finer where the curve jumps, so that it reaches the image's border on both sides.
+    finer = np.linspace(angles[jumps], angles[jumps + 1], SEAM_SAMPLES + 1)[1:-1]
+    pixels = pixels_at(np.sort(np.concatenate([angles, finer.ravel()])))
+    return np.insert(pixels, _jumps(pixels, camera.width) + 1, np.nan, axis=0)
+
+
+def match_residuals_deg(
+    bearings1: NDArray[np.float64], bearings2: NDArray[np.float64], result: RelativePoseResult
+) -> NDArray[np.float64]:
+    """Angle by which each match misses the pose, per axis and view.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : ndarray, shape (M, 3)
+        Unit bearings; row i of both is one match.
+    result : RelativePoseResult
+        Its ``E`` or, after a pure rotation, its rotation is used.
+
+    Returns
+    -------
+    residuals_deg : ndarray, shape (M,)
+        Sampson distance on the sphere; after a pure rotation the angle between ``R b1`` and b2
+        over sqrt 2, which is the same unit. NaN without a pose.
+    """
+    if result.status == "pure_rotation":
+        turned = bearings1 @ result.cam2_from_cam1.rotation.T
+        sine = np.linalg.norm(np.cross(turned, bearings2), axis=1)
+        angles = np.arctan2(sine, (turned * bearings2).sum(axis=1))
+        return np.asarray(np.degrees(angles / np.sqrt(2.0)))
+    normals2, normals1 = bearings1 @ result.E.T, bearings2 @ result.E
+    error = (normals2 * bearings2).sum(axis=1)
+    # Gradients by b1 and b2 within the tangent planes of the sphere.
+    squared = (normals1**2).sum(axis=1) + (normals2**2).sum(axis=1) - 2.0 * error**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.degrees(np.abs(error) / np.sqrt(squared)))
+
+
+def spread_matches(
+    bearings: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    inlier_mask: NDArray[np.bool_],
+    count: int,
+) -> NDArray[np.intp]:
+    """Inliers that show the geometry well: far apart and with planes far apart.
+
+    Parameters
+    ----------
+    bearings : ndarray, shape (M, 3)
+        Unit bearings of one view.
+    normals : ndarray, shape (M, 3)
+        ``E^T b2`` in view 1: normals of the epipolar planes; NaN where there is no translation.
+    inlier_mask : ndarray, shape (M,), bool
+        Which matches to choose from.
+    count : int
+        How many at most.
+
+    Returns
+    -------
+    indices : ndarray, shape (K,), int
+        K <= count rows, by farthest-point sampling; deterministic.
+    """
+    candidates = np.flatnonzero(inlier_mask & np.isfinite(bearings).all(axis=1))
+    if not len(candidates):
+        return candidates
+    lengths = np.nan_to_num(np.linalg.norm(normals[candidates], axis=1))
+    if (lengths > MIN_EPIPOLE_SINE).any():
+        candidates = candidates[lengths > MIN_EPIPOLE_SINE]
+    points, planes = bearings[candidates], np.nan_to_num(normals[candidates])
+    planes = planes / np.maximum(np.linalg.norm(planes, axis=1, keepdims=True), 1e-12)
+    has_planes = bool(planes.any())
+    chosen = [int(np.argmax(points[:, 2]))]  # of all, the match that is most ahead
+    apart = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        between_points = 1.0 - points @ points[chosen[-1]]
+        between_planes = 1.0 - np.abs(planes @ planes[chosen[-1]]) if has_planes else 1.0
+        apart = np.minimum(apart, between_points * between_planes)
+        chosen.append(int(np.argmax(apart)))
+    return candidates[np.unique(chosen)]
+
+
+def _jumps(pixels: NDArray[np.float64], width: int) -> NDArray[np.intp]:
+    """Where a polyline jumps: steps that are longer than half the image is wide."""
+    return np.flatnonzero(np.linalg.norm(np.diff(pixels, axis=0), axis=1) > width / 2.0)

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Output files: checked before the work, complete or absent after it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+FIGURE_FORMATS = ("png", "jpg", "jpeg", "webp", "pdf", "svg")
+
+
+def check_writable(path: str | os.PathLike[str], *, name: str = "path") -> None:
+    """Raise if a file could not be written there, so that long work is not lost at its end.
+
+    Parameters
+    ----------
+    path : str or path
+        File that will be written; it may exist.
+    name : str
+        What the message calls it.
+
+    Raises
+    ------
+    ValueError
+        If the path is a folder, or its folder is missing or not writable.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{name} must be a file, {path} is a folder")
+    if not path.parent.is_dir():
+        raise ValueError(f"{name}: folder {path.parent} does not exist; create it first")
+    target = path if path.exists() and not path.is_file() else path.parent
+    if not os.access(target, os.W_OK):
+        raise ValueError(f"{name}: no permission to write to {target}")
+
+
+def check_figure_name(path: str | os.PathLike[str], *, name: str = "path") -> None:
+    """Raise if the extension names no format that figures are written in.
+
+    Parameters
+    ----------
+    path : str or path
+        File that will be written.
+    name : str
+        What the message calls it.
+
+    Raises
+    ------
+    ValueError
+        If the extension is unknown; the message lists those that are not.
+    """
+    if Path(path).suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
+        known = ", ".join(f".{suffix}" for suffix in FIGURE_FORMATS)
+        raise ValueError(f"{name} must end in one of {known}, got {os.fspath(path)!r}")
+
+
+def write_file(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a file under a temporary name beside it and rename: readers never see half of it.
+
+    Parameters
+    ----------
+    path : str or path
+        Written or replaced; a symbolic link is followed, a device or pipe is written to.
+    data : bytes
+        Content.
+
+    Raises
+    ------
+    OSError
+        If the folder is missing or not writable.
+    """
+    path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():  # renaming onto /dev/null would replace the device
+        path.write_bytes(data)
+        return
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)

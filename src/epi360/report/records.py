@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A relative pose as a JSON record for programs."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from epi360.estimation.result import ImagePairResult, RelativePoseResult
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.report.files import write_file
+from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
+
+PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5, 0.5)"
+
+
+def pair_record(result: RelativePoseResult) -> dict[str, Any]:
+    """Everything a result says, as values that strict JSON can hold.
+
+    Parameters
+    ----------
+    result : RelativePoseResult
+        Any status. Of an `ImagePairResult` the key points are included.
+
+    Returns
+    -------
+    record : dict
+        Plain lists, numbers and strings; NaN is None (null). Angles in degrees where the name
+        says so; ``covariance`` in radians squared.
+    """
+    rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
+    record: dict[str, Any] = {
+        "epi360_version": package_version(),
+        "convention": CONVENTION,
+        "status": result.status,
+        "success": result.success,
+        "reason": STATUS_SENTENCES[result.status],
+        "warnings": list(result.warnings),
+        "cam2_from_cam1": pose_record(result.cam2_from_cam1),
+        "rotation_sigma_deg": rotation_sigma_deg,
+        "translation_sigma_deg": translation_sigma_deg,
+        "covariance": result.covariance,
+        "translation_basis": result.translation_basis,
+        "E": result.E,
+        "alternatives": [pose_record(pose) for pose in result.alternatives],
+        "num_matches": result.num_matches,
+        "num_inliers": result.num_inliers,
+        "inlier_threshold_deg": result.inlier_threshold_deg,
+        "noise_deg": result.noise_deg,
+        "parallax_deg": result.parallax_deg,
+        "sphere_coverage": result.sphere_coverage,
+        "num_iterations": result.num_iterations,
+        "inlier_mask": result.inlier_mask,
+        "residuals_rad": result.residuals_rad,
+    }
+    if isinstance(result, ImagePairResult):
+        record["pixels"] = PIXEL_CONVENTION
+        record["keypoints1"] = result.keypoints1
+        record["keypoints2"] = result.keypoints2
+    return {key: _plain(value) for key, value in record.items()}
+
+
+def pose_record(pose: Pose) -> dict[str, Any]:
+    """Rotation, quaternion and translation of a pose, as plain lists.
+
+    Parameters
+    ----------
+    pose : Pose
+        May hold NaN.
+
+    Returns
+    -------
+    record : dict
+        Keys ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None.
+    """
+    return {
+        "rotation": _plain(pose.rotation),
+        "quaternion_wxyz": _plain(pose.quaternion_wxyz),
+        "translation": _plain(pose.translation),
+    }
+
+
+def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
+    """Errors of an estimate beside the true pose, as plain values.
+
+    Parameters
+    ----------
+    pose, truth : Pose
+        Estimate and truth of ``cam2_from_cam1``.
+
+    Returns
+    -------
+    record : dict
+        Keys of `pose_record` and ``rotation_error_deg``, ``translation_error_deg``; NaN is None.
+    """
+    return {
+        **pose_record(truth),
+        "rotation_error_deg": _plain(rotation_error_deg(pose, truth)),
+        "translation_error_deg": _plain(translation_error_deg(pose, truth)),
+    }
+
+
+def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
+    """Write a record as strict JSON, one key a line, whole or not at all.
+
+    Parameters
+    ----------
+    path : str or path
+        Written or replaced.
+    record : mapping
+        Of plain values, such as `pair_record` returns.
+
+    Raises
+    ------
+    OSError
+        If the folder is missing or not writable.
+    ValueError
+        If the record holds NaN or infinity.
+    """
+    lines = [
+        f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False, ensure_ascii=False)}"
+        for key, value in record.items()
+    ]
+    write_file(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+
+def package_version() -> str:
+    """Version of the installed package, or "unknown" in a source tree that is not installed.
+
+    Returns
+    -------
+    version : str
+        Such as "0.1.0".
+    """
+    try:
+        return version("epi360")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _plain(value: Any) -> Any:
+    """Value without arrays, NumPy scalars, tuples and NaN."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

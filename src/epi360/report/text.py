@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A relative pose in plain words."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.estimation.result import RelativePoseResult, Status
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+
+CONVENTION = "x2 = R x1 + t, x right, y down, z forward"
+UNKNOWN = "not determined"
+LABEL_WIDTH, LINE_WIDTH = 14, 100
+
+STATUS_SENTENCES: dict[Status, str] = {
+    "ok": "the matches determine the pose",
+    "too_few_matches": (
+        "fewer than five usable matches; use images that overlap, are sharp and textured, and "
+        "check that the masks keep the scene (white = use)"
+    ),
+    "too_few_inliers": (
+        "no pose explains enough of the matches; check that both images show the same place and "
+        "that the camera models fit, or move the viewpoints closer together"
+    ),
+    "pure_rotation": (
+        "the camera turned without moving, as far as the matches can tell: the rotation is valid, "
+        "the translation is not determined; take the second image from another place"
+    ),
+    "planar_ambiguous": (
+        "the matches lie on one plane and more than one pose explains them, the best is shown; "
+        "use images that also share something off that plane"
+    ),
+    "concentrated_inliers": (
+        "the matches that agree cover too small a part of the sphere for a trustworthy pose; "
+        "use images that share more of the surroundings"
+    ),
+}
+
+
+def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
+    """Plain-text lines that tell a person the pose, its uncertainty and the verdict.
+
+    Parameters
+    ----------
+    result : RelativePoseResult
+        What the estimator returned; any status.
+    truth : Pose, optional
+        True ``cam2_from_cam1``, of any scale: printed beside the estimate with the errors.
+
+    Returns
+    -------
+    text : str
+        Lines without a trailing newline. What is NaN reads "not determined".
+
+    Notes
+    -----
+    Angles of directions are azimuth (positive to the right of the optical axis, or of the image
+    centre of a panorama) and elevation (positive up).
+    """
+    rows = [("Status", describe_status(result.status))]
+    rows += [("Warning", warning) for warning in result.warnings]
+    rows += [*_pose_rows(result), *_evidence_rows(result)]
+    for pose in result.alternatives:
+        rows.append(("Also fits", f"{_rotation_text(pose)}; t = {_vector_text(pose.translation)}"))
+    lines = [_wrapped(label, value) for label, value in rows]
+    if truth is not None:
+        lines += ["", *_truth_lines(result.cam2_from_cam1, truth)]
+    return "\n".join(lines)
+
+
+def describe_status(status: Status) -> str:
+    """Status with its reason and, where there is one, the remedy.
+
+    Parameters
+    ----------
+    status : str
+        Of a `RelativePoseResult`.
+
+    Returns
+    -------
+    sentence : str
+        One line, such as "ok: the matches determine the pose".
+    """
+    return f"{status}: {STATUS_SENTENCES[status]}"
+
+
+def describe_direction(direction: NDArray[np.float64]) -> str:
+    """Azimuth and elevation of a direction in a camera frame, with words for the signs.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (3,)
+        Of any length; x right, y down, z forward.
+
+    Returns
+    -------
+    words : str
+        Such as "azimuth +34.2 deg (right), elevation -2.1 deg (down)"; "not determined" for NaN.
+    """
+    if not np.isfinite(direction).all():
+        return UNKNOWN
+    azimuth, elevation = azimuth_elevation_deg(direction)
+    if abs(elevation) > 89.0:  # the azimuth of a pole means nothing
+        return "straight up" if elevation > 0 else "straight down"
+    vertical = "level" if abs(elevation) < 0.05 else "up" if elevation > 0 else "down"
+    azimuth_text = f"azimuth {_signed(azimuth)} deg ({_side(azimuth)})"
+    return f"{azimuth_text}, elevation {_signed(elevation)} deg ({vertical})"
+
+
+def azimuth_elevation_deg(direction: NDArray[np.float64]) -> tuple[float, float]:
+    """Azimuth and elevation of a direction in a camera frame.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (3,)
+        Of any length; x right, y down, z forward.
+
+    Returns
+    -------
+    azimuth_deg, elevation_deg : float
+        In [-180, 180], positive to the right; in [-90, 90], positive up.
+    """
+    x, y, z = direction
+    return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(-y, np.hypot(x, z))))
+
+
+def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Axis and angle of a rotation matrix.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (3, 3)
+        Rotation matrix; NaN gives NaN.
+
+    Returns
+    -------
+    axis : ndarray, shape (3,)
+        Unit vector; NaN where the angle is so small that the axis means nothing.
+    angle_deg : float
+        In [0, 180].
+
+    Notes
+    -----
+    By the quaternion, which keeps the axis near 180 degrees.
+    """
+    w, *xyz = Pose(rotation, np.zeros(3)).quaternion_wxyz
+    vector = np.array(xyz)
+    length = float(np.linalg.norm(vector))
+    # Below 1e-6 degrees the vector part is rounding of the matrix.
+    axis = vector / length if length > 1e-8 else np.full(3, np.nan)
+    return axis, float(np.degrees(2.0 * np.arctan2(length, w)))
+
+
+def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
+    """One-sigma errors to expect of the rotation and of the translation's direction.
+
+    Parameters
+    ----------
+    result : RelativePoseResult
+        Its ``covariance`` is used.
+
+    Returns
+    -------
+    rotation_sigma_deg, translation_sigma_deg : float
+        Root mean square of the error angle over all axes, the square root of the trace of the
+        (3, 3) and of the (2, 2) block; comparable with `rotation_error_deg` and
+        `translation_error_deg`. NaN where the covariance is.
+    """
+    variances = np.diag(result.covariance)
+    rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
+    return float(rotation), float(translation)
+
+
+def _pose_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
+    pose = result.cam2_from_cam1
+    rotation_sigma, translation_sigma = pose_sigmas_deg(result)
+    position = describe_direction(-pose.rotation.T @ pose.translation)
+    return [
+        ("Rotation", _rotation_text(pose) + _sigma_text(rotation_sigma)),
+        ("Translation", _vector_text(pose.translation) + _sigma_text(translation_sigma)),
+        ("Camera 2 at", position + ("" if position == UNKNOWN else ", seen from camera 1")),
+        ("  looking to", _heading_text(pose.rotation)),
+    ]
+
+
+def _evidence_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
+    gate = number_text(result.inlier_threshold_deg, "{:.3f} deg")
+    share = f" ({result.num_inliers / result.num_matches:.0%})" if result.num_matches else ""
+    noise = number_text(result.noise_deg, "{:.3f} deg per axis and view")
+    parallax = number_text(result.parallax_deg, "{:.2f} deg, median over the inliers")
+    coverage = number_text(result.sphere_coverage, "inliers in {:.0%} of the sphere")
+    return [
+        ("Inliers", f"{result.num_inliers} of {result.num_matches} matches{share}, gate {gate}"),
+        ("Noise", noise),
+        ("Parallax", parallax),
+        ("Coverage", coverage),
+        ("Convention", f"{CONVENTION}; |t| = 1, two views fix no scale"),
+    ]
+
+
+def _truth_lines(pose: Pose, truth: Pose) -> list[str]:
+    length = float(np.linalg.norm(truth.translation))
+    unit_truth = Pose(truth.rotation, truth.translation / length if length else truth.translation)
+    rotation_error = number_text(rotation_error_deg(pose, truth), "{:.3f} deg")
+    translation_error = number_text(translation_error_deg(pose, truth), "{:.3f} deg")
+    poses = (pose, unit_truth)
+    rows = [
+        ("", "estimate", "truth", "error"),
+        ("Rotation", *map(_rotation_text, poses), rotation_error),
+        ("Translation", *(_vector_text(pose.translation) for pose in poses), translation_error),
+    ]
+    widths = [LABEL_WIDTH, *(max(len(row[column]) for row in rows) + 3 for column in (1, 2)), 0]
+    return ["".join(f"{c:<{w}}" for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+
+
+def _rotation_text(pose: Pose) -> str:
+    axis, angle = rotation_axis_angle(pose.rotation)
+    if np.isnan(angle):
+        return UNKNOWN
+    about = "" if np.isnan(axis).any() else f" about {_vector_text(axis)}"
+    return f"{angle:.3f} deg{about}"
+
+
+def _heading_text(rotation: NDArray[np.float64]) -> str:
+    """Where camera 2 looks, in the frame of camera 1, and how it leans about that direction."""
+    if not np.isfinite(rotation).all():
+        return UNKNOWN
+    cam1_from_cam2 = rotation.T
+    # R^T = Ry(azimuth) Rx(elevation) Rz(roll), so that row 1 holds cos(elevation) (sin, cos)(roll).
+    roll = float(np.degrees(np.arctan2(cam1_from_cam2[1, 0], cam1_from_cam2[1, 1])))
+    lean = "clockwise" if roll > 0 else "counter-clockwise"
+    rolled = "" if abs(roll) < 0.05 else f", rolled {abs(roll):.1f} deg {lean}"
+    return describe_direction(cam1_from_cam2[:, 2]) + rolled
+
+
+def _side(azimuth_deg: float) -> str:
+    size = abs(azimuth_deg)
+    if size < 0.05:
+        return "ahead"
+    if size > 179.95:
+        return "behind"
+    side = "right" if azimuth_deg > 0 else "left"
+    return f"{side}, behind" if size > 90.0 else side
+
+
+def _signed(angle_deg: float) -> str:
+    """One decimal with its sign, zero without."""
+    rounded = round(angle_deg, 1)
+    return f"{rounded:+.1f}" if rounded else "0.0"
+
+
+def _vector_text(vector: NDArray[np.float64]) -> str:
+    if not np.isfinite(vector).all():
+        return UNKNOWN
+    return "(" + ", ".join(f"{value + 0.0:.4f}" for value in np.round(vector, 4)) + ")"
+
+
+def _wrapped(label: str, value: str) -> str:
+    """Label and value, long values continued under their own beginning."""
+    indent = " " * LABEL_WIDTH
+    return textwrap.fill(
+        value, LINE_WIDTH, initial_indent=f"{label:<{LABEL_WIDTH}}", subsequent_indent=indent
+    )
+
+
+def _sigma_text(sigma_deg: float) -> str:
+    return f", 1 sigma {sigma_deg:.3f} deg" if np.isfinite(sigma_deg) else ""
+
+
+def number_text(value: float, template: str) -> str:
+    """Write a number for people, or "not determined" where it is not finite.
+
+    Parameters
+    ----------
+    value : float
+        Any number.
+    template : str
+        Format string with one field, such as ``"{:.3f} deg"``.
+
+    Returns
+    -------
+    text : str
+        For people.
+    """
+    return template.format(value) if np.isfinite(value) else UNKNOWN
