@@ -14,9 +14,8 @@ Eigen::Matrix3d cofactors(const Eigen::Matrix3d& m) {
   return c;
 }
 
-// One Newton step of the polar decomposition: squares the error of a nearly orthogonal matrix.
 Eigen::Matrix3d orthonormalised(const Eigen::Matrix3d& R) {
-  return 1.5 * R - 0.5 * R * R.transpose() * R;
+  return Eigen::Quaterniond(R).normalized().toRotationMatrix();
 }
 
 }  // namespace

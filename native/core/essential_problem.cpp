@@ -125,13 +125,14 @@ LossModel EssentialProblem::mixture_at(const RelativePose& pose) {
                      1e-6);
 }
 
-Candidate EssentialProblem::polish(const RelativePose& pose, int max_iterations) {
+Candidate EssentialProblem::polish(const RelativePose& pose, int max_iterations,
+                                   double step_tolerance) {
   RefineOptions options;
   options.residual = residual_;
   options.loss = mixture_at(pose);
   options.use_depths = true;
   options.max_iterations = max_iterations;
-  options.step_tolerance = 1e-9;
+  options.step_tolerance = step_tolerance;
   const RefineResult refined = epi360::refine(m_, pose, options, workspace_);
   Candidate candidate{refined.pose, refined.loss, scale_evidence(refined.loss)};
   compute_residuals(m_, residual_, plain(refined.pose), depth_tolerance(refined.loss.scale),

@@ -35,6 +35,7 @@ class EssentialProblem {
   // The gates of the truncated score, radians. Rescores the pool.
   void set_gates(std::vector<double> gates);
 
+  std::uint32_t num_matches() const { return static_cast<std::uint32_t>(m_.size); }
   int sample_size() const { return sample_size_; }
   int generate(const std::uint32_t* sample, RelativePose* models);
   double score(const RelativePose& pose, double limit);
@@ -44,7 +45,7 @@ class EssentialProblem {
   // Residuals, depths and the most likely mixture at a pose.
   LossModel mixture_at(const RelativePose& pose);
   // Maximum-likelihood pose under the mixture, its scale and shares estimated.
-  Candidate polish(const RelativePose& pose, int max_iterations);
+  Candidate polish(const RelativePose& pose, int max_iterations, double step_tolerance = 1e-6);
   // Polishes the pool, and the best of it once more from far away (graduated non-convexity): the
   // wide loss forgets the local minimum, the narrowing one finds the deepest near by.
   void polish_pool(int max_iterations);

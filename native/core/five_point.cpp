@@ -118,6 +118,12 @@ Eigen::Vector3d null_vector(const RowOfB (&b)[3], double z) {
   return candidates[best];
 }
 
+// Roots of nearly degenerate samples can be spurious: E E^T E = E holds for a true one, with
+// ||E||_F = sqrt 2.
+bool is_essential(const Eigen::Matrix3d& E) {
+  return (E * E.transpose() * E - E).cwiseAbs().maxCoeff() < 1e-5;
+}
+
 }  // namespace
 
 int five_point(const Eigen::Matrix<double, 3, 5>& bearings1,
@@ -151,9 +157,10 @@ int five_point(const Eigen::Matrix<double, 3, 5>& bearings1,
     const Eigen::Matrix<double, 9, 1> flat = basis * combination;
     const double norm = flat.norm();
     if (!(norm > 0.0) || !std::isfinite(norm)) continue;
-    essentials[count++] =
+    const Eigen::Matrix3d E =
         Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(flat.data()) *
         (std::sqrt(2.0) / norm);
+    if (is_essential(E)) essentials[count++] = E;
   }
   return count;
 }

@@ -37,4 +37,18 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
   return m;
 }
 
+Matches chosen_matches(const Matches& m, const std::vector<std::size_t>& indices) {
+  std::vector<double> b1, b2, weights, j1, j2;
+  for (const std::size_t i : indices) {
+    b1.insert(b1.end(), {m.x1[i], m.y1[i], m.z1[i]});
+    b2.insert(b2.end(), {m.x2[i], m.y2[i], m.z2[i]});
+    weights.push_back(m.weight[i]);
+    if (!m.has_jacobians()) continue;
+    j1.insert(j1.end(), {m.u1x[i], m.v1x[i], m.u1y[i], m.v1y[i], m.u1z[i], m.v1z[i]});
+    j2.insert(j2.end(), {m.u2x[i], m.v2x[i], m.u2y[i], m.v2y[i], m.u2z[i], m.v2z[i]});
+  }
+  return make_matches(b1.data(), b2.data(), indices.size(), weights.data(),
+                      j1.empty() ? nullptr : j1.data(), j2.empty() ? nullptr : j2.data());
+}
+
 }  // namespace epi360

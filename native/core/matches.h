@@ -27,4 +27,7 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
                      const double* weights = nullptr, const double* jacobians1 = nullptr,
                      const double* jacobians2 = nullptr);
 
+// Some of the matches, in the given order.
+Matches chosen_matches(const Matches& m, const std::vector<std::size_t>& indices);
+
 }  // namespace epi360

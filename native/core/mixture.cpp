@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "mixture.h"
 
+#include <algorithm>
 #include <cstdint>
 #include <cstring>
 
@@ -123,10 +124,6 @@ EPI360_INLINE double precision_of(const Parts& p) {
 
 EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
-EPI360_INLINE double front_at(const MixturePass& pass, std::size_t i) {
-  return pass.front ? pass.front[i] : 1.0;
-}
-
 // Eight lanes, so that the order of additions does not depend on the vector width.
 EPI360_INLINE double block_sum(const double* values) {
   double lanes[8];
@@ -149,7 +146,7 @@ MixtureSums mixture_expectation(const MixturePass& pass, const LossModel& model)
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
       const double r = pass.residuals[i];
-      const Parts p = parts_at(r, front_at(pass, i), m);
+      const Parts p = parts_at(r, pass.front[i], m);
       const double share = pass.weight[i] / total_of(p);
       part[0][j] = share * p.g0;
       part[1][j] = share * p.g1;
@@ -168,14 +165,15 @@ MixtureSums mixture_expectation(const MixturePass& pass, const LossModel& model)
 EPI360_MULTIVERSION
 double mixture_weights(const MixturePass& pass, const LossModel& model, double* weights) {
   const Model m = prepared(model);
-  double total = 0.0;
+  double total = 0.0, block[kBlock];
   for (std::size_t start = 0; start < pass.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
-      const Parts p = parts_at(pass.residuals[i], front_at(pass, i), m);
-      weights[i] = pass.weight[i] * precision_of(p) / total_of(p);
+      const Parts p = parts_at(pass.residuals[i], pass.front[i], m);
+      block[j] = pass.weight[i] * precision_of(p) / total_of(p);
     }
-    total += block_sum(weights + start);
+    std::copy(block, block + kBlock, weights + start);
+    total += block_sum(block);
   }
   return total;
 }
@@ -187,8 +185,7 @@ double mixture_log_likelihood(const MixturePass& pass, const LossModel& model) {
   for (std::size_t start = 0; start < pass.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
-      term[j] =
-          pass.weight[i] * log_of(total_of(parts_at(pass.residuals[i], front_at(pass, i), m)));
+      term[j] = pass.weight[i] * log_of(total_of(parts_at(pass.residuals[i], pass.front[i], m)));
     }
     total += block_sum(term);
   }

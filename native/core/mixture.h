@@ -9,7 +9,7 @@
 
 namespace epi360 {
 
-// Inputs of a pass. front may be null: then depths do not matter; a match with front 0 is uniform.
+// Inputs of a pass. A match with front 0 belongs to the uniform part whatever its residual.
 struct MixturePass {
   std::size_t padded;
   const double* residuals;

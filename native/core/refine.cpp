@@ -24,20 +24,18 @@ struct Totals {
   double cost = 0.0, weight = 0.0;
 };
 
-MixturePass pass_over(const Matches& m, bool use_depths, const RefineWorkspace& w) {
-  return {m.padded, w.residuals.data(), use_depths ? w.front.data() : nullptr, m.weight.data()};
+MixturePass pass_over(const Matches& m, const RefineWorkspace& w) {
+  return {m.padded, w.residuals.data(), w.front.data(), m.weight.data()};
 }
 
 // Cost in units of squared residual: a constant times the negative log-likelihood.
-double mixture_cost(const Matches& m, const LossModel& loss, bool use_depths,
-                    const RefineWorkspace& w) {
-  return -2.0 * loss.scale * loss.scale * mixture_log_likelihood(pass_over(m, use_depths, w), loss);
+double mixture_cost(const Matches& m, const LossModel& loss, const RefineWorkspace& w) {
+  return -2.0 * loss.scale * loss.scale * mixture_log_likelihood(pass_over(m, w), loss);
 }
 
-double robust_cost(const Matches& m, const LossModel& loss, bool use_depths,
-                   const RefineWorkspace& w) {
-  if (loss.loss == Loss::kMixture) return mixture_cost(m, loss, use_depths, w);
-  const double behind = use_depths ? outlier_cost(loss) : -1.0;
+double robust_cost(const Matches& m, const LossModel& loss, const RefineWorkspace& w) {
+  if (loss.loss == Loss::kMixture) return mixture_cost(m, loss, w);
+  const double behind = outlier_cost(loss);
   double cost = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     const bool wrong = behind >= 0.0 && w.front[i] < 0.5;
@@ -48,14 +46,14 @@ double robust_cost(const Matches& m, const LossModel& loss, bool use_depths,
 }
 
 // Cost and weights of all residuals; the user's weights multiply both.
-Totals weigh(const Matches& m, const LossModel& loss, bool use_depths, RefineWorkspace& w) {
+Totals weigh(const Matches& m, const LossModel& loss, RefineWorkspace& w) {
   Totals totals;
-  totals.cost = robust_cost(m, loss, use_depths, w);
+  totals.cost = robust_cost(m, loss, w);
   if (loss.loss == Loss::kMixture) {
-    totals.weight = mixture_weights(pass_over(m, use_depths, w), loss, w.weights.data());
+    totals.weight = mixture_weights(pass_over(m, w), loss, w.weights.data());
     return totals;
   }
-  const bool bounded = use_depths && outlier_cost(loss) >= 0.0;
+  const bool bounded = outlier_cost(loss) >= 0.0;
   for (std::size_t i = 0; i < m.padded; ++i) {
     const bool wrong = bounded && w.front[i] < 0.5;
     const double s = w.residuals[i] * w.residuals[i];
@@ -89,7 +87,7 @@ void set_shares(const double* in_part, double count, LossModel& loss) {
 // One step of expectation-maximisation for scale and shares at fixed residuals.
 void update_mixture(const Matches& m, const RefineOptions& options, const RefineWorkspace& w,
                     LossModel& loss) {
-  const MixtureSums sums = mixture_expectation(pass_over(m, options.use_depths, w), loss);
+  const MixtureSums sums = mixture_expectation(pass_over(m, w), loss);
   const double total = sums.part[0] + sums.part[1] + sums.part[2] + sums.part[3];
   if (!(total > 0.0) || !(sums.count > 0.0)) return;
   // Five parameters were fitted to the inliers.
@@ -133,18 +131,20 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   w.resize(m.padded);
   RefineResult result;
   result.pose = start;
+  // A long chain of products would drift away from orthonormality.
+  result.pose.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
   result.loss = options.loss;
   double damping = 1e-4;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.pose.t);
     const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> rows = basis;
-    const double tolerance = depth_tolerance(result.loss.scale);
+    const double tolerance = options.use_depths ? depth_tolerance(result.loss.scale) : 1e300;
     compute_jacobians(m, options.residual, plain(result.pose), rows.data(), tolerance,
                       w.residuals.data(), w.front.data(), w.jacobian.data());
     if (result.loss.loss == Loss::kMixture && options.estimate_mixture) {
       update_mixture(m, options, w, result.loss);
     }
-    const Totals totals = weigh(m, result.loss, options.use_depths, w);
+    const Totals totals = weigh(m, result.loss, w);
     double upper[15];
     Vector5 gradient;
     accumulate_normal_equations(m.padded, w.jacobian.data(), w.residuals.data(), w.weights.data(),
@@ -166,7 +166,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       const RelativePose candidate = moved(result.pose, basis, step);
       compute_residuals(m, options.residual, plain(candidate), tolerance, w.residuals.data(),
                         w.front.data());
-      if (robust_cost(m, result.loss, options.use_depths, w) < totals.cost) {
+      if (robust_cost(m, result.loss, w) < totals.cost) {
         result.pose = candidate;
         accepted = true;
       }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "residuals.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "multiversion.h"
@@ -86,74 +87,103 @@ EPI360_INLINE double squared_denominator(const Matches& m, const PlainPose& p, c
   return 1.0 - g.ta * g.ta;
 }
 
+// Results go through local blocks: the compiler knows that they alias nothing and vectorises.
 template <Residual kind>
-EPI360_INLINE void residual_loop(const Matches& m, const PlainPose& p, double tolerance,
+EPI360_INLINE void residual_loop(const Matches& m, const PlainPose& pose, double tolerance,
                                  double* residuals, double* front) {
-  for (std::size_t i = 0; i < m.padded; ++i) {
-    const Geometry g = geometry_of(m, p, i);
-    residuals[i] = g.C / std::sqrt(squared_denominator<kind>(m, p, g, i) + kTiny);
-    front[i] = depth_margin(g) > -tolerance ? 1.0 : 0.0;
+  const PlainPose p = pose;
+  double r[kBlock], f[kBlock];
+  for (std::size_t start = 0; start < m.padded; start += kBlock) {
+    for (std::size_t j = 0; j < kBlock; ++j) {
+      const Geometry g = geometry_of(m, p, start + j);
+      r[j] = g.C / std::sqrt(squared_denominator<kind>(m, p, g, start + j) + kTiny);
+      f[j] = depth_margin(g) > -tolerance ? 1.0 : 0.0;
+    }
+    std::copy(r, r + kBlock, residuals + start);
+    std::copy(f, f + kBlock, front + start);
   }
 }
 
 // With s = C D^(-1/2): ds = D^(-1/2) (dC - C dD / (2 D)).
+struct JacobianRow {
+  double residual, front, J[5];
+};
+
 template <Residual kind>
-EPI360_INLINE void jacobian_loop(const Matches& m, const PlainPose& p, const double* B,
-                                 double tolerance, double* residuals, double* front, double* J) {
-  const std::size_t n = m.padded;
-  for (std::size_t i = 0; i < n; ++i) {
-    const Geometry g = geometry_of(m, p, i);
-    front[i] = depth_margin(g) > -tolerance ? 1.0 : 0.0;
-    // Gradients by a (then rotated to w by a x grad) and by t.
-    const double cx = g.ay * g.bz - g.az * g.by, cy = g.az * g.bx - g.ax * g.bz,
-                 cz = g.ax * g.by - g.ay * g.bx;  // a x b = dC / dt
-    const double ex = g.by * p.t[2] - g.bz * p.t[1], ey = g.bz * p.t[0] - g.bx * p.t[2],
-                 ez = g.bx * p.t[1] - g.by * p.t[0];  // b x t = dC / da
-    double D, hw[3], ht[3];                           // D and half its gradient by w and by t
-    if (kind == Residual::kTangentSampson) {
-      const PixelGradient q = pixel_gradient(m, p, g, i);
-      D = q.g1 * q.g1 + q.g2 * q.g2 + q.g3 * q.g3 + q.g4 * q.g4;
-      const double ux = m.u2x[i], uy = m.u2y[i], uz = m.u2z[i];
-      const double vx = m.v2x[i], vy = m.v2y[i], vz = m.v2z[i];
-      // g1 = c1 . (b x t): by w: c1 x (b x t); by t: c1 x b. g3 = u . (t x a): by w: a x (u x t);
-      // by t: a x u.
-      const double k1 = q.g1, k2 = q.g2;
-      const double sx = k1 * q.c1[0] + k2 * q.c2[0], sy = k1 * q.c1[1] + k2 * q.c2[1],
-                   sz = k1 * q.c1[2] + k2 * q.c2[2];
-      const double rx = q.g3 * ux + q.g4 * vx, ry = q.g3 * uy + q.g4 * vy,
-                   rz = q.g3 * uz + q.g4 * vz;
-      const double fx = ry * p.t[2] - rz * p.t[1], fy = rz * p.t[0] - rx * p.t[2],
-                   fz = rx * p.t[1] - ry * p.t[0];  // r x t
-      hw[0] = sy * q.bt[2] - sz * q.bt[1] + g.ay * fz - g.az * fy;
-      hw[1] = sz * q.bt[0] - sx * q.bt[2] + g.az * fx - g.ax * fz;
-      hw[2] = sx * q.bt[1] - sy * q.bt[0] + g.ax * fy - g.ay * fx;
-      ht[0] = sy * g.bz - sz * g.by + g.ay * rz - g.az * ry;
-      ht[1] = sz * g.bx - sx * g.bz + g.az * rx - g.ax * rz;
-      ht[2] = sx * g.by - sy * g.bx + g.ax * ry - g.ay * rx;
-    } else {
-      // D = k - ta^2 [- tb^2 - 2 C^2]; half gradients by a: -ta t - 2 C (b x t), by t: -ta a -...
-      const bool sampson = kind == Residual::kSampson;
-      const double tb = sampson ? g.tb : 0.0, C2 = sampson ? 2.0 * g.C : 0.0;
-      D = sampson ? 2.0 - g.ta * g.ta - g.tb * g.tb - 2.0 * g.C * g.C : 1.0 - g.ta * g.ta;
-      const double hx = -g.ta * p.t[0] - C2 * ex, hy = -g.ta * p.t[1] - C2 * ey,
-                   hz = -g.ta * p.t[2] - C2 * ez;
-      hw[0] = g.ay * hz - g.az * hy;
-      hw[1] = g.az * hx - g.ax * hz;
-      hw[2] = g.ax * hy - g.ay * hx;
-      ht[0] = -g.ta * g.ax - tb * g.bx - C2 * cx;
-      ht[1] = -g.ta * g.ay - tb * g.by - C2 * cy;
-      ht[2] = -g.ta * g.az - tb * g.bz - C2 * cz;
+EPI360_INLINE JacobianRow jacobian_row(const Matches& m, const PlainPose& p, const double* B,
+                                       double tolerance, std::size_t i) {
+  JacobianRow out;
+  const Geometry g = geometry_of(m, p, i);
+  out.front = depth_margin(g) > -tolerance ? 1.0 : 0.0;
+  // Gradients by a (then rotated to w by a x grad) and by t.
+  const double cx = g.ay * g.bz - g.az * g.by, cy = g.az * g.bx - g.ax * g.bz,
+               cz = g.ax * g.by - g.ay * g.bx;  // a x b = dC / dt
+  const double ex = g.by * p.t[2] - g.bz * p.t[1], ey = g.bz * p.t[0] - g.bx * p.t[2],
+               ez = g.bx * p.t[1] - g.by * p.t[0];  // b x t = dC / da
+  double D, hw[3], ht[3];                           // D and half its gradient by w and by t
+  if (kind == Residual::kTangentSampson) {
+    const PixelGradient q = pixel_gradient(m, p, g, i);
+    D = q.g1 * q.g1 + q.g2 * q.g2 + q.g3 * q.g3 + q.g4 * q.g4;
+    const double ux = m.u2x[i], uy = m.u2y[i], uz = m.u2z[i];
+    const double vx = m.v2x[i], vy = m.v2y[i], vz = m.v2z[i];
+    // g1 = c1 . (b x t): by w: c1 x (b x t); by t: c1 x b. g3 = u . (t x a): by w: a x (u x t);
+    // by t: a x u.
+    const double k1 = q.g1, k2 = q.g2;
+    const double sx = k1 * q.c1[0] + k2 * q.c2[0], sy = k1 * q.c1[1] + k2 * q.c2[1],
+                 sz = k1 * q.c1[2] + k2 * q.c2[2];
+    const double rx = q.g3 * ux + q.g4 * vx, ry = q.g3 * uy + q.g4 * vy, rz = q.g3 * uz + q.g4 * vz;
+    const double fx = ry * p.t[2] - rz * p.t[1], fy = rz * p.t[0] - rx * p.t[2],
+                 fz = rx * p.t[1] - ry * p.t[0];  // r x t
+    hw[0] = sy * q.bt[2] - sz * q.bt[1] + g.ay * fz - g.az * fy;
+    hw[1] = sz * q.bt[0] - sx * q.bt[2] + g.az * fx - g.ax * fz;
+    hw[2] = sx * q.bt[1] - sy * q.bt[0] + g.ax * fy - g.ay * fx;
+    ht[0] = sy * g.bz - sz * g.by + g.ay * rz - g.az * ry;
+    ht[1] = sz * g.bx - sx * g.bz + g.az * rx - g.ax * rz;
+    ht[2] = sx * g.by - sy * g.bx + g.ax * ry - g.ay * rx;
+  } else {
+    // D = k - ta^2 [- tb^2 - 2 C^2]; half gradients by a: -ta t - 2 C (b x t), by t: -ta a -...
+    const bool sampson = kind == Residual::kSampson;
+    const double tb = sampson ? g.tb : 0.0, C2 = sampson ? 2.0 * g.C : 0.0;
+    D = sampson ? 2.0 - g.ta * g.ta - g.tb * g.tb - 2.0 * g.C * g.C : 1.0 - g.ta * g.ta;
+    const double hx = -g.ta * p.t[0] - C2 * ex, hy = -g.ta * p.t[1] - C2 * ey,
+                 hz = -g.ta * p.t[2] - C2 * ez;
+    hw[0] = g.ay * hz - g.az * hy;
+    hw[1] = g.az * hx - g.ax * hz;
+    hw[2] = g.ax * hy - g.ay * hx;
+    ht[0] = -g.ta * g.ax - tb * g.bx - C2 * cx;
+    ht[1] = -g.ta * g.ay - tb * g.by - C2 * cy;
+    ht[2] = -g.ta * g.az - tb * g.bz - C2 * cz;
+  }
+  const double inverse = 1.0 / std::sqrt(D + kTiny);
+  const double s = g.C * inverse, share = s * inverse;  // C / D
+  out.residual = s;
+  const double gx = inverse * (cx - share * ht[0]), gy = inverse * (cy - share * ht[1]),
+               gz = inverse * (cz - share * ht[2]);
+  out.J[0] = inverse * (g.ay * ez - g.az * ey - share * hw[0]);
+  out.J[1] = inverse * (g.az * ex - g.ax * ez - share * hw[1]);
+  out.J[2] = inverse * (g.ax * ey - g.ay * ex - share * hw[2]);
+  out.J[3] = B[0] * gx + B[2] * gy + B[4] * gz;
+  out.J[4] = B[1] * gx + B[3] * gy + B[5] * gz;
+  return out;
+}
+
+template <Residual kind>
+EPI360_INLINE void jacobian_loop(const Matches& m, const PlainPose& pose, const double* basis,
+                                 double tolerance, double* residuals, double* front,
+                                 double* jacobian) {
+  const PlainPose p = pose;
+  const double B[6] = {basis[0], basis[1], basis[2], basis[3], basis[4], basis[5]};
+  double r[kBlock], f[kBlock], J[5][kBlock];
+  for (std::size_t start = 0; start < m.padded; start += kBlock) {
+    for (std::size_t j = 0; j < kBlock; ++j) {
+      const JacobianRow row = jacobian_row<kind>(m, p, B, tolerance, start + j);
+      r[j] = row.residual;
+      f[j] = row.front;
+      for (int k = 0; k < 5; ++k) J[k][j] = row.J[k];
     }
-    const double inverse = 1.0 / std::sqrt(D + kTiny);
-    const double s = g.C * inverse, share = s * inverse;  // C / D
-    residuals[i] = s;
-    const double gx = inverse * (cx - share * ht[0]), gy = inverse * (cy - share * ht[1]),
-                 gz = inverse * (cz - share * ht[2]);
-    J[0 * n + i] = inverse * (g.ay * ez - g.az * ey - share * hw[0]);
-    J[1 * n + i] = inverse * (g.az * ex - g.ax * ez - share * hw[1]);
-    J[2 * n + i] = inverse * (g.ax * ey - g.ay * ex - share * hw[2]);
-    J[3 * n + i] = B[0] * gx + B[2] * gy + B[4] * gz;
-    J[4 * n + i] = B[1] * gx + B[3] * gy + B[5] * gz;
+    std::copy(r, r + kBlock, residuals + start);
+    std::copy(f, f + kBlock, front + start);
+    for (int k = 0; k < 5; ++k) std::copy(J[k], J[k] + kBlock, jacobian + k * m.padded + start);
   }
 }
 
@@ -194,8 +224,9 @@ EPI360_INLINE double truncated_mean(double squared, double margin, const Gates& 
 }
 
 template <Residual kind, bool several>
-EPI360_INLINE double score_loop(const Matches& m, const PlainPose& p, const Gates& gates,
+EPI360_INLINE double score_loop(const Matches& m, const PlainPose& pose, const Gates& gates,
                                 double limit) {
+  const PlainPose p = pose;
   double total = 0.0;
   double cost[kBlock];
   for (std::size_t start = 0; start < m.padded; start += kBlock) {

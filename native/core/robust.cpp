@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 
 #include "essential.h"
 #include "essential_problem.h"
@@ -21,12 +22,15 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // follows the logarithm of the residual, so no scale is preferred.
 const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * kDegree,
                                         4.0 * kDegree};
-constexpr int kScaleRounds = 3;          // re-sampling rounds while the gate still moves
-constexpr double kGateSettled = 1.25;    // ratio of successive gates that counts as settled
-constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
-constexpr double kFalseAlarms = -3.0;    // log10; accepted below
-constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
-constexpr double kSmallestGate = 4e-6;   // radians, for exact data
+constexpr int kScaleRounds = 3;           // re-sampling rounds while the gate still moves
+constexpr double kGateSettled = 1.25;     // ratio of successive gates that counts as settled
+constexpr double kRotationShare = 0.85;   // real pure rotations: >= 0.99, real motion: <= 0.69
+constexpr double kFalseAlarms = -3.0;     // log10; accepted below
+constexpr double kRivalEvidence = -6.0;   // a second pose this likely (log) makes a pair ambiguous
+constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
+constexpr double kFinalistEvidence = -30.0;  // candidates of the search that all matches refine
+constexpr double kTypicalDensity = 0.35;  // of wrong matches in front of both cameras, per radian
+constexpr double kSmallestGate = 4e-6;    // radians, for exact data
 constexpr double kLargestWrongParallax = 0.07;  // radians: depths must be right beyond it
 
 // Among the four poses of this E, the one with most inliers in front of both cameras.
@@ -68,11 +72,10 @@ int mark_inliers(const Matches& m, const RobustOptions& options, const RelativeP
 }
 
 // Sampling until the gate agrees with the noise found. Returns the number of samples.
-int sample_poses(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
-                 Random& random) {
+int sample_poses(const RobustOptions& options, EssentialProblem& problem, Random& random) {
   LoopOptions loop{options.min_iterations, options.max_iterations, options.confidence};
   LoopResult<EssentialProblem> result;
-  const auto n = static_cast<std::uint32_t>(m.size);
+  const std::uint32_t n = problem.num_matches();
   problem.set_gates(options.threshold > 0.0 ? std::vector<double>{options.threshold} : kAllScales);
   ransac(problem, n, loop, random, result);
   if (options.threshold > 0.0 || !result.found()) return result.num_iterations;
@@ -94,13 +97,12 @@ int sample_poses(const Matches& m, const RobustOptions& options, EssentialProble
 }
 
 // The rotation that explains most matches; its inliers within the gate.
-double best_rotation(const Matches& m, const RobustOptions& options, double gate, Random& random,
-                     Eigen::Matrix3d* R, std::vector<double>* residuals) {
+double best_rotation(const Matches& m, double gate, Random& random, Eigen::Matrix3d* R,
+                     std::vector<double>* residuals) {
   RotationProblem problem(m, {gate, 3.0 * gate});
   const LoopOptions loop{20, 500, 0.999};
   LoopResult<RotationProblem> result;
   ransac(problem, static_cast<std::uint32_t>(m.size), loop, random, result);
-  (void)options;
   if (!result.found()) return 0.0;
   *R = result.model;
   const double count = problem.count_within(*R, gate);
@@ -189,7 +191,7 @@ bool distinct(const RelativePose& a, const RelativePose& b,
 
 // The most likely pose that is truly different, and its support relative to the best pose.
 void find_rival(const Matches& m, const RobustOptions& options,
-                const std::vector<Candidate>& candidates, double evidence, int support, double gate,
+                const std::vector<Candidate>& candidates, int support, double gate,
                 RobustResult& out) {
   for (const Candidate& c : candidates) {  // descending evidence
     if (!distinct(out.pose, c.pose, out.covariance)) continue;
@@ -197,10 +199,64 @@ void find_rival(const Matches& m, const RobustOptions& options,
     std::vector<double> residuals;
     const int count = mark_inliers(m, options, c.pose, gate, true, inlier, residuals);
     out.rival_share = static_cast<double>(count) / std::max(support, 1);
-    out.rival_evidence = c.evidence - evidence;
+    out.rival_evidence = c.evidence - candidates[0].evidence;
     if (out.rival_evidence > kRivalEvidence) out.alternatives.assign(1, c.pose);
     return;
   }
+}
+
+// Inliers, uncertainty and status of the best candidate.
+void judge(const Matches& m, const RobustOptions& options, const std::vector<Candidate>& candidates,
+           Random& random, RobustResult& out) {
+  double gate = options.threshold;
+  int support = 0;
+  if (!candidates.empty()) {
+    out.pose = candidates[0].pose;
+    if (!(options.threshold > 0.0)) gate = std::max(gate_of(candidates[0].loss), kSmallestGate);
+    mark_inliers(m, options, out.pose, gate, false, out.inlier, out.residuals);
+    decide_cheirality(m, out.inlier, out.pose);
+    support = mark_inliers(m, options, out.pose, gate, true, out.inlier, out.residuals);
+  }
+  if (!(gate > 0.0)) gate = kAllScales.front();
+  out.threshold = gate;
+  out.match_coverage = sphere_coverage(m, nullptr);
+
+  const int n = static_cast<int>(m.size);
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
+  std::vector<double> rotation_residuals;
+  const double turned = best_rotation(m, gate, random, &R, &rotation_residuals);
+  out.rotation_share = turned / std::max(support, 1);
+  if (turned >= kRotationShare * support &&
+      log10_false_alarms(n, static_cast<int>(turned), gate * gate, 2) < kFalseAlarms) {
+    set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
+    return;
+  }
+  const ChanceDensity chance(m, options.residual, options.seed);
+  const double density = candidates.empty()
+                             ? kTypicalDensity
+                             : chance.at(out.pose, std::max(4.0 * kDegree, 2.0 * gate));
+  out.chance_log10 = log10_false_alarms(n, support, 2.0 * gate * density, options.sample_size);
+  if (out.chance_log10 > kFalseAlarms) {
+    out.status = Status::kTooFewInliers;
+    return;
+  }
+  out.status = Status::kOk;
+  set_uncertainty(m, options, gate, out);
+  out.coverage = sphere_coverage(m, out.inlier.data());
+  out.parallax = median_parallax(m, out.pose, out.inlier.data());
+  find_rival(m, options, candidates, support, gate, out);
+  if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
+}
+
+// A random part of the matches, large enough to find the pose in.
+Matches random_subset(const Matches& m, Random& random) {
+  std::vector<std::size_t> order(m.size);
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  for (std::size_t k = 0; k < kSearchSize; ++k) {  // the beginning of a Fisher-Yates shuffle
+    std::swap(order[k], order[k + random.below(static_cast<std::uint32_t>(m.size - k))]);
+  }
+  order.resize(kSearchSize);
+  return chosen_matches(m, order);
 }
 
 }  // namespace
@@ -215,53 +271,19 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   if (m.size < static_cast<std::size_t>(options.sample_size)) return out;
 
   Random random(options.seed);
-  const ChanceDensity chance(m, options.residual, options.seed);
-  const double typical_density = 0.35;  // of wrong matches in front of both cameras
-  EssentialProblem problem(m, options.residual, options.sample_size, typical_density);
-  out.num_iterations = sample_poses(m, options, problem, random);
-  out.match_coverage = sphere_coverage(m, nullptr);
-
-  problem.polish_pool(25);
-  const std::vector<Candidate>& candidates = problem.candidates();
-  double gate = options.threshold;
-  double evidence = 0.0;
-  int support = 0;
-  if (!candidates.empty()) {
-    const Candidate best = problem.polish(candidates[0].pose, 50);
-    out.pose = best.pose;
-    evidence = best.evidence;
-    if (!(options.threshold > 0.0)) gate = std::max(gate_of(candidates[0].loss), kSmallestGate);
-    mark_inliers(m, options, out.pose, gate, false, out.inlier, out.residuals);
-    decide_cheirality(m, out.inlier, out.pose);
-    support = mark_inliers(m, options, out.pose, gate, true, out.inlier, out.residuals);
+  const Matches subset = m.size > kSearchSize ? random_subset(m, random) : Matches{};
+  EssentialProblem search(m.size > kSearchSize ? subset : m, options.residual, options.sample_size,
+                          kTypicalDensity);
+  out.num_iterations = sample_poses(options, search, random);
+  search.polish_pool(25);
+  EssentialProblem everything(m, options.residual, options.sample_size, kTypicalDensity);
+  everything.set_gates({kAllScales.front()});
+  for (const Candidate& candidate : search.candidates()) {
+    if (candidate.evidence > search.candidates().front().evidence + kFinalistEvidence) {
+      everything.polish(candidate.pose, 50, 1e-8);
+    }
   }
-  if (!(gate > 0.0)) gate = kAllScales.front();
-  out.threshold = gate;
-
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
-  std::vector<double> rotation_residuals;
-  const double turned = best_rotation(m, options, gate, random, &R, &rotation_residuals);
-  out.rotation_share = turned / std::max(support, 1);
-  const double density = candidates.empty()
-                             ? typical_density
-                             : chance.at(out.pose, std::max(4.0 * kDegree, 2.0 * gate));
-  const int n = static_cast<int>(m.size);
-  if (turned >= kRotationShare * support &&
-      log10_false_alarms(n, static_cast<int>(turned), gate * gate, 2) < kFalseAlarms) {
-    set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
-    return out;
-  }
-  out.chance_log10 = log10_false_alarms(n, support, 2.0 * gate * density, options.sample_size);
-  if (out.chance_log10 > kFalseAlarms) {
-    out.status = Status::kTooFewInliers;
-    return out;
-  }
-  out.status = Status::kOk;
-  set_uncertainty(m, options, gate, out);
-  out.coverage = sphere_coverage(m, out.inlier.data());
-  out.parallax = median_parallax(m, out.pose, out.inlier.data());
-  find_rival(m, options, candidates, evidence, support, gate, out);
-  if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
+  judge(m, options, everything.candidates(), random, out);
   return out;
 }
 

@@ -30,10 +30,14 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).any(axis=1))[0])
         raise ValueError(f"{name} must be finite (NaN marks a missing row), row {row} is infinite")
+    largest = np.abs(array).max(axis=1, initial=0.0)
+    if (largest == 0.0).any():
+        row = int(np.flatnonzero(largest == 0.0)[0])
+        raise ValueError(
+            f"{name} must have non-zero length (NaN marks a missing row), row {row} is zero"
+        )
+    array = array / largest[:, None]  # so that squares neither overflow nor vanish
     norms = np.sqrt(np.einsum("ij,ij->i", array, array))
-    if (norms == 0.0).any():
-        row = int(np.flatnonzero(norms == 0.0)[0])
-        raise ValueError(f"{name} must have non-zero length (NaN marks a missing row), row {row}")
     return np.ascontiguousarray(array / norms[:, None])
 
 

@@ -121,7 +121,9 @@ def triangulate(
     a = b1 @ R.T
     sign1, sign2, squared_sine = _depth_terms(a, b2, t)
     with np.errstate(divide="ignore", invalid="ignore"):
-        depths1, depths2 = sign1 / squared_sine, sign2 / squared_sine
+        parallel = squared_sine == 0.0
+        depths1 = np.where(parallel, np.inf, sign1 / squared_sine)
+        depths2 = np.where(parallel, np.inf, sign2 / squared_sine)
         in_camera2 = 0.5 * (depths1[:, None] * a + t + depths2[:, None] * b2)
         points = (in_camera2 - t) @ R
     return points, depths1, depths2

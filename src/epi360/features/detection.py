@@ -102,7 +102,10 @@ def extract_features(
     if scale < 1.0:
         size = (round(width * scale), round(height * scale))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    sift = cv2.SIFT_create(contrastThreshold=contrast_threshold)  # type: ignore[attr-defined]
+    # Without precise upscaling every key point is 0.25 px too far right and down, at all sizes.
+    sift = cv2.SIFT_create(  # type: ignore[attr-defined]
+        contrastThreshold=contrast_threshold, enable_precise_upscale=True
+    )
     parts = [_searched(sift, view) for view in _views(np.asarray(grey), camera)]
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     found = _merged([part.stretched(stretch) for part in parts], camera, stretch[0])
