@@ -120,10 +120,10 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
     compute_residuals(m, options.residual, plain(result.pose), 0.0, residuals.data(), front.data());
   }
   residuals.resize(m.size);
-  return nb::make_tuple(matrix(result.pose.R), vector(result.pose.t),
-                        array_of(std::move(residuals), {m.size}), result.cost,
-                        matrix(result.information), result.loss.scale, result.loss.share[0],
-                        result.num_iterations, result.converged);
+  return nb::make_tuple(
+      matrix(result.pose.R), vector(result.pose.t), array_of(std::move(residuals), {m.size}),
+      result.cost, matrix(result.information), result.weighted_squares, result.effective_matches,
+      result.loss.scale, result.num_iterations, result.converged);
 }
 
 nb::dict result_dict(RobustResult&& r, std::size_t n) {

@@ -97,6 +97,12 @@ void update_mixture(const Matches& m, const RefineOptions& options, const Refine
   set_shares(sums.part, sums.count, loss);
 }
 
+double weighted_squares(const Matches& m, const RefineWorkspace& w) {
+  double sum = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) sum += w.weights[i] * w.residuals[i] * w.residuals[i];
+  return sum;
+}
+
 Matrix5 symmetric(const double* upper) {
   Matrix5 h;
   int entry = 0;
@@ -152,6 +158,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     result.information = symmetric(upper);
     result.cost = totals.cost;
     result.effective_matches = totals.weight;
+    result.weighted_squares = weighted_squares(m, w);
     result.num_iterations = iteration + 1;
 
     bool accepted = false;

@@ -22,7 +22,7 @@ struct RefineOptions {
   bool estimate_mixture = true;  // re-estimate scale and shares of a mixture after each step
   bool use_depths = false;       // a match behind a camera is an outlier (bounded losses only)
   double smallest_scale = 1e-6;  // radians: exact data must not drive the mixture to zero
-  double largest_scale = 0.1;    // radians: with more noise than that nothing is an outlier
+  double largest_scale = 0.06;   // radians: with more noise than that nothing is an outlier
   int max_iterations = 100;
   double step_tolerance = 1e-10;  // radians
 };
@@ -35,6 +35,7 @@ struct RefineResult {
   bool converged = false;
   Eigen::Matrix<double, 5, 5> information = Eigen::Matrix<double, 5, 5>::Zero();  // J^T W J
   double effective_matches = 0.0;  // sum of the weights
+  double weighted_squares = 0.0;   // of the residuals
 };
 
 // Scratch memory of one refinement: reused between calls, one per thread.

@@ -10,6 +10,7 @@
 #include "essential.h"
 #include "essential_problem.h"
 #include "evidence.h"
+#include "plane.h"
 #include "ransac.h"
 #include "rotation_problem.h"
 
@@ -22,11 +23,14 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // follows the logarithm of the residual, so no scale is preferred.
 const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * kDegree,
                                         4.0 * kDegree};
-constexpr int kScaleRounds = 3;           // re-sampling rounds while the gate still moves
-constexpr double kGateSettled = 1.25;     // ratio of successive gates that counts as settled
-constexpr double kRotationShare = 0.85;   // real pure rotations: >= 0.99, real motion: <= 0.69
-constexpr double kFalseAlarms = -3.0;     // log10; accepted below
-constexpr double kRivalEvidence = -6.0;   // a second pose this likely (log) makes a pair ambiguous
+constexpr int kScaleRounds = 3;            // re-sampling rounds while the gate still moves
+constexpr double kGateSettled = 1.25;      // ratio of successive gates that counts as settled
+constexpr double kRotationShare = 0.85;    // real pure rotations: >= 0.99, real motion: <= 0.69
+constexpr double kFalseAlarms = -3.0;      // log10; accepted below
+constexpr double kPlaneShare = 0.9;        // of the inliers on one plane
+constexpr double kPlaneSpread = 3.0;       // standard deviations of the log-likelihood ratio
+constexpr double kSmallestParallax = 2.5;  // in noise; on real pairs directions are wrong below 3
+constexpr double kRivalEvidence = -6.0;    // a second pose this likely (log) makes a pair ambiguous
 constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
 constexpr double kFinalistEvidence = -30.0;  // candidates of the search that all matches refine
 constexpr double kTypicalDensity = 0.35;  // of wrong matches in front of both cameras, per radian
@@ -169,6 +173,14 @@ void set_uncertainty(const Matches& m, const RobustOptions& options, double gate
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(out.pose.t);
   compute_jacobians(m, options.residual, plain(out.pose), basis.data(), gate, w.residuals.data(),
                     w.front.data(), w.jacobian.data());
+  // Near an epipole the first-order residual promises more than a bearing with noise can hold.
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const Eigen::Vector3d a = out.pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
+    const Eigen::Vector3d b(m.x2[i], m.y2[i], m.z2[i]);
+    const double squared = a.cross(out.pose.t).squaredNorm() + b.cross(out.pose.t).squaredNorm();
+    const double trust = squared / (squared + 8.0 * variance);
+    inliers_only.weight[i] *= trust * trust;
+  }
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, w.jacobian.data(), w.residuals.data(),
                               inliers_only.weight.data(), upper, gradient);
@@ -189,25 +201,36 @@ bool distinct(const RelativePose& a, const RelativePose& b,
                     std::max(8.0 * kDegree, 6.0 * sigma_direction));
 }
 
-// The most likely pose that is truly different, and its support relative to the best pose.
-void find_rival(const Matches& m, const RobustOptions& options,
-                const std::vector<Candidate>& candidates, int support, double gate,
-                RobustResult& out) {
+// The most likely pose that is truly different, and its support relative to the best pose. On a
+// plane both poses are right but for noise, whose log-likelihoods differ by about the root of the
+// number of matches; elsewhere a rival must be nearly as likely.
+void find_rival(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
+                int support, double gate, RobustResult& out) {
+  const double evidence = problem.candidates().front().evidence;
+  double needed = kRivalEvidence, share = 0.0;
+  const Eigen::Vector3d plane = fit_plane(m, out.pose, out.inlier, 1.5 * gate, &share);
+  RelativePose twin;
+  if (share > kPlaneShare && twin_pose(out.pose, plane, &twin)) {
+    problem.polish(twin, 50, 1e-8);
+    needed -= kPlaneSpread * std::sqrt(static_cast<double>(support));
+  }
+  const std::vector<Candidate> candidates = problem.candidates();
   for (const Candidate& c : candidates) {  // descending evidence
     if (!distinct(out.pose, c.pose, out.covariance)) continue;
     std::vector<unsigned char> inlier;
     std::vector<double> residuals;
     const int count = mark_inliers(m, options, c.pose, gate, true, inlier, residuals);
     out.rival_share = static_cast<double>(count) / std::max(support, 1);
-    out.rival_evidence = c.evidence - candidates[0].evidence;
-    if (out.rival_evidence > kRivalEvidence) out.alternatives.assign(1, c.pose);
+    out.rival_evidence = c.evidence - evidence;
+    if (out.rival_evidence > needed) out.alternatives.assign(1, c.pose);
     return;
   }
 }
 
 // Inliers, uncertainty and status of the best candidate.
-void judge(const Matches& m, const RobustOptions& options, const std::vector<Candidate>& candidates,
+void judge(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
            Random& random, RobustResult& out) {
+  const std::vector<Candidate>& candidates = problem.candidates();
   double gate = options.threshold;
   int support = 0;
   if (!candidates.empty()) {
@@ -244,7 +267,11 @@ void judge(const Matches& m, const RobustOptions& options, const std::vector<Can
   set_uncertainty(m, options, gate, out);
   out.coverage = sphere_coverage(m, out.inlier.data());
   out.parallax = median_parallax(m, out.pose, out.inlier.data());
-  find_rival(m, options, candidates, support, gate, out);
+  if (out.parallax < kSmallestParallax * out.scale) {
+    out.status = Status::kPureRotation;  // or too little translation to tell where to
+    return;
+  }
+  find_rival(m, options, problem, support, gate, out);
   if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
 }
 
@@ -283,7 +310,7 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
       everything.polish(candidate.pose, 50, 1e-8);
     }
   }
-  judge(m, options, everything.candidates(), random, out);
+  judge(m, options, everything, random, out);
   return out;
 }
 

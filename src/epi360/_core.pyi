@@ -54,7 +54,7 @@ def refine(
     jacobians1: _Array | None,
     jacobians2: _Array | None,
     max_iterations: int,
-) -> tuple[_Array, _Array, _Array, float, _Array, float, float, int, bool]: ...
+) -> tuple[_Array, _Array, _Array, float, _Array, float, float, float, int, bool]: ...
 def estimate_relative_pose(
     bearings1: _Array,
     bearings2: _Array,

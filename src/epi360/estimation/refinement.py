@@ -112,7 +112,7 @@ def refine_pose(
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
     if scale is None:
         scale = _default_scale(start, b1[usable], b2[usable], residual, loss)
-    R, t, found, cost, information, scale, _, iterations, converged = _core.refine(
+    R, t, found, cost, information, squares, matches, scale, iterations, converged = _core.refine(
         b1[usable],
         b2[usable],
         start.rotation,
@@ -127,7 +127,8 @@ def refine_pose(
     )
     residuals = np.full(len(b1), np.nan)
     residuals[usable] = found
-    covariance = _covariance(information, found, scale if loss == "mixture" else None)
+    variance = scale**2 if loss == "mixture" else squares / max(matches - 5.0, 1e-9)
+    covariance = _covariance(information, variance)
     return RefinementResult(
         Pose(R, t), residuals, cost, covariance, scale, iterations, bool(converged)
     )
@@ -216,8 +217,7 @@ def _default_scale(pose: Pose, b1: Array, b2: Array, residual: str, loss: str) -
     return max(1.4826 * float(np.median(np.abs(pose_residuals(pose, b1, b2, kind)))), 1e-9)
 
 
-def _covariance(information: Array, residuals: Array, scale: float | None) -> Array:
-    variance = scale**2 if scale else float(residuals @ residuals) / max(len(residuals) - 5, 1)
+def _covariance(information: Array, variance: float) -> Array:
     try:
         return np.asarray(variance * np.linalg.inv(information))
     except np.linalg.LinAlgError:  # the matches do not determine the pose
