@@ -173,8 +173,10 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       const RelativePose candidate = moved(result.pose, basis, step);
       compute_residuals(m, options.residual, plain(candidate), tolerance, w.residuals.data(),
                         w.front.data());
-      if (robust_cost(m, result.loss, w) < totals.cost) {
+      const double cost = robust_cost(m, result.loss, w);
+      if (cost < totals.cost) {
         result.pose = candidate;
+        result.cost = cost;
         accepted = true;
       }
       damping = accepted ? std::max(damping * 0.1, 1e-9) : damping * 10.0;

@@ -109,9 +109,11 @@ double best_rotation(const Matches& m, double gate, Random& random, Eigen::Matri
   ransac(problem, static_cast<std::uint32_t>(m.size), loop, random, result);
   if (!result.found()) return 0.0;
   *R = result.model;
-  const double count = problem.count_within(*R, gate);
+  problem.count_within(*R, gate);
   *residuals = problem.residuals();
-  return count;
+  residuals->resize(m.size);
+  return static_cast<double>(std::count_if(residuals->begin(), residuals->end(),
+                                           [&](double r) { return r < gate; }));
 }
 
 void set_pure_rotation(const Matches& m, const Eigen::Matrix3d& R, double gate,
@@ -244,6 +246,7 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   out.threshold = gate;
   out.match_coverage = sphere_coverage(m, nullptr);
 
+  out.coverage = sphere_coverage(m, out.inlier.data());
   const int n = static_cast<int>(m.size);
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> rotation_residuals;
@@ -265,10 +268,10 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   }
   out.status = Status::kOk;
   set_uncertainty(m, options, gate, out);
-  out.coverage = sphere_coverage(m, out.inlier.data());
   out.parallax = median_parallax(m, out.pose, out.inlier.data());
   if (out.parallax < kSmallestParallax * out.scale) {
-    out.status = Status::kPureRotation;  // or too little translation to tell where to
+    // Too little translation to tell where to: the rotation alone is the better answer.
+    set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
     return;
   }
   find_rival(m, options, problem, support, gate, out);

@@ -18,6 +18,7 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
+from epi360.estimation.robust import check_threshold
 from epi360.features import (
     Features,
     ImageSource,
@@ -26,7 +27,12 @@ from epi360.features import (
     read_image,
     read_mask,
 )
-from epi360.features.detection import CONTRAST_THRESHOLD, camera_of
+from epi360.features.detection import (
+    CONTRAST_THRESHOLD,
+    SMALLEST_WIDTH,
+    camera_of,
+    check_options,
+)
 
 # Fifteen to twenty inliers is what careful tools ask of an image pair.
 _IMAGE_OPTIONS = RansacOptions(min_num_inliers=15)
@@ -82,10 +88,17 @@ def relative_pose_of_images(
     Raises
     ------
     ValueError
-        If an image, camera or mask cannot be used.
+        If an image, camera, mask or option cannot be used.
     FileNotFoundError
         If a file is not there.
+
+    Notes
+    -----
+    Wide images are searched at 1920 pixels first; only where that does not settle the pose, at
+    their full width; and where the verdict is still not "ok", for fainter features.
     """
+    check_options(max_width, mask_nadir_deg)
+    check_threshold(inlier_threshold_deg)
     say = progress or (lambda _: None)
     say("reading images")
     views = (
@@ -121,7 +134,7 @@ def _searches(views: tuple[_View, _View], max_width: int) -> list[_Search]:
 
     An easy pair does not pay for a hard one.
     """
-    full = min(max_width, max(view.camera.width for view in views))
+    full = max(SMALLEST_WIDTH, min(max_width, max(view.camera.width for view in views)))
     searches = [
         _Search(full, CONTRAST_THRESHOLD, True),
         _Search(full, _FAINT_CONTRAST_THRESHOLD, True),

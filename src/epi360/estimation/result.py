@@ -39,8 +39,8 @@ class RelativePoseResult:
         Residual below the threshold and both depths positive; same order as the input.
     residuals_rad : ndarray, shape (M,)
         Signed residual of each match under the pose, NaN for missing rows. After a pure rotation:
-        the angle between R b1 and b2 over sqrt 2, the same unit. In pixels of the camera when
-        the residual is ``tangent_sampson``.
+        the angle between R b1 and b2 over sqrt 2, the same unit. A tangent Sampson residual is
+        turned from pixels to radians by the cameras' mean resolution.
     noise_deg : float
         Standard deviation of the bearings' noise, per axis and view, over the inliers.
     inlier_threshold_deg : float

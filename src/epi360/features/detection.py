@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 # SIFT's default of 0.04 finds too little on wide baselines indoors: with 0.02 twice the matches.
 CONTRAST_THRESHOLD = 0.02
+SMALLEST_WIDTH = 64  # that max_width may ask for
 # The rows around the horizon are searched as they are (pixels stretched by at most 1.5), two square
 # faces see the rest: as many right matches on real pairs as six cube faces, at 0.6 of their pixels.
 _STRIP_LATITUDE_DEG = 47.0
@@ -94,6 +95,11 @@ def extract_features(
     Lowe, IJCV 2004; RootSIFT: Arandjelović & Zisserman, CVPR 2012. A full panorama is searched as a
     strip around the horizon, continued across the seam, and two faces at the poles.
     """
+    check_options(max_width, mask_nadir_deg)
+    if max_features < 1:
+        raise ValueError(f"max_features must be at least 1, got {max_features}")
+    if not 0.0 < contrast_threshold < 1.0:
+        raise ValueError(f"contrast_threshold must be in (0, 1), got {contrast_threshold}")
     picture = read_image(image)
     camera = camera_of(picture, camera, "image")
     height, width = picture.shape[:2]
@@ -112,6 +118,27 @@ def extract_features(
     usable = None if mask is None else read_mask(mask, (height, width))
     kept = _kept(found, camera, usable, mask_nadir_deg, max_features)
     return Features(found.pixels[kept], _root_sift(found.descriptors[kept]), found.sizes[kept])
+
+
+def check_options(max_width: int, mask_nadir_deg: float) -> None:
+    """Refuse options out of their range, before any work.
+
+    Parameters
+    ----------
+    max_width : int
+        At least 64.
+    mask_nadir_deg : float
+        In [0, 180).
+
+    Raises
+    ------
+    ValueError
+        If one is out of its range.
+    """
+    if max_width < SMALLEST_WIDTH:
+        raise ValueError(f"max_width must be at least {SMALLEST_WIDTH} pixels, got {max_width}")
+    if not 0.0 <= mask_nadir_deg < 180.0:
+        raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
 
 
 def camera_of(picture: NDArray[np.uint8], camera: Camera | None, name: str) -> Camera:

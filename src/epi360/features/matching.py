@@ -22,9 +22,11 @@ def match_features(
         With unit descriptors.
     ratio : float
         A match is kept when its descriptor distance is below this share of the distance to the
-        second nearest (Lowe 2004).
+        second nearest (Lowe 2004), in at least one of the two images: on wide baselines that is
+        right more often than asking it of the first or of both (measured).
     mutual : bool
-        Keep only pairs that are each other's nearest.
+        Keep only pairs that are each other's nearest; otherwise the nearest of each key point of
+        the first set, by the ratio test there.
 
     Returns
     -------
@@ -39,15 +41,26 @@ def match_features(
     if not 0.0 < ratio <= 1.0:
         raise ValueError(f"ratio must be in (0, 1], got {ratio}")
     d1, d2 = features1.descriptors, features2.descriptors
-    if len(d1) == 0 or len(d2) < 2:
+    if len(d1) < 2 or len(d2) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     nearest, best, second = _two_nearest(d1, d2)
-    # |a - b|^2 = 2 - 2 a.b for unit descriptors
-    first = np.flatnonzero((1.0 - best) < ratio**2 * (1.0 - second))
-    if mutual:
-        back, _, _ = _two_nearest(d2[nearest[first]], d1)
-        first = first[back == first]
-    return np.stack([first, nearest[first]], axis=1).astype(np.int64)
+    distinctive = _passes(best, second, ratio)
+    if not mutual:
+        first = np.flatnonzero(distinctive)
+        return np.stack([first, nearest[first]], axis=1)
+    chosen, place = np.unique(nearest, return_inverse=True)
+    back, best, second = _two_nearest(d2[chosen], d1)
+    first = np.arange(len(d1))
+    kept = (back[place] == first) & (distinctive | _passes(best, second, ratio)[place])
+    return np.stack([first[kept], nearest[kept]], axis=1)
+
+
+def _passes(
+    best: NDArray[np.float32], second: NDArray[np.float32], ratio: float
+) -> NDArray[np.bool_]:
+    # |a - b|^2 = 2 - 2 a.b for unit descriptors; rounding may exceed 1
+    nearest, runner_up = np.maximum(1.0 - best, 0.0), np.maximum(1.0 - second, 0.0)
+    return np.asarray(nearest < ratio**2 * runner_up)
 
 
 def _two_nearest(

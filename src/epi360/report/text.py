@@ -30,8 +30,8 @@ STATUS_SENTENCES: dict[Status, str] = {
         "the translation is not determined; take the second image from another place"
     ),
     "planar_ambiguous": (
-        "the matches lie on one plane and more than one pose explains them, the best is shown; "
-        "use images that also share something off that plane"
+        "two poses explain the matches about equally well, as on a scene close to one plane; the "
+        "more likely is shown; use images that also share something off that plane"
     ),
     "concentrated_inliers": (
         "the matches that agree cover too small a part of the sphere for a trustworthy pose; "
