@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Matches obey the ratio test and are mutual; the block size does not show."""
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from epi360.features import Features, match_features, matching
+
+
+def features_of(descriptors):
+    rows = np.asarray(descriptors, np.float32).reshape(-1, 128)
+    return Features(np.zeros((len(rows), 2)), rows, np.ones(len(rows)))
+
+
+def unit_rows(array):
+    return array / np.linalg.norm(array, axis=-1, keepdims=True)
+
+
+def turned(index, other, degrees):
+    """Unit descriptor in the plane of two axes, at an angle from the first."""
+    row = np.zeros(128)
+    row[index], row[other] = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return row
+
+
+def random_pair(seed=0, num_common=300, num_other=150, noise=0.03):
+    """Descriptors of which some are common up to noise, in random order."""
+    rng = np.random.default_rng(seed)
+    common = np.abs(rng.normal(size=(num_common, 128)))
+    sets = []
+    for _ in range(2):
+        seen = common + noise * rng.normal(size=common.shape)
+        rows = np.concatenate([seen, np.abs(rng.normal(size=(num_other, 128)))])
+        sets.append(unit_rows(np.abs(rows))[rng.permutation(len(rows))])
+    return features_of(sets[0]), features_of(sets[1])
+
+
+def brute_force(features1, features2, ratio, mutual):
+    """Straight from the definition, over all distances."""
+    distances = cdist(features1.descriptors, features2.descriptors)
+    nearest1, clear1 = nearest_and_clear(distances, ratio)
+    nearest2, clear2 = nearest_and_clear(distances.T, ratio)
+    matches = []
+    for i, j in enumerate(nearest1):
+        if mutual and nearest2[j] == i and (clear1[i] or clear2[j]):
+            matches.append((i, j))
+        if not mutual and clear1[i]:
+            matches.append((i, j))
+    return np.array(matches).reshape(-1, 2)
+
+
+def nearest_and_clear(distances, ratio):
+    """Each row's nearest, and whether it is clearly nearer than the second."""
+    order = np.argsort(distances, axis=1)
+    first, second = np.take_along_axis(distances, order[:, :2], axis=1).T
+    return order[:, 0], first < ratio * second
+
+
+def test_the_nearest_descriptor_is_the_match():
+    first = features_of([turned(0, 9, 0), turned(1, 9, 0), turned(2, 9, 0)])
+    second = features_of([turned(2, 8, 5), turned(0, 8, 5), turned(7, 8, 0)])
+    np.testing.assert_array_equal(match_features(first, second), [[0, 1], [2, 0]])
+
+
+def test_the_ratio_compares_distances_to_the_nearest_and_the_second():
+    # Seen from the first set, chords of 10 and 14 degrees: a ratio of 0.715; from the second, of
+    # 10 and 13 degrees: 0.770.
+    first = features_of([turned(0, 1, 0), turned(0, 1, 23)])
+    second = features_of([turned(0, 1, 10), turned(0, 1, -14)])
+    np.testing.assert_array_equal(match_features(first, second, ratio=0.72), [[0, 0]])
+    assert len(match_features(first, second, ratio=0.71)) == 0
+
+
+def test_it_is_enough_to_be_distinctive_in_one_of_the_images():
+    alone = features_of([turned(0, 1, 0), turned(5, 6, 0)])
+    rivals = features_of([turned(0, 1, 10), turned(0, 1, -11)])
+    np.testing.assert_array_equal(match_features(alone, rivals), [[0, 0]])
+    np.testing.assert_array_equal(match_features(rivals, alone), [[0, 0]])
+    assert len(match_features(alone, rivals, mutual=False)) == 0
+
+
+def test_two_rivals_for_one_target_are_settled_by_mutuality():
+    first = features_of([turned(0, 1, 6), turned(0, 1, 2), turned(5, 6, 0)])
+    second = features_of([turned(0, 1, 0), turned(5, 6, 3)])
+    np.testing.assert_array_equal(match_features(first, second), [[1, 0], [2, 1]])
+    np.testing.assert_array_equal(
+        match_features(first, second, mutual=False), [[0, 0], [1, 0], [2, 1]]
+    )
+
+
+def test_a_set_matches_itself_row_by_row():
+    features, _ = random_pair()
+    everything = np.repeat(np.arange(len(features))[:, None], 2, axis=1)
+    np.testing.assert_array_equal(match_features(features, features), everything)
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+@pytest.mark.parametrize("ratio", [0.6, 0.8, 1.0])
+@pytest.mark.parametrize("sizes", [(300, 150), (5, 2), (1, 1)])
+def test_matches_are_those_of_the_definition(sizes, ratio, mutual):
+    first, second = random_pair(1, *sizes, noise=0.4)
+    found = match_features(first, second, ratio=ratio, mutual=mutual)
+    np.testing.assert_array_equal(found, brute_force(first, second, ratio, mutual))
+    assert found.dtype == np.int64
+
+
+@pytest.mark.parametrize("rows_per_block", [1, 7, 449, 450, 451])
+def test_where_blocks_end_does_not_matter(monkeypatch, rows_per_block):
+    first, second = random_pair(2)
+    expected = brute_force(first, second, 0.8, mutual=True)
+    monkeypatch.setattr(matching, "_BLOCK_BYTES", 4 * len(second) * rows_per_block)
+    np.testing.assert_array_equal(match_features(first, second), expected)
+    assert len(expected) > 250
+
+
+def test_more_descriptors_than_one_block_holds_are_all_matched():
+    rng = np.random.default_rng(3)
+    rows = unit_rows(np.abs(rng.normal(size=(4000, 128))))
+    order = rng.permutation(4000)
+    assert matching._BLOCK_BYTES < 4 * 4000**2
+    matches = match_features(features_of(rows), features_of(rows[order]))
+    np.testing.assert_array_equal(matches[:, 0], np.arange(4000))
+    np.testing.assert_array_equal(order[matches[:, 1]], np.arange(4000))
+
+
+def test_matches_are_one_to_one_and_ascend_in_the_first():
+    matches = match_features(*random_pair(4))
+    assert (np.diff(matches[:, 0]) > 0).all()
+    assert len(np.unique(matches[:, 1])) == len(matches)
+
+
+def test_permuting_a_set_permutes_the_matches():
+    first, second = random_pair(5)
+    order = np.random.default_rng(6).permutation(len(second))
+    expected = match_features(first, second)
+    found = match_features(first, features_of(second.descriptors[order]))
+    np.testing.assert_array_equal(np.stack([found[:, 0], order[found[:, 1]]], axis=1), expected)
+
+
+def test_swapping_the_sets_swaps_the_matches():
+    first, second = random_pair(7, noise=0.4)
+    rows = first.descriptors
+    twins = unit_rows(rows[:60] + 0.01 * np.random.default_rng(8).normal(size=(60, 128)))
+    first = features_of(np.concatenate([rows, twins]))  # rivals in the first set only
+    swapped = match_features(second, first)[:, ::-1]
+    np.testing.assert_array_equal(swapped[np.argsort(swapped[:, 0])], match_features(first, second))
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+def test_two_equal_candidates_are_no_match(mutual):
+    rows = unit_rows(np.abs(np.random.default_rng(9).normal(size=(200, 128))))
+    doubled = features_of(np.concatenate([rows, rows]))
+    # Their products round to more or less than 1.
+    assert len(match_features(doubled, doubled, mutual=mutual)) == 0
+    assert len(match_features(features_of(rows), doubled, mutual=False)) == 0
+
+
+@pytest.mark.parametrize("sizes", [(0, 0), (0, 5), (5, 0), (5, 1), (1, 5), (1, 1)])
+def test_without_a_second_candidate_there_are_no_matches(sizes):
+    sets = [features_of(np.eye(128)[:count]) for count in sizes]
+    matches = match_features(*sets)
+    assert matches.shape == (0, 2)
+    assert matches.dtype == np.int64
+
+
+@pytest.mark.parametrize("ratio", [0.0, -0.5, 1.5, float("nan")])
+def test_a_ratio_out_of_range_is_refused(ratio):
+    with pytest.raises(ValueError, match="ratio must be in"):
+        match_features(*random_pair(num_common=2, num_other=1), ratio=ratio)
