@@ -30,6 +30,8 @@ class Estimate:
     num_matches: int
     keypoints1: NDArray[np.float64]  # (M, 2) continuous pixels, row i of both is match i
     keypoints2: NDArray[np.float64]
+    rotation_sigma_deg: float = np.nan  # one sigma, over all components, where a method states it
+    translation_sigma_deg: float = np.nan
 
 
 class Method(Protocol):
@@ -75,6 +77,7 @@ class Epi360:
         keypoints1: NDArray[np.float64],
         keypoints2: NDArray[np.float64],
     ) -> Estimate:
+        variances = np.diag(result.covariance)
         return Estimate(
             cam2_from_cam1=result.cam2_from_cam1,
             accepted=result.success,
@@ -83,6 +86,8 @@ class Epi360:
             num_matches=result.num_matches,
             keypoints1=keypoints1,
             keypoints2=keypoints2,
+            rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
+            translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
         )
 
 

@@ -35,6 +35,8 @@ class PairRun:
     cpu_seconds: float  # of all threads of the process: other work on the machine counts less
     status: str
     accepted: bool
+    rotation_sigma_deg: float
+    translation_sigma_deg: float
 
     def is_within(self, requirement: Requirement) -> bool:
         """Whether the pose is accepted and both errors are within the bounds."""
@@ -95,6 +97,12 @@ def summarise(pair_set: PairSet, runs: Sequence[PairRun], method: str) -> dict[s
         "num_grossly_wrong": _per_seed(own, [run.is_grossly_wrong for run in own]),
         "rotation_error_deg": _quartiles([run.rotation_error_deg for run in own]),
         "translation_error_deg": _quartiles([run.translation_error_deg for run in own]),
+        "rotation_error_over_sigma": _quartiles(
+            [run.rotation_error_deg / run.rotation_sigma_deg for run in own if run.accepted]
+        ),
+        "translation_error_over_sigma": _quartiles(
+            [run.translation_error_deg / run.translation_sigma_deg for run in own if run.accepted]
+        ),
         "seconds": _quartiles([run.seconds for run in own]),
         "cpu_seconds": _quartiles([run.cpu_seconds for run in own]),
     }
@@ -145,7 +153,7 @@ def _quartiles(values: Sequence[float]) -> list[float | None]:
 def summary_rows(summaries: Sequence[dict[str, Any]]) -> Rows:
     """Table, header first, with one row for each requirement and method."""
     header = ["set", "asked deg", "method", "within", "needed", "met", "median R", "median t"]
-    rows = [[*header, ">10 deg", "s (quartiles)", "CPU s"]]
+    rows = [[*header, "R, t / sigma", ">10 deg", "s (quartiles)", "CPU s"]]
     for summary in summaries:
         for index, item in enumerate(summary["requirements"]):
             verdict = {True: "yes", False: "NO", None: "-"}[item["is_met"]]
@@ -157,7 +165,7 @@ def summary_rows(summaries: Sequence[dict[str, Any]]) -> Rows:
                     f"{_range(item['num_within'])} of {item['num_pairs']}",
                     "-" if item["num_needed"] is None else str(item["num_needed"]),
                     verdict,
-                    *(_figures(summary) if index == 0 else [""] * 5),
+                    *(_figures(summary) if index == 0 else [""] * 6),
                 ]
             )
     return rows
@@ -168,6 +176,9 @@ def _figures(summary: dict[str, Any]) -> list[str]:
     return [
         _number(summary["rotation_error_deg"][1]),
         _number(summary["translation_error_deg"][1]),
+        ", ".join(
+            _number(summary[f"{part}_error_over_sigma"][1]) for part in ("rotation", "translation")
+        ),
         _range(summary["num_grossly_wrong"]),
         f"{middle} ({low}-{high})",
         _number(summary["cpu_seconds"][1]),

@@ -170,6 +170,8 @@ def _measure(
         cpu_seconds=cpu_seconds,
         status=estimate.status,
         accepted=estimate.accepted,
+        rotation_sigma_deg=estimate.rotation_sigma_deg,
+        translation_sigma_deg=estimate.translation_sigma_deg,
     )
     widths = (8, 8, 12, 8, 0)
     cells = "".join(cell.ljust(width) for cell, width in zip(run.cells(), widths, strict=True))
