@@ -244,6 +244,7 @@ def _result(
     residuals = np.full(len(usable), np.nan)
     residuals[usable] = found["residuals"]
     status = _status(found, distinct, options)
+    share = 1.0 if status == "pure_rotation" else _NOISE_PER_RESIDUAL[residual]
     pose = _pose(found, status)
     determined = status in ("ok", "planar_ambiguous")
     alternatives = tuple(Pose(R, t) for R, t in found["alternatives"])
@@ -256,7 +257,7 @@ def _result(
         E=essential_from_pose(pose) if determined else np.full((3, 3), np.nan),
         inlier_mask=inlier_mask,
         residuals_rad=residuals,
-        noise_deg=float(np.degrees(found["scale"])) * _NOISE_PER_RESIDUAL[residual],
+        noise_deg=float(np.degrees(found["scale"])) * share,
         inlier_threshold_deg=float(np.degrees(found["threshold"])),
         parallax_deg=float(np.degrees(found["parallax"])),
         sphere_coverage=found["coverage"],

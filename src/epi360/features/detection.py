@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -13,17 +11,13 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.features.images import ImageSource, read_image, read_mask, require_panorama
+from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
 
 Array = NDArray[np.float64]
 
 # SIFT's default of 0.04 finds too little on wide baselines indoors: with 0.02 twice the matches.
 CONTRAST_THRESHOLD = 0.02
 SMALLEST_WIDTH = 64  # that max_width may ask for
-# The rows around the horizon are searched as they are (pixels stretched by at most 1.5), two square
-# faces see the rest: as many right matches on real pairs as six cube faces, at 0.6 of their pixels.
-_STRIP_LATITUDE_DEG = 47.0
-_FACE_LATITUDE_DEG = 43.0  # the overlap: a key point near the border is found by one of the two
-_MARGIN_DEG = 9.0  # context around a view's own part, for the descriptors' windows
 _DUPLICATE_PX = 1.0
 
 
@@ -112,7 +106,7 @@ def extract_features(
     sift = cv2.SIFT_create(  # type: ignore[attr-defined]
         contrastThreshold=contrast_threshold, enable_precise_upscale=True
     )
-    parts = [_searched(sift, view) for view in _views(np.asarray(grey), camera)]
+    parts = [_searched(sift, view) for view in search_views(np.asarray(grey), camera)]
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     found = _merged([part.stretched(stretch) for part in parts], camera, stretch[0])
     usable = None if mask is None else read_mask(mask, (height, width))
@@ -174,123 +168,6 @@ def camera_of(picture: NDArray[np.uint8], camera: Camera | None, name: str) -> C
 
 
 @dataclass(frozen=True)
-class _View:
-    """A picture to search and how its pixels map back to the searched image."""
-
-    picture: NDArray[np.uint8]
-    mask: NDArray[np.uint8] | None
-
-    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Pixels of the image, which of them are this view's to report, and relative scale."""
-        return pixels, np.ones(len(pixels), dtype=bool), np.ones(len(pixels))
-
-
-@dataclass(frozen=True)
-class _Strip(_View):
-    """Rows around the horizon, continued across the seam."""
-
-    camera: Equirectangular
-    padding: int
-    top: int
-
-    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        moved = pixels + [-self.padding, self.top]
-        width, height = self.camera.width, self.camera.height
-        own = (moved[:, 0] >= 0.0) & (moved[:, 0] < width)
-        degrees_per_row = self.camera.vertical_fov_deg / height
-        latitude = self.camera.center_latitude_deg + (height / 2 - moved[:, 1]) * degrees_per_row
-        return moved, own & (np.abs(latitude) < _STRIP_LATITUDE_DEG), np.ones(len(pixels))
-
-
-@dataclass(frozen=True)
-class _Face(_View):
-    """A perspective view of a pole."""
-
-    camera: Equirectangular
-    rotation: Array  # panorama from face
-    focal: float
-
-    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        centred = (pixels - self.picture.shape[0] / 2.0) / self.focal
-        rays = np.column_stack([centred, np.ones(len(centred))])
-        lengths = np.linalg.norm(rays, axis=1)
-        bearings = (rays / lengths[:, None]) @ self.rotation.T
-        own = np.abs(bearings[:, 1]) > np.sin(np.radians(_FACE_LATITUDE_DEG))
-        moved = self.camera.pixels_from_bearings(bearings)
-        return moved, own & np.isfinite(moved).all(axis=1), 1.0 / lengths
-
-
-def _views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[_View]:
-    height, width = grey.shape
-    if not isinstance(camera, Equirectangular):
-        yield _View(grey, _lens_mask(camera, height, width))
-        return
-    scaled = Equirectangular(
-        width, height, camera.horizontal_fov_deg, camera.vertical_fov_deg,
-        camera.center_longitude_deg, camera.center_latitude_deg,
-    )  # fmt: skip
-    if camera.horizontal_fov_deg < 360.0:
-        yield _View(grey, None)
-        return
-    yield _strip(grey, scaled)
-    for sign in (1.0, -1.0):
-        if scaled.vertical_fov_deg / 2 + sign * scaled.center_latitude_deg > _STRIP_LATITUDE_DEG:
-            yield _face(grey, scaled, sign)
-
-
-def _lens_mask(camera: Camera, height: int, width: int) -> NDArray[np.uint8] | None:
-    """Field of view less its rim, where key points are artefacts of the lens's edge."""
-    visible = camera.field_of_view_mask()
-    if visible.all():
-        return None
-    mask = cv2.resize(255 * visible.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=255), dtype=np.uint8)
-
-
-def _strip(grey: NDArray[np.uint8], camera: Equirectangular) -> _Strip:
-    height, width = grey.shape
-    rows_per_degree = height / camera.vertical_fov_deg
-    reach = (_STRIP_LATITUDE_DEG + _MARGIN_DEG) * rows_per_degree
-    horizon = height / 2 + camera.center_latitude_deg * rows_per_degree
-    top, bottom = max(0, round(horizon - reach)), min(height, round(horizon + reach))
-    padding = max(16, round(_MARGIN_DEG * width / 360.0))
-    strip = cv2.copyMakeBorder(grey[top:bottom], 0, 0, padding, padding, cv2.BORDER_WRAP)
-    return _Strip(np.asarray(strip, dtype=np.uint8), None, camera, padding, top)
-
-
-def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> _Face:
-    """View of the zenith (sign +1) or the nadir (-1) at the panorama's resolution."""
-    focal = camera.width / np.radians(camera.horizontal_fov_deg)
-    half_angle = 90.0 - _FACE_LATITUDE_DEG + _MARGIN_DEG / 2
-    size = 2 * int(np.ceil(focal * np.tan(np.radians(half_angle))))
-    u, v = _face_map(camera, size, focal, sign)
-    picture = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return _Face(np.asarray(picture, dtype=np.uint8), None, camera, _pole_rotation(sign), focal)
-
-
-def _pole_rotation(sign: float) -> Array:
-    """Panorama from face: the face's z axis is the pole, its x axis the panorama's."""
-    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -sign], [0.0, sign, 0.0]])
-
-
-@lru_cache(maxsize=4)  # both images of a pair, two poles each
-def _face_map(
-    camera: Equirectangular, size: int, focal: float, sign: float
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Where each pixel of a face lies in the panorama, for cv2.remap (centres at integers)."""
-    axis = (np.arange(size) + 0.5 - size / 2.0).astype(np.float32) / np.float32(focal)
-    x, y = np.meshgrid(axis, axis)
-    # The face's ray (x, y, 1) is (x, -sign, sign * y) in the panorama.
-    longitude = np.degrees(np.arctan2(x, np.float32(sign) * y))
-    latitude = np.degrees(np.arctan2(np.float32(sign), np.hypot(x, y)))
-    turned = (longitude - camera.center_longitude_deg) / camera.horizontal_fov_deg
-    u = (turned - np.floor(turned + 0.5) + 0.5) * camera.width - 0.5
-    down = (camera.center_latitude_deg - latitude) / camera.vertical_fov_deg + 0.5
-    v = np.clip(down * camera.height - 0.5, 0.0, camera.height - 1.0)
-    return u.astype(np.float32), v.astype(np.float32)
-
-
-@dataclass(frozen=True)
 class _Found:
     """Key points of one view in image pixels."""
 
@@ -312,7 +189,7 @@ class _Found:
         )
 
 
-def _searched(sift: cv2.Feature2D, view: _View) -> _Found:
+def _searched(sift: cv2.Feature2D, view: View) -> _Found:
     points, descriptors = sift.detectAndCompute(view.picture, view.mask)
     if not points:
         return _Found(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
@@ -360,7 +237,7 @@ def _repeated(part: _Found, others: _Found, camera: Camera, pixel: float) -> NDA
 
 def _in_overlap(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
     y = np.abs(camera.bearings_from_pixels(pixels)[:, 1])
-    low, high = np.sin(np.radians([_FACE_LATITUDE_DEG - 0.5, _STRIP_LATITUDE_DEG + 0.5]))
+    low, high = np.sin(np.radians([FACE_LATITUDE_DEG - 0.5, STRIP_LATITUDE_DEG + 0.5]))
     return np.asarray((y > low) & (y < high))
 
 

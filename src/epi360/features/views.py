@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a detector searches instead of the image itself: views without seam, poles or black rims."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular
+
+Array = NDArray[np.float64]
+
+# The rows around the horizon are searched as they are (pixels stretched by at most 1.5), two square
+# faces see the rest: as many right matches on real pairs as six cube faces, at 0.6 of their pixels.
+STRIP_LATITUDE_DEG = 47.0
+FACE_LATITUDE_DEG = 43.0  # the overlap: a key point near the border is found by one of the two
+_MARGIN_DEG = 9.0  # context around a view's own part, for the descriptors' windows
+_LARGEST_STRIP = 3_000_000  # pixels: SIFT's scale space takes 240 bytes for each
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture to search and how its pixels map back to the searched image."""
+
+    picture: NDArray[np.uint8]
+    mask: NDArray[np.uint8] | None
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """Pixels of the image, which of them are this view's to report, and relative scale."""
+        return pixels, np.ones(len(pixels), dtype=bool), np.ones(len(pixels))
+
+
+@dataclass(frozen=True)
+class Strip(View):
+    """Rows around the horizon and some of the columns, continued across the seam."""
+
+    camera: Equirectangular
+    padding: int
+    top: int
+    left: int  # the first and behind the last column that are its own
+    right: int
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """As in View; own are the columns and latitudes that no other view reports."""
+        moved = pixels + [self.left - self.padding, self.top]
+        height = self.camera.height
+        own = (moved[:, 0] >= self.left) & (moved[:, 0] < self.right)
+        degrees_per_row = self.camera.vertical_fov_deg / height
+        latitude = self.camera.center_latitude_deg + (height / 2 - moved[:, 1]) * degrees_per_row
+        return moved, own & (np.abs(latitude) < STRIP_LATITUDE_DEG), np.ones(len(pixels))
+
+
+@dataclass(frozen=True)
+class Face(View):
+    """A perspective view of a pole."""
+
+    camera: Equirectangular
+    rotation: Array  # panorama from face
+    focal: float
+
+    def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
+        """As in View; own is the cap beyond FACE_LATITUDE_DEG."""
+        centred = (pixels - self.picture.shape[0] / 2.0) / self.focal
+        rays = np.column_stack([centred, np.ones(len(centred))])
+        lengths = np.linalg.norm(rays, axis=1)
+        bearings = (rays / lengths[:, None]) @ self.rotation.T
+        own = np.abs(bearings[:, 1]) > np.sin(np.radians(FACE_LATITUDE_DEG))
+        moved = self.camera.pixels_from_bearings(bearings)
+        return moved, own & np.isfinite(moved).all(axis=1), 1.0 / lengths
+
+
+def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
+    """Views that together show everything the camera sees.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (H, W), uint8
+        The image, possibly smaller than the camera's.
+    camera : Camera
+        Of the original image.
+
+    Yields
+    ------
+    view : View
+        For a full panorama strips around the horizon and faces at the poles, else the image.
+    """
+    height, width = grey.shape
+    if not isinstance(camera, Equirectangular):
+        yield View(grey, _lens_mask(camera, height, width))
+        return
+    scaled = Equirectangular(
+        width, height, camera.horizontal_fov_deg, camera.vertical_fov_deg,
+        camera.center_longitude_deg, camera.center_latitude_deg,
+    )  # fmt: skip
+    if camera.horizontal_fov_deg < 360.0:
+        yield View(grey, None)
+        return
+    yield from _strips(grey, scaled)
+    for sign in (1.0, -1.0):
+        if scaled.vertical_fov_deg / 2 + sign * scaled.center_latitude_deg > STRIP_LATITUDE_DEG:
+            yield _face(grey, scaled, sign)
+
+
+def _lens_mask(camera: Camera, height: int, width: int) -> NDArray[np.uint8] | None:
+    """Field of view less its rim, where key points are artefacts of the lens's edge."""
+    visible = camera.field_of_view_mask()
+    if visible.all():
+        return None
+    mask = cv2.resize(255 * visible.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=255), dtype=np.uint8)
+
+
+def _strips(grey: NDArray[np.uint8], camera: Equirectangular) -> Iterator[Strip]:
+    """Views of the rows around the horizon, in as few parts as memory allows."""
+    height, width = grey.shape
+    rows_per_degree = height / camera.vertical_fov_deg
+    reach = (STRIP_LATITUDE_DEG + _MARGIN_DEG) * rows_per_degree
+    horizon = height / 2 + camera.center_latitude_deg * rows_per_degree
+    top, bottom = max(0, round(horizon - reach)), min(height, round(horizon + reach))
+    if bottom - top < 16:  # a panorama of the ceiling or the floor alone
+        return
+    padding = max(16, round(_MARGIN_DEG * width / 360.0))
+    borders = np.linspace(0, width, 1 + -(-width * (bottom - top) // _LARGEST_STRIP)).astype(int)
+    for left, right in zip(borders[:-1], borders[1:], strict=True):
+        columns = np.arange(left - padding, right + padding) % width
+        strip = np.ascontiguousarray(grey[top:bottom, columns])
+        yield Strip(strip, None, camera, padding, top, int(left), int(right))
+
+
+def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> Face:
+    """View of the zenith (sign +1) or the nadir (-1) at the panorama's resolution."""
+    focal = camera.width / np.radians(camera.horizontal_fov_deg)
+    half_angle = 90.0 - FACE_LATITUDE_DEG + _MARGIN_DEG / 2
+    size = 2 * int(np.ceil(focal * np.tan(np.radians(half_angle))))
+    u, v = _face_map(camera, size, focal, sign)
+    picture = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return Face(np.asarray(picture, dtype=np.uint8), None, camera, _pole_rotation(sign), focal)
+
+
+def _pole_rotation(sign: float) -> Array:
+    """Panorama from face: the face's z axis is the pole, its x axis the panorama's."""
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -sign], [0.0, sign, 0.0]])
+
+
+@lru_cache(maxsize=4)  # both images of a pair, two poles each
+def _face_map(
+    camera: Equirectangular, size: int, focal: float, sign: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Where each pixel of a face lies in the panorama, for cv2.remap (centres at integers)."""
+    axis = (np.arange(size) + 0.5 - size / 2.0).astype(np.float32) / np.float32(focal)
+    x, y = np.meshgrid(axis, axis)
+    # The face's ray (x, y, 1) is (x, -sign, sign * y) in the panorama.
+    longitude = np.degrees(np.arctan2(x, np.float32(sign) * y))
+    latitude = np.degrees(np.arctan2(np.float32(sign), np.hypot(x, y)))
+    turned = (longitude - camera.center_longitude_deg) / camera.horizontal_fov_deg
+    u = (turned - np.floor(turned + 0.5) + 0.5) * camera.width - 0.5
+    down = (camera.center_latitude_deg - latitude) / camera.vertical_fov_deg + 0.5
+    v = np.clip(down * camera.height - 0.5, 0.0, camera.height - 1.0)
+    return u.astype(np.float32), v.astype(np.float32)
