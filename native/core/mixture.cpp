@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <cstring>
 
+#include "block_sum.h"
 #include "matches.h"
 #include "multiversion.h"
 
@@ -123,17 +124,6 @@ EPI360_INLINE double precision_of(const Parts& p) {
 }
 
 EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
-
-// Eight lanes, so that the order of additions does not depend on the vector width.
-EPI360_INLINE double block_sum(const double* values) {
-  double lanes[8];
-  for (int j = 0; j < 8; ++j) lanes[j] = values[j];
-  for (std::size_t i = 8; i < kBlock; i += 8) {
-    for (int j = 0; j < 8; ++j) lanes[j] += values[i + j];
-  }
-  return ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5])) +
-         ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]));
-}
 
 }  // namespace
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "block_sum.h"
 #include "multiversion.h"
 
 namespace epi360 {
@@ -185,17 +186,6 @@ EPI360_INLINE void jacobian_loop(const Matches& m, const PlainPose& pose, const 
     std::copy(f, f + kBlock, front + start);
     for (int k = 0; k < 5; ++k) std::copy(J[k], J[k] + kBlock, jacobian + k * m.padded + start);
   }
-}
-
-// Eight lanes, so that the order of additions does not depend on the vector width.
-EPI360_INLINE double block_sum(const double* values) {
-  double lanes[8];
-  for (int j = 0; j < 8; ++j) lanes[j] = values[j];
-  for (std::size_t i = 8; i < kBlock; i += 8) {
-    for (int j = 0; j < 8; ++j) lanes[j] += values[i + j];
-  }
-  return ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5])) +
-         ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]));
 }
 
 struct Gates {

@@ -112,8 +112,8 @@ double best_rotation(const Matches& m, double gate, Random& random, Eigen::Matri
   problem.count_within(*R, gate);
   *residuals = problem.residuals();
   residuals->resize(m.size);
-  return static_cast<double>(std::count_if(residuals->begin(), residuals->end(),
-                                           [&](double r) { return r < gate; }));
+  return static_cast<double>(
+      std::count_if(residuals->begin(), residuals->end(), [&](double r) { return r < gate; }));
 }
 
 void set_pure_rotation(const Matches& m, const Eigen::Matrix3d& R, double gate,
