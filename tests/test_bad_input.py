@@ -254,3 +254,32 @@ def test_a_picture_of_a_few_pixels_is_an_honest_failure():
 def test_a_camera_of_another_size_is_refused(pair):
     with pytest.raises(ValueError, match="image2 is 512x256 but its camera is 64x32"):
         relative_pose_of_images(pair.image1, pair.image2, camera2=Equirectangular(64, 32))
+
+
+@pytest.mark.parametrize("option", ["--json", "--figure"])
+def test_an_output_never_replaces_an_input(tmp_path, capsys, option):
+    image = tmp_path / "a.png"
+    cv2.imwrite(str(image), np.zeros((64, 128, 3), np.uint8))
+    before = image.read_bytes()
+    link = tmp_path / "link.png"
+    link.symlink_to(image)
+    for target in (image, link):
+        assert cli.main(["pair", str(image), str(image), option, str(target)]) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and "must not be the file of" in captured.err
+    assert image.read_bytes() == before
+
+
+def test_two_outputs_are_two_files(tmp_path, capsys):
+    both = str(tmp_path / "out.png")
+    assert cli.main(["pair", "--demo", "--json", both, "--figure", both]) == 2
+    assert "--figure must not be the file of --json" in capsys.readouterr().err
+
+
+def test_a_read_only_file_is_not_replaced(tmp_path, capsys):
+    kept = tmp_path / "kept.json"
+    kept.write_text("mine")
+    kept.chmod(0o444)
+    assert cli.main(["pair", "--demo", "--json", str(kept)]) == 2
+    assert "read-only" in capsys.readouterr().err
+    assert kept.read_text() == "mine"

@@ -7,6 +7,7 @@ stderr), 130 interrupted. Heavy imports are inside the functions: the help appea
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -59,6 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return SUCCESS
     except (CycloptsError, ImportError, OSError, ValueError) as error:
         print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
         return WRONG_USE
@@ -161,7 +165,7 @@ def pair(
         Exit code.
     """
     _check_pair_words(image1, image2, demo, given, output)
-    _check_outputs(output)
+    _check_outputs(output, _files_read(image1, image2, given))
     with _progress() as progress:
         if image1 is None or image2 is None:
             images = _demo_pair(progress)
@@ -171,7 +175,7 @@ def pair(
         _write_outputs(images, result, output, progress)
     from epi360.report.text import describe_pair
 
-    print(describe_pair(result, images.truth))
+    print(describe_pair(result, images.truth), flush=True)
     return SUCCESS if result.success else FAILURE
 
 
@@ -191,10 +195,23 @@ def _check_pair_words(
         raise ValueError("--mask is for both images; use it or --mask1 and --mask2")
 
 
-def _check_outputs(output: PairOutput) -> None:
-    """Raise before the work where its results could not be written."""
-    from epi360.report.files import check_figure_name, check_writable
+def _files_read(image1: Path | None, image2: Path | None, given: PairInput) -> dict[str, Path]:
+    """List every file that the command reads, by the name a message calls it."""
+    files = {"the first image": image1, "the second image": image2}
+    for name in ("mask", "mask1", "mask2", "camera", "camera1", "camera2"):
+        source = getattr(given, name)
+        if isinstance(source, str) and not Path(source).exists():
+            source = source.rpartition(":")[0]  # FILE:NAME
+        files[f"--{name}"] = Path(source) if source else None
+    return {name: path for name, path in files.items() if path is not None}
 
+
+def _check_outputs(output: PairOutput, files_read: dict[str, Path]) -> None:
+    """Raise before the work where its results could not be written, or would destroy its input."""
+    from epi360.report.files import check_distinct, check_figure_name, check_writable
+
+    written = {"--json": output.json, "--figure": output.figure}
+    check_distinct({name: path for name, path in written.items() if path}, files_read)
     if output.json is not None:
         check_writable(output.json, name="--json")
     if output.figure is not None:

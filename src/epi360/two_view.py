@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +34,8 @@ from epi360.features.detection import (
     check_options,
 )
 
+# Key points are good to a third of a pixel; swapped fisheye cameras give two.
+_DOUBTFUL_NOISE_PX = 1.5
 # Fifteen to twenty inliers is what careful tools ask of an image pair.
 _IMAGE_OPTIONS = RansacOptions(min_num_inliers=15)
 # Of the 55 pairs of a real sequence 2688 pixels wide, a first look at this width settles most, in a
@@ -161,7 +163,26 @@ def _estimated(
         options=_IMAGE_OPTIONS,
         seed=seed,
     )
-    return _with_keypoints(result, keypoints1, keypoints2)
+    return _with_keypoints(_doubted(result, views), keypoints1, keypoints2)
+
+
+def _doubted(result: RelativePoseResult, views: tuple[_View, _View]) -> RelativePoseResult:
+    """Add a warning where the noise is more than key points have."""
+    pixels = max(_noise_px(result.noise_deg, view.camera) for view in views)
+    if not result.success or pixels < _DOUBTFUL_NOISE_PX:
+        return result
+    warning = (
+        f"the matches agree only to {pixels:.1f} pixels (one sigma): do the cameras belong to "
+        "these images, in this order?"
+    )
+    return replace(result, warnings=(*result.warnings, warning))
+
+
+def _noise_px(noise_deg: float, camera: Camera) -> float:
+    """Noise in pixels at the middle of the image."""
+    middle = np.array([[camera.width / 2.0, camera.height / 2.0]])
+    scale = float(np.linalg.norm(camera.bearing_jacobians(middle)[0]) / 2.0**0.5)
+    return float(np.radians(noise_deg) / scale)
 
 
 def _is_precise(result: RelativePoseResult) -> bool:

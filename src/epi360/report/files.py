@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import os
+import stat
+from collections.abc import Mapping
 from pathlib import Path
 
 FIGURE_FORMATS = ("png", "jpg", "jpeg", "webp", "pdf", "svg")
@@ -22,16 +24,38 @@ def check_writable(path: str | os.PathLike[str], *, name: str = "path") -> None:
     Raises
     ------
     ValueError
-        If the path is a folder, or its folder is missing or not writable.
+        If the path is a folder or a read-only file, or its folder is missing or not writable.
     """
     path = Path(path)
     if path.is_dir():
         raise ValueError(f"{name} must be a file, {path} is a folder")
     if not path.parent.is_dir():
         raise ValueError(f"{name}: folder {path.parent} does not exist; create it first")
+    if path.is_file() and not path.stat().st_mode & stat.S_IWUSR:
+        raise ValueError(f"{name}: {path} is read-only; choose another name")
     target = path if path.exists() and not path.is_file() else path.parent
     if not os.access(target, os.W_OK):
         raise ValueError(f"{name}: no permission to write to {target}")
+
+
+def check_distinct(outputs: Mapping[str, Path], inputs: Mapping[str, Path]) -> None:
+    """Raise if an output would replace an input or another output.
+
+    Parameters
+    ----------
+    outputs, inputs : mapping of str to path
+        By the name that a message calls them.
+
+    Raises
+    ------
+    ValueError
+        If two of them are one file, also by way of a link.
+    """
+    taken = {os.path.realpath(path): name for name, path in inputs.items()}
+    for name, path in outputs.items():
+        other = taken.setdefault(os.path.realpath(path), name)
+        if other != name:
+            raise ValueError(f"{name} must not be the file of {other}, got {path} for both")
 
 
 def check_figure_name(path: str | os.PathLike[str], *, name: str = "path") -> None:
