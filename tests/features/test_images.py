@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from real_data import is_picture
 
 from epi360.cameras import Equirectangular
 from epi360.features.images import (
@@ -336,6 +337,7 @@ def test_other_dark_borders_are_no_dual_fisheye(image):
 
 def test_no_real_panorama_is_taken_for_a_dual_fisheye(data_dir: Path):
     paths = [path for ext in ("jpg", "png") for path in data_dir.rglob(f"*.{ext}")]
+    paths = [path for path in paths if is_picture(path)]
     images = [image for path in paths if (image := read_image(path)).shape[1] == 2 * len(image)]
     assert images
     for image in images:
@@ -346,7 +348,7 @@ def test_no_real_panorama_is_taken_for_a_dual_fisheye(data_dir: Path):
 
 
 def test_dual_fisheye_frames_of_real_panoramas_are_recognised(data_dir: Path):
-    paths = sorted(data_dir.glob("theta_flat/images/*.jpg"))
+    paths = sorted(path for path in data_dir.glob("theta_flat/images/*.jpg") if is_picture(path))
     assert paths
     for path in paths:
         panorama = cv2.resize(read_image(path), (512, 256), interpolation=cv2.INTER_AREA)
