@@ -4,11 +4,10 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
 
-#include <cstring>
+#include <algorithm>
 #include <optional>
-#include <stdexcept>
+#include <vector>
 
 #include "core/eight_point.h"
 #include "core/essential.h"
@@ -59,6 +58,12 @@ RelativePose to_pose(const Matrix3& R, const Vector3& t) {
   return {to_matrix(R), Eigen::Map<const Eigen::Vector3d>(t.data())};
 }
 
+void check_jacobians(Residual residual, const Matches& m) {
+  if (residual == Residual::kTangentSampson && !m.has_jacobians() && m.size > 0) {
+    throw nb::value_error("tangent_sampson needs the Jacobians of both views");
+  }
+}
+
 Residual residual_named(const std::string& name) {
   if (name == "paper") return Residual::kPaper;
   if (name == "angular") return Residual::kAngular;
@@ -79,6 +84,11 @@ Loss loss_named(const std::string& name) {
 
 Matches matches_of(const Bearings& b1, const Bearings& b2, const std::optional<Weights>& weights,
                    const std::optional<Jacobians>& j1, const std::optional<Jacobians>& j2) {
+  const std::size_t n = b1.shape(0);
+  if (b2.shape(0) != n || (weights && weights->shape(0) != n) || (j1 && j1->shape(0) != n) ||
+      (j2 && j2->shape(0) != n)) {
+    throw nb::value_error("all arrays must have the same length");
+  }
   return make_matches(b1.data(), b2.data(), b1.shape(0), weights ? weights->data() : nullptr,
                       j1 ? j1->data() : nullptr, j2 ? j2->data() : nullptr);
 }
@@ -101,6 +111,7 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
   const Matches m = matches_of(b1, b2, weights, j1, j2);
   RefineOptions options;
   options.residual = residual_named(residual);
+  check_jacobians(options.residual, m);
   options.loss.loss = loss_named(loss);
   options.loss.scale = scale;
   options.max_iterations = max_iterations;
@@ -168,9 +179,11 @@ nb::dict estimate_binding(Bearings b1, Bearings b2, const std::string& residual,
   options.seed = seed;
   RobustResult result;
   const std::size_t n = b1.shape(0);
+  const Matches m = matches_of(b1, b2, weights, j1, j2);
+  check_jacobians(options.residual, m);
   {
     nb::gil_scoped_release unlocked;
-    result = estimate_relative_pose(matches_of(b1, b2, weights, j1, j2), options);
+    result = estimate_relative_pose(m, options);
   }
   return result_dict(std::move(result), n);
 }
@@ -183,9 +196,10 @@ NB_MODULE(_core, m) {
       "eight_point",
       [](Bearings b1, Bearings b2, std::optional<Weights> weights) {
         Eigen::Matrix3d E;
+        const Matches m = matches_of(b1, b2, weights, {}, {});
         {
           nb::gil_scoped_release unlocked;
-          E = eight_point(matches_of(b1, b2, weights, {}, {}));
+          E = eight_point(m);
         }
         return matrix(E);
       },
@@ -202,6 +216,7 @@ NB_MODULE(_core, m) {
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, const std::string& kind,
          std::optional<Jacobians> j1, std::optional<Jacobians> j2) {
         const Matches matches = matches_of(b1, b2, {}, j1, j2);
+        check_jacobians(residual_named(kind), matches);
         const RelativePose pose = to_pose(R, t);
         const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
         std::vector<double> r(matches.padded), front(matches.padded), J(5 * matches.padded);

@@ -2,6 +2,7 @@
 #include "essential_problem.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 
@@ -145,20 +146,17 @@ Candidate EssentialProblem::polish(const RelativePose& pose, int max_iterations,
 }
 
 void EssentialProblem::keep(const Candidate& candidate) {
-  for (Candidate& known : candidates_) {
-    if (!same_pose(known.pose, candidate.pose, 0.3 * kSameRotation, 0.3 * kSameDirection)) continue;
-    if (known.evidence >= candidate.evidence) return;
-    known = candidate;
-    break;
+  if (!std::isfinite(candidate.evidence)) return;
+  const auto same = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return same_pose(c.pose, candidate.pose, 0.3 * kSameRotation, 0.3 * kSameDirection);
+  });
+  if (same == candidates_.end()) {
+    candidates_.push_back(candidate);
+  } else if (same->evidence < candidate.evidence) {
+    *same = candidate;
   }
-  const auto better = [](const Candidate& a, const Candidate& b) {
-    return a.evidence > b.evidence;
-  };
-  const bool replaced =
-      std::any_of(candidates_.begin(), candidates_.end(),
-                  [&](const Candidate& c) { return c.evidence == candidate.evidence; });
-  if (!replaced) candidates_.push_back(candidate);
-  std::stable_sort(candidates_.begin(), candidates_.end(), better);
+  std::stable_sort(candidates_.begin(), candidates_.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.evidence > b.evidence; });
   if (candidates_.size() > 2 * kPoolSize) candidates_.pop_back();
 }
 

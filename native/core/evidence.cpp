@@ -58,6 +58,14 @@ double ChanceDensity::at(const RelativePose& pose, double range) const {
   return count / (static_cast<double>(shuffled_.size) * 2.0 * range);
 }
 
+double ChanceDensity::rotation_share(const Eigen::Matrix3d& R, double gate) const {
+  const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = R;
+  compute_rotation_residuals(shuffled_, rows.data(), residuals_.data());
+  double count = 1.0;
+  for (std::size_t i = 0; i < shuffled_.size; ++i) count += residuals_[i] < gate;
+  return count / static_cast<double>(shuffled_.size + 1);
+}
+
 double log10_false_alarms(int matches, int inliers, double probability, int sample_size) {
   if (inliers <= sample_size) return std::log10(10.0 * std::max(matches - sample_size, 1));
   const double p = std::min(std::max(probability, 1e-12), 1.0);

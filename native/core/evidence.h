@@ -18,6 +18,8 @@ class ChanceDensity {
  public:
   ChanceDensity(const Matches& m, Residual residual, std::uint64_t seed);
   double at(const RelativePose& pose, double range) const;
+  // Probability that a wrong match agrees with a rotation to within a gate (radians).
+  double rotation_share(const Eigen::Matrix3d& R, double gate) const;
 
  private:
   Residual residual_;

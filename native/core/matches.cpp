@@ -17,7 +17,7 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
   Matches m;
   m.size = n;
   m.padded = (n + Matches::kBlock - 1) / Matches::kBlock * Matches::kBlock;
-  // The padding match is a pair of orthogonal bearings: no residual divides by zero on it.
+  // The padding match counts nothing; residuals.cpp keeps all denominators above zero.
   fill(m.x1, m.padded, bearings1, n, 3, 0, 1.0);
   fill(m.y1, m.padded, bearings1, n, 3, 1, 0.0);
   fill(m.z1, m.padded, bearings1, n, 3, 2, 0.0);

@@ -4,6 +4,8 @@
 // Only for files without Eigen, which chooses its vector code by preprocessor.
 #pragma once
 
+#include <climits>  // declares __GLIBC__ where there is one
+
 #if defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__) && defined(__GNUC__) && \
     !defined(__clang__) && __GNUC__ >= 12
 #define EPI360_MULTIVERSION __attribute__((target_clones("arch=x86-64-v3", "default")))

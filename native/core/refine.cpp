@@ -2,6 +2,7 @@
 #include "refine.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <array>
 
 #include "mixture.h"
@@ -230,7 +231,7 @@ LossModel fit_mixture(const Matches& m, const double* residuals, const double* f
   double total = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     total += m.weight[i];
-    if (front[i] < 0.5) continue;
+    if (front[i] < 0.5 || !std::isfinite(residuals[i])) continue;
     const double octave = std::log2(std::abs(residuals[i]) / kFirstBin + 1e-30);
     const int b = static_cast<int>(kBinsPerOctave * octave);
     if (b < kBins) counts[std::max(b, 0)] += m.weight[i];

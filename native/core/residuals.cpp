@@ -11,7 +11,9 @@ namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-constexpr double kTiny = 1e-300;  // keeps 0 / 0 out of residuals at an epipole
+// Least squared denominator: at an epipole residual and Jacobian stay finite, and their product
+// with a weight of zero is zero.
+constexpr double kLeast = 1e-20;
 
 // All residuals are C / sqrt(D) with C = t . (a x b), a = R b1, b = b2:
 //   paper, signed sine (eq. 13)       D = |t x a|^2
@@ -42,6 +44,8 @@ EPI360_INLINE Geometry geometry_of(const Matches& m, const PlainPose& p, std::si
 }
 
 EPI360_INLINE double lesser(double a, double b) { return a < b ? a : b; }
+
+EPI360_INLINE double at_least(double squared) { return squared > kLeast ? squared : kLeast; }
 
 // The smaller of two numbers with the signs of the depths: parallax of the wrong sign, in radians,
 // where it is negative.
@@ -97,7 +101,7 @@ EPI360_INLINE void residual_loop(const Matches& m, const PlainPose& pose, double
   for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const Geometry g = geometry_of(m, p, start + j);
-      r[j] = g.C / std::sqrt(squared_denominator<kind>(m, p, g, start + j) + kTiny);
+      r[j] = g.C / std::sqrt(at_least(squared_denominator<kind>(m, p, g, start + j)));
       f[j] = depth_margin(g) > -tolerance ? 1.0 : 0.0;
     }
     std::copy(r, r + kBlock, residuals + start);
@@ -155,7 +159,7 @@ EPI360_INLINE JacobianRow jacobian_row(const Matches& m, const PlainPose& p, con
     ht[1] = -g.ta * g.ay - tb * g.by - C2 * cy;
     ht[2] = -g.ta * g.az - tb * g.bz - C2 * cz;
   }
-  const double inverse = 1.0 / std::sqrt(D + kTiny);
+  const double inverse = 1.0 / std::sqrt(at_least(D));
   const double s = g.C * inverse, share = s * inverse;  // C / D
   out.residual = s;
   const double gx = inverse * (cx - share * ht[0]), gy = inverse * (cy - share * ht[1]),
@@ -223,7 +227,7 @@ EPI360_INLINE double score_loop(const Matches& m, const PlainPose& pose, const G
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
       const Geometry g = geometry_of(m, p, i);
-      const double D = squared_denominator<kind>(m, p, g, i) + kTiny;
+      const double D = at_least(squared_denominator<kind>(m, p, g, i));
       cost[j] = m.weight[i] * truncated_mean(g.C * g.C / D, depth_margin(g), gates, several);
     }
     total += block_sum(cost);

@@ -18,7 +18,7 @@ struct PlainPose {
 };
 
 // residuals[i] for every match, padding included. `front[i]` is 1 where both depths are positive
-// up to `tolerance` radians of parallax (see in_front), else 0; null if not wanted.
+// up to `tolerance` radians of parallax (see in_front), else 0.
 void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double tolerance,
                        double* residuals, double* front);
 
@@ -27,12 +27,13 @@ void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, d
 void compute_jacobians(const Matches& m, Residual kind, const PlainPose& pose, const double* basis,
                        double tolerance, double* residuals, double* front, double* jacobian);
 
-// Sum over matches of weight * mean over gates of min(residual^2 / gate^2, 1); a match behind
-// either camera by more than a gate costs 1 there. Stops early with a value above `limit`.
+// With one gate or four. Sum over matches of weight * mean over gates of min(residual^2 / gate^2,
+// 1); a match behind either camera by more than a gate costs 1 there. Stops early with a value
+// above `limit`.
 double truncated_score(const Matches& m, Residual kind, const PlainPose& pose, const double* gates,
                        int num_gates, double limit);
 
-// Mean over one gate of min((angle / sqrt 2)^2 / gate^2, 1) for a rotation: the Sampson distance to
+// The same of min((angle / sqrt 2)^2 / gate^2, 1) for a rotation: the Sampson distance to
 // b2 = R b1 when both views carry noise.
 double truncated_rotation_score(const Matches& m, const double* R, const double* gates,
                                 int num_gates, double limit);

@@ -2,6 +2,7 @@
 #include "robust.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -23,12 +24,13 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // follows the logarithm of the residual, so no scale is preferred.
 const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * kDegree,
                                         4.0 * kDegree};
-constexpr int kScaleRounds = 3;            // re-sampling rounds while the gate still moves
-constexpr double kGateSettled = 1.25;      // ratio of successive gates that counts as settled
-constexpr double kRotationShare = 0.85;    // real pure rotations: >= 0.99, real motion: <= 0.69
-constexpr double kFalseAlarms = -3.0;      // log10; accepted below
-constexpr double kPlaneShare = 0.9;        // of the inliers on one plane
-constexpr double kPlaneSpread = 3.0;       // standard deviations of the log-likelihood ratio
+constexpr int kScaleRounds = 3;          // re-sampling rounds while the gate still moves
+constexpr double kGateSettled = 1.25;    // ratio of successive gates that counts as settled
+constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
+constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
+constexpr double kFalseAlarms = -3.0;    // log10; accepted below
+constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
+constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
 constexpr double kSmallestParallax = 2.5;  // in noise; on real pairs directions are wrong below 3
 constexpr double kRivalEvidence = -6.0;    // a second pose this likely (log) makes a pair ambiguous
 constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
@@ -100,19 +102,20 @@ int sample_poses(const RobustOptions& options, EssentialProblem& problem, Random
   return result.num_iterations;
 }
 
-// The rotation that explains most matches; its inliers within the gate.
-double best_rotation(const Matches& m, double gate, Random& random, Eigen::Matrix3d* R,
-                     std::vector<double>* residuals) {
-  RotationProblem problem(m, {gate, 3.0 * gate});
+// The rotation that explains most matches, its residuals, and the number of matches within the
+// gate.
+int best_rotation(const Matches& m, double gate, Random& random, Eigen::Matrix3d* R,
+                  std::vector<double>* residuals) {
+  RotationProblem problem(m, {gate, 1.5 * gate, 2.2 * gate, 3.0 * gate});
   const LoopOptions loop{20, 500, 0.999};
   LoopResult<RotationProblem> result;
   ransac(problem, static_cast<std::uint32_t>(m.size), loop, random, result);
-  if (!result.found()) return 0.0;
-  *R = result.model;
+  // Samples of nearly equal bearings fix no rotation; all of them together may.
+  *R = result.found() ? result.model : align_rotations(m, m.weight.data());
   problem.count_within(*R, gate);
   *residuals = problem.residuals();
   residuals->resize(m.size);
-  return static_cast<double>(
+  return static_cast<int>(
       std::count_if(residuals->begin(), residuals->end(), [&](double r) { return r < gate; }));
 }
 
@@ -250,19 +253,19 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   const int n = static_cast<int>(m.size);
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> rotation_residuals;
-  const double turned = best_rotation(m, gate, random, &R, &rotation_residuals);
-  out.rotation_share = turned / std::max(support, 1);
+  const int turned = best_rotation(m, gate, random, &R, &rotation_residuals);
+  out.rotation_share = static_cast<double>(turned) / std::max(support, 1);
+  const ChanceDensity chance(m, options.residual, options.seed);
   if (turned >= kRotationShare * support &&
-      log10_false_alarms(n, static_cast<int>(turned), gate * gate, 2) < kFalseAlarms) {
+      log10_false_alarms(n, turned, chance.rotation_share(R, gate), 2) < kFalseAlarms) {
     set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
     return;
   }
-  const ChanceDensity chance(m, options.residual, options.seed);
-  const double density = candidates.empty()
-                             ? kTypicalDensity
-                             : chance.at(out.pose, std::max(4.0 * kDegree, 2.0 * gate));
-  out.chance_log10 = log10_false_alarms(n, support, 2.0 * gate * density, options.sample_size);
-  if (out.chance_log10 > kFalseAlarms) {
+  const double density =
+      candidates.empty() ? kTypicalDensity : chance.at(out.pose, std::max(kDegree, gate));
+  const double passing = 2.0 * gate * density;
+  out.chance_log10 = log10_false_alarms(n, support, passing, options.sample_size);
+  if (out.chance_log10 > kFalseAlarms || passing > kLargestChance) {
     out.status = Status::kTooFewInliers;
     return;
   }

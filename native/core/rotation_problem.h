@@ -2,7 +2,9 @@
 // Pure rotation as a problem for the RANSAC loop: two matches make a model.
 #pragma once
 
+#include <cstdint>
 #include <limits>
+#include <utility>
 #include <vector>
 
 #include "matches.h"

@@ -114,7 +114,8 @@ def relative_pose_of_images(
             features1, features2 = pool.map(lambda view, s=search: view.features(s), views)
         say("matching features and estimating the pose")
         result = _estimated(views, features1, features2, inlier_threshold_deg, seed)
-        if best is None or result.success or not best.success:
+        contradicted = result.status in ("pure_rotation", "planar_ambiguous")
+        if best is None or result.success or contradicted or not best.success:
             best = result
         if _is_precise(best) or (search.is_full and best.status in ("ok", "pure_rotation")):
             break

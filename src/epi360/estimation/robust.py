@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import index
 from typing import Literal
 
 import numpy as np
@@ -30,6 +31,7 @@ _MIN_MATCHES = 5
 # A wrong pose on real images rested on 5 of 48 cells while the matches covered 21; the poorest
 # right one covers 8 of 25. A lens that sees little covers little with all of its matches.
 _PATCH_CELLS, _PATCH_SHARE = 6 / 48, 0.35
+_PATCH_SPREAD = 0.03  # as of a cone of 28 degrees
 # Measured on real pairs: directions are wrong under about 3 times the noise, good from 6 to 7.
 _PARALLAX_PER_NOISE = 6.0
 # The one-sided residuals see the noise of both views at once.
@@ -39,6 +41,15 @@ _NOISE_PER_RESIDUAL = {
     "sampson": 1.0,
     "tangent_sampson": 1.0,
 }
+
+
+@dataclass(frozen=True)
+class _Support:
+    """How many matches agree, and from how much of the sphere."""
+
+    num_distinct: int
+    spread: float
+    spread_of_matches: float
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,9 @@ class RansacOptions:
             raise ValueError(
                 f"minimal_solver must be five_point or eight_point, got {self.minimal_solver!r}"
             )
+        for name in ("min_iterations", "max_iterations", "min_num_inliers"):
+            if not isinstance(getattr(self, name), (int, np.integer)):
+                raise ValueError(f"{name} must be an integer, got {getattr(self, name)!r}")
         if not 1 <= self.min_iterations <= self.max_iterations:
             raise ValueError(
                 "1 <= min_iterations <= max_iterations must hold, got "
@@ -163,14 +177,18 @@ def estimate_relative_pose(
         min_iterations=options.min_iterations,
         max_iterations=options.max_iterations,
         confidence=options.confidence,
-        seed=seed % 2**64,
+        seed=index(seed) % 2**64,
         weights=None if w is None else w[usable],
         jacobians1=None if J1 is None else J1[usable],
         jacobians2=None if J2 is None else J2[usable],
     )
     inliers = np.flatnonzero(usable)[found["inlier"].astype(bool)]
-    distinct = _num_distinct(b1[inliers], b2[inliers])
-    return _result(found, usable, distinct, residual, options)
+    support = _Support(
+        _num_distinct(b1[inliers], b2[inliers]),
+        min(_spread(b1[inliers]), _spread(b2[inliers])),
+        min(_spread(b1[usable]), _spread(b2[usable])),
+    )
+    return _result(found, usable, support, residual, options)
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:
@@ -235,7 +253,7 @@ def _failure(status: Status, num_matches: int, threshold_rad: float) -> Relative
 def _result(
     found: _core._RobustResult,
     usable: NDArray[np.bool_],
-    distinct: int,
+    support: _Support,
     residual: str,
     options: RansacOptions,
 ) -> RelativePoseResult:
@@ -243,7 +261,7 @@ def _result(
     inlier_mask[usable] = found["inlier"].astype(bool)
     residuals = np.full(len(usable), np.nan)
     residuals[usable] = found["residuals"]
-    status = _status(found, distinct, options)
+    status = _status(found, support, options)
     share = 1.0 if status == "pure_rotation" else _NOISE_PER_RESIDUAL[residual]
     pose = _pose(found, status)
     determined = status in ("ok", "planar_ambiguous")
@@ -251,7 +269,7 @@ def _result(
     if status == "too_few_inliers":
         alternatives = ()
     elif status == "concentrated_inliers":
-        alternatives = (Pose(found["rotation"], found["translation"]), *alternatives)
+        alternatives = (_pose(found, _STATUSES[found["status"]]), *alternatives)
     return RelativePoseResult(
         cam2_from_cam1=pose,
         E=essential_from_pose(pose) if determined else np.full((3, 3), np.nan),
@@ -282,12 +300,19 @@ def _num_distinct(b1: Array, b2: Array) -> int:
     return len(np.unique(projected.round(12)))
 
 
-def _status(found: _core._RobustResult, num_inliers: int, options: RansacOptions) -> Status:
+def _spread(bearings: Array) -> float:
+    """One minus the length of the mean bearing: 0 for one direction, 0.06 for a cone of 40°."""
+    return 1.0 - float(np.linalg.norm(bearings.mean(axis=0))) if len(bearings) else 0.0
+
+
+def _status(found: _core._RobustResult, support: _Support, options: RansacOptions) -> Status:
     status = _STATUSES[found["status"]]
-    if status not in ("ok", "planar_ambiguous"):
+    if status not in ("ok", "planar_ambiguous", "pure_rotation"):
         return status
-    if num_inliers < options.min_num_inliers:
+    if support.num_distinct < options.min_num_inliers:
         return "too_few_inliers"
+    if support.spread < _PATCH_SPREAD and support.spread < 0.2 * support.spread_of_matches:
+        return "concentrated_inliers"  # also at a pole, which is a corner of many cells
     patch = found["coverage"] <= _PATCH_CELLS
     if patch and found["coverage"] < _PATCH_SHARE * found["match_coverage"]:
         return "concentrated_inliers"

@@ -189,10 +189,13 @@ class _Found:
         )
 
 
+_NOTHING = _Found(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
+
+
 def _searched(sift: cv2.Feature2D, view: View) -> _Found:
     points, descriptors = sift.detectAndCompute(view.picture, view.mask)
     if not points:
-        return _Found(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
+        return _NOTHING
     table = np.array([(*p.pt, p.size, p.response) for p in points])
     pixels = table[:, :2] + 0.5  # OpenCV puts pixel centres at integers
     moved, own, relative = view.to_image(pixels)
@@ -206,6 +209,8 @@ def _merged(parts: list[_Found], camera: Camera, pixel: float) -> _Found:
 
     Twins would be each other's runner-up and fail the ratio test.
     """
+    if not parts:
+        return _NOTHING
     merged = parts[0]
     for part in parts[1:]:
         fresh = ~_repeated(part, merged, camera, pixel)
