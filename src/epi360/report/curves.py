@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.epipolar import sampson_residuals
 from epi360.estimation.result import RelativePoseResult
 
 # A quarter of a degree: 0.7 px of a panorama 1024 px wide.
@@ -85,12 +86,7 @@ def match_residuals_deg(
         sine = np.linalg.norm(np.cross(turned, bearings2), axis=1)
         angles = np.arctan2(sine, (turned * bearings2).sum(axis=1))
         return np.asarray(np.degrees(angles / np.sqrt(2.0)))
-    normals2, normals1 = bearings1 @ result.E.T, bearings2 @ result.E
-    error = (normals2 * bearings2).sum(axis=1)
-    # Gradients by b1 and b2 within the tangent planes of the sphere.
-    squared = (normals1**2).sum(axis=1) + (normals2**2).sum(axis=1) - 2.0 * error**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.degrees(np.abs(error) / np.sqrt(squared)))
+    return np.degrees(np.abs(sampson_residuals(result.E, bearings1, bearings2)))
 
 
 def spread_matches(
