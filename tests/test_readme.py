@@ -24,7 +24,8 @@ import pytest
 import epi360
 from epi360 import cli
 from epi360.cameras import load_cameras
-from epi360.cameras.calibration import COLMAP_MODELS, MODELS
+from epi360.cameras.calibration.colmap import SUPPORTED as COLMAP_MODELS
+from epi360.cameras.calibration.own import MODELS
 from epi360.estimation import Status
 from epi360.synthetic import demo_pair
 

@@ -10,20 +10,31 @@ if TYPE_CHECKING:
     from epi360 import epipolar
     from epi360.cameras import (
         Camera,
+        DoubleSphere,
         Equirectangular,
+        ExtendedUnified,
         KannalaBrandt,
         Pinhole,
+        UnifiedCamera,
         load_camera,
         load_cameras,
     )
-    from epi360.epipolar import eight_point, pose_from_essential, triangulate
+    from epi360.epipolar import (
+        Stability,
+        pose_from_essential,
+        stability,
+        triangulate,
+    )
     from epi360.estimation import (
         ImagePairResult,
         RansacOptions,
         RefinementResult,
         RelativePoseResult,
+        eight_point,
         estimate_relative_pose,
+        paper_pose,
         refine_pose,
+        residual_weights,
     )
     from epi360.features import (
         Features,
@@ -42,20 +53,31 @@ if TYPE_CHECKING:
 _HOMES = {
     "epi360.cameras": (
         "Camera",
+        "DoubleSphere",
         "Equirectangular",
+        "ExtendedUnified",
         "KannalaBrandt",
         "Pinhole",
+        "UnifiedCamera",
         "load_camera",
         "load_cameras",
     ),
-    "epi360.epipolar": ("eight_point", "pose_from_essential", "triangulate"),
+    "epi360.epipolar": (
+        "Stability",
+        "pose_from_essential",
+        "stability",
+        "triangulate",
+    ),
     "epi360.estimation": (
         "ImagePairResult",
         "RansacOptions",
         "RefinementResult",
         "RelativePoseResult",
+        "eight_point",
         "estimate_relative_pose",
+        "paper_pose",
         "refine_pose",
+        "residual_weights",
     ),
     "epi360.features": (
         "Features",
@@ -73,7 +95,9 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Camera",
+    "DoubleSphere",
     "Equirectangular",
+    "ExtendedUnified",
     "Features",
     "ImagePairResult",
     "KannalaBrandt",
@@ -82,7 +106,9 @@ __all__ = [
     "RansacOptions",
     "RefinementResult",
     "RelativePoseResult",
+    "Stability",
     "Tracks",
+    "UnifiedCamera",
     "eight_point",
     "epipolar",
     "estimate_relative_pose",
@@ -90,12 +116,15 @@ __all__ = [
     "load_camera",
     "load_cameras",
     "match_features",
+    "paper_pose",
     "pose_from_essential",
     "read_image",
     "read_mask",
     "refine_pose",
     "relative_pose_of_images",
+    "residual_weights",
     "rotation_error_deg",
+    "stability",
     "track_features",
     "translation_error_deg",
     "triangulate",

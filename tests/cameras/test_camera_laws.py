@@ -6,7 +6,14 @@ import pickle
 import numpy as np
 import pytest
 
-from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
+from epi360.cameras import (
+    DoubleSphere,
+    Equirectangular,
+    ExtendedUnified,
+    KannalaBrandt,
+    Pinhole,
+    UnifiedCamera,
+)
 
 CAMERAS = {
     "panorama": Equirectangular(1024, 512),
@@ -19,7 +26,22 @@ CAMERAS = {
         1000, 1000, 240, 240, 500, 500, 0.02, max_angle_deg=110
     ),
     "plain fisheye": KannalaBrandt(2000, 2000, 300, 300, 1000, 1000),
+    "unified": UnifiedCamera(512, 512, 380, 381, 255, 257, 0.9),
+    "unified with distortion": UnifiedCamera(
+        512, 512, 380, 381, 255, 257, 0.9, -0.1, 0.03, 1e-3, -2e-3
+    ),
+    "mirror": UnifiedCamera(1000, 800, 700, 700, 500, 400, 2.0, -0.2, 0.1, 1e-3, 5e-4),
+    "sphere": UnifiedCamera(800, 800, 200, 200, 400, 400, 1.0),
+    "pinhole with distortion": UnifiedCamera(
+        640, 480, 300, 301, 322, 238, 0, -0.3, 0.1, 1e-3, 2e-3
+    ),
+    "pinhole that folds": UnifiedCamera(640, 480, 300, 301, 322, 238, 0, -0.3, 0, 1e-3, 2e-3),
+    "extended unified": ExtendedUnified(800, 800, 250, 251, 401, 399, 0.6, 1.2),
+    "extended unified of a plane": ExtendedUnified(800, 800, 250, 251, 401, 399, 0.3, 0.8),
+    "double sphere": DoubleSphere(800, 800, 240, 241, 401, 399, -0.2, 0.58),
+    "double sphere of a plane": DoubleSphere(800, 800, 240, 241, 401, 399, 0.3, 0.4),
 }
+PANORAMAS_AND_PINHOLES = (Equirectangular, Pinhole)  # have a ray at every pixel of the image
 every_camera = pytest.mark.parametrize("camera", CAMERAS.values(), ids=CAMERAS)
 
 
@@ -29,7 +51,7 @@ def pixels_in_the_field_of_view(camera, seed=0, count=2000):
     pixels = rng.uniform((0, 0), (camera.width, camera.height), (count, 2))
     center = (camera.width / 2, camera.height / 2)
     has_ray = ~np.isnan(camera.bearings_from_pixels(center + 1.01 * (pixels - center))[:, 0])
-    return pixels[has_ray] if isinstance(camera, KannalaBrandt) else pixels
+    return pixels if isinstance(camera, PANORAMAS_AND_PINHOLES) else pixels[has_ray]
 
 
 def corners(camera):
@@ -50,7 +72,7 @@ def test_pixel_to_bearing_to_pixel_is_the_identity(camera):
 def test_directions_survive_the_pixel_at_seam_poles_and_corners(camera):
     bearings = camera.bearings_from_pixels(corners(camera))
     bearings = bearings[~np.isnan(bearings[:, 0])]
-    assert len(bearings) or isinstance(camera, KannalaBrandt)
+    assert len(bearings) or not isinstance(camera, PANORAMAS_AND_PINHOLES)
     again = camera.bearings_from_pixels(camera.pixels_from_bearings(bearings))
     np.testing.assert_allclose(again, bearings, atol=1e-12)
 
@@ -176,8 +198,25 @@ def test_numpy_numbers_are_numbers():
     assert type(camera.width) is int and type(camera.fx) is float
 
 
-@pytest.mark.parametrize("model", [Pinhole, KannalaBrandt])
-@pytest.mark.parametrize("focal_length", [0, -300])
+@pytest.mark.parametrize("value", [1e13, -1e300, 10**400])
+def test_numbers_that_no_lens_has_are_refused(value):
+    with pytest.raises(ValueError, match=r"cx must be a finite number, got one above 1e\+12"):
+        Pinhole(640, 480, 300, 300, value, 240)
+    with pytest.raises(ValueError, match="width must be at most 10000000 pixels"):
+        Pinhole(10**8, 480, 300, 300, 320, 240)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Pinhole,
+        KannalaBrandt,
+        lambda *numbers: UnifiedCamera(*numbers, 0.9),
+        lambda *numbers: ExtendedUnified(*numbers, 0.6, 1.1),
+        lambda *numbers: DoubleSphere(*numbers, -0.2, 0.6),
+    ],
+)
+@pytest.mark.parametrize("focal_length", [0, -300, 1e-300])
 def test_focal_lengths_must_be_positive(model, focal_length):
     with pytest.raises(ValueError, match="fy must be positive"):
         model(640, 480, 300, focal_length, 320, 240)

@@ -11,6 +11,10 @@ from numbers import Integral, Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+# No lens has larger or smaller numbers; within these bounds nothing overflows in the formulas.
+LARGEST_SIZE = 10**7
+LARGEST_NUMBER = 1e12
+SMALLEST_POSITIVE = 1e-9
 BORDER_TOLERANCE_PX = 1e-9  # a pixel on the border stays in the image after rounding
 
 
@@ -41,7 +45,7 @@ class Camera(ABC):
             value = getattr(self, field.name)
             if value is None and field.default is None:
                 continue
-            converted = _size if field.name in ("width", "height") else _finite_number
+            converted = checked_size if field.name in ("width", "height") else _finite_number
             object.__setattr__(self, field.name, converted(value, field.name))
 
     def bearings_from_pixels(self, pixels: ArrayLike) -> NDArray[np.float64]:
@@ -141,20 +145,29 @@ class Camera(ABC):
 def check_positive(camera: Camera, *names: str) -> None:
     """Raise ``ValueError`` if one of these parameters of ``camera`` is not positive."""
     for name in names:
-        if getattr(camera, name) <= 0:
+        if getattr(camera, name) < SMALLEST_POSITIVE:
             raise ValueError(f"{name} must be positive, got {getattr(camera, name)}")
 
 
-def _size(value: object, name: str) -> int:
+def checked_size(value: object, name: str) -> int:
+    """Size in pixels as an int; ``ValueError`` if it is none."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value <= 0:
         raise ValueError(f"{name} must be a positive integer number of pixels, got {value!r}")
-    return int(value)
+    size = int(value)
+    if size > LARGEST_SIZE:
+        raise ValueError(f"{name} must be at most {LARGEST_SIZE} pixels, got more")
+    return size
 
 
 def _finite_number(value: object, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, Real) or not np.isfinite(float(value)):
+    if isinstance(value, bool) or not isinstance(value, Real):
         raise ValueError(f"{name} must be a finite number, got {value!r}")
-    return float(value)
+    number = int(value) if isinstance(value, Integral) else float(value)
+    if not abs(number) <= LARGEST_NUMBER:
+        too_large = isinstance(number, int) or np.isfinite(number)  # integers have no infinity
+        got = f"one above {LARGEST_NUMBER:g}" if too_large else repr(number)
+        raise ValueError(f"{name} must be a finite number, got {got}")
+    return float(number)
 
 
 def _finite_columns(array: ArrayLike, count: int, name: str) -> list[NDArray[np.float64]]:

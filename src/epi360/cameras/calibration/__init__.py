@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Calibration files to cameras; the format is found from the content."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from epi360.cameras.base import Camera
+from epi360.cameras.calibration import basalt, colmap, fields, kalibr, opensfm, own
+from epi360.cameras.calibration.document import read_document
+from epi360.cameras.calibration.kalibr import KalibrCamera, load_kalibr_rig
+
+__all__ = ["KalibrCamera", "load_camera", "load_cameras", "load_kalibr_rig"]
+
+Format = tuple[Callable[[Any], bool], Callable[[Any], dict[str, Camera]]]
+FORMATS: tuple[Format, ...] = tuple(
+    (module.fits, module.read) for module in (own, kalibr, basalt, colmap, opensfm)
+)
+
+
+def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
+    """Read the cameras of a calibration file; the format is found from the content.
+
+    Parameters
+    ----------
+    path : path-like
+        One of
+
+        - our own YAML or JSON: ``{model: KannalaBrandt, width: ..., ...}`` with the parameter names
+          of the class, or ``{cameras: {name: {model: ...}}}``;
+        - a Kalibr camchain: pinhole (equidistant, radtan or no distortion), omni (radtan or none),
+          eucm, ds;
+        - a calibration of basalt (JSON): pinhole, kb4, ucm, eucm, ds;
+        - COLMAP's ``cameras.txt``: panoramas, pinhole, radial, fisheye, ``OPENCV``,
+          ``OPENCV_FISHEYE``, ``EUCM``;
+        - OpenSfM's ``camera_models.json``: perspective, radial, brown without k3, fisheye,
+          fisheye_opencv, spherical.
+
+        Principal points of Kalibr and basalt get the 0.5 of our pixel convention.
+
+    Returns
+    -------
+    cameras : dict of str to Camera
+        In the order of the file. A single unnamed camera is called "camera"; COLMAP's are called
+        by their id, basalt's "cam0", "cam1" and so on.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file cannot be read as one of the formats, or uses a model or a parameter that is
+        not supported.
+    """
+    path = Path(path)
+    document = read_document(path)
+    for fits, read in FORMATS:
+        if fits(document):
+            try:
+                return read(document)
+            except ValueError as error:
+                raise fields.in_file(path, error) from None
+    raise ValueError(
+        f"calibration file {path} has no cameras that epi360 can read; it reads mappings with "
+        "'model' or 'cameras', Kalibr camchains, basalt's JSON, COLMAP's cameras.txt and OpenSfM's "
+        "camera_models.json"
+    )
+
+
+def load_camera(path: str | os.PathLike[str]) -> Camera:
+    """Read the one camera of a calibration file.
+
+    Parameters
+    ----------
+    path : path-like
+        A file that `load_cameras` reads and that holds a single camera.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file cannot be read, or holds several cameras.
+    """
+    cameras = load_cameras(path)
+    if len(cameras) > 1:
+        raise ValueError(
+            f"calibration file {path} must hold one camera, got {len(cameras)}: "
+            f"{', '.join(cameras)}; take one with load_cameras"
+        )
+    return next(iter(cameras.values()))

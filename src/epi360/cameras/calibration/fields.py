@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of a parsed calibration file, checked: numbers, keys, one camera an entry."""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from epi360.cameras.base import Camera
+
+OPENCV_TO_CONTINUOUS = 0.5  # OpenCV, Kalibr and basalt put the centre of the first pixel at 0
+
+SHORT = reprlib.Repr()
+SHORT.maxlevel, SHORT.maxstring, SHORT.maxother = 2, 60, 60
+
+T = TypeVar("T")
+Model = Callable[..., Camera]  # a camera class, called with what the file says
+
+
+def each(entries: Any, read: Callable[[Mapping[str, Any]], T]) -> dict[str, T]:
+    """What ``read`` makes of each entry of a mapping; its errors name the camera."""
+    if not isinstance(entries, Mapping) or not entries:
+        raise ValueError("cameras must be a mapping of names to cameras, with one at least")
+    cameras: dict[str, T] = {}
+    for name, entry in entries.items():
+        if not isinstance(entry, Mapping):
+            raise ValueError(f"camera {name} must be a mapping, got {shortened(entry)}")
+        try:
+            cameras[str(name)] = read(entry)
+        except ValueError as error:
+            raise ValueError(f"camera {name}: {error}") from None
+    return cameras
+
+
+def check_has(entry: Mapping[str, Any], needed: Iterable[str]) -> None:
+    """Raise ``ValueError`` unless the entry has all of these keys."""
+    missing = [key for key in needed if key not in entry]
+    if missing:
+        raise ValueError(f"missing keys: {', '.join(missing)}")
+
+
+def numbers(values: Any, count: int, name: str) -> list[Any]:
+    """``count`` numbers of a list; what is no number is left for the camera to refuse."""
+    if not isinstance(values, list) or len(values) != count:
+        raise ValueError(f"{name} must be {count} numbers, got {shortened(values)}")
+    return [number(value) for value in values]
+
+
+def real_numbers(values: Any, count: int, name: str) -> list[float]:
+    """``count`` numbers of a list to calculate with."""
+    return [real_number(value, name) for value in numbers(values, count, name)]
+
+
+def real_number(value: Any, name: str) -> float:
+    """Value as a number to calculate with."""
+    converted = number(value)
+    if isinstance(converted, bool) or not isinstance(converted, int | float):
+        raise ValueError(f"{name} must be a number, got {shortened(value)}")
+    try:
+        return float(converted)
+    except OverflowError:
+        raise ValueError(f"{name} must be a finite number, got {shortened(value)}") from None
+
+
+def number(value: Any) -> Any:
+    """Value with numbers in it read: YAML takes 1e-3 for text, having no point."""
+    if not isinstance(value, str):
+        return value
+    try:
+        return int(value) if value.isdecimal() else float(value)
+    except ValueError:
+        return value  # the camera names the parameter when it refuses this
+
+
+def in_file(path: Path, error: ValueError) -> ValueError:
+    """Error that names the file, in one line whatever names the file has."""
+    return ValueError(" ".join(f"calibration file {path}: {error}".split()))
+
+
+def unsupported(what: str, supported: str) -> ValueError:
+    """Error for a model that no camera of ours is equal to."""
+    return ValueError(f"{what} is not supported; supported: {supported}")
+
+
+def shortened(value: Any) -> str:
+    """Text of a value that fits an error message, however large the value is."""
+    return SHORT.repr(value)

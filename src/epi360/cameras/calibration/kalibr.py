@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Kalibr's camchain: camera models, distortions and where the cameras sit on the IMU.
+
+Layout and the order of the numbers: https://github.com/ethz-asl/kalibr/wiki/yaml-formats and
+https://github.com/ethz-asl/kalibr/wiki/supported-models.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from epi360.cameras.base import Camera
+from epi360.cameras.calibration import fields
+from epi360.cameras.calibration.document import read_document
+from epi360.cameras.double_sphere import DoubleSphere
+from epi360.cameras.extended_unified import ExtendedUnified
+from epi360.cameras.kannala_brandt import KannalaBrandt
+from epi360.cameras.pinhole import Pinhole
+from epi360.cameras.unified import UnifiedCamera
+from epi360.poses import Pose
+
+# camera_model, distortion_model: our model and its parameters that Kalibr leaves out. The rest of
+# the parameters are in Kalibr's order once the focal lengths and the centre come first.
+MODELS: dict[tuple[str, str], tuple[fields.Model, tuple[float, ...]]] = {
+    ("pinhole", "none"): (Pinhole, ()),
+    ("pinhole", "radtan"): (UnifiedCamera, (0.0,)),
+    ("pinhole", "equidistant"): (KannalaBrandt, ()),
+    ("omni", "none"): (UnifiedCamera, ()),
+    ("omni", "radtan"): (UnifiedCamera, ()),
+    ("eucm", "none"): (ExtendedUnified, ()),
+    ("ds", "none"): (DoubleSphere, ()),
+}
+NUM_INTRINSICS = {"pinhole": 4, "omni": 5, "eucm": 6, "ds": 6}
+NUM_COEFFICIENTS = {"none": 0, "radtan": 4, "equidistant": 4}
+SUPPORTED = ", ".join("-".join(key) for key in MODELS)
+
+
+class KalibrCamera(NamedTuple):
+    """Camera of a Kalibr camchain and where it sits on the IMU.
+
+    Parameters
+    ----------
+    camera : Camera
+    cam_from_imu : Pose or None
+        Kalibr's ``T_cam_imu``, which maps points from the IMU to the camera; metres. None where
+        the file does not say.
+    """
+
+    camera: Camera
+    cam_from_imu: Pose | None
+
+
+def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
+    """Read the cameras of a Kalibr camchain with their poses on the IMU.
+
+    Parameters
+    ----------
+    path : path-like
+        A camchain that `load_cameras` reads.
+
+    Returns
+    -------
+    rig : dict of str to KalibrCamera
+        By name, in the order of the file. ``cam_from_imu`` is ``T_cam_imu``; without it, the
+        camera before and ``T_cn_cnm1``; without that, None.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is no Kalibr camchain, uses a model that is not supported, or has a matrix
+        that is not a rigid transform.
+    """
+    path = Path(path)
+    document = read_document(path)
+    if not fits(document):
+        raise ValueError(
+            f"calibration file {path} must be a Kalibr camchain: cameras with 'camera_model', "
+            "'intrinsics' and 'resolution'"
+        )
+    try:
+        return _placed(fields.each(_entries(document), _camera_and_poses))
+    except ValueError as error:
+        raise fields.in_file(path, error) from None
+
+
+def fits(document: Any) -> bool:
+    """Whether the content is a camchain."""
+    return isinstance(document, Mapping) and any(
+        isinstance(entry, Mapping) and "camera_model" in entry
+        for entry in (document, *document.values())
+    )
+
+
+def read(document: Mapping[str, Any]) -> dict[str, Camera]:
+    """Cameras of a camchain."""
+    return fields.each(_entries(document), _camera)
+
+
+def _entries(document: Mapping[str, Any]) -> dict[str, Any]:
+    if "camera_model" in document:
+        return {"camera": document}
+    return {
+        name: entry
+        for name, entry in document.items()
+        if (isinstance(entry, Mapping) and "camera_model" in entry) or str(name).startswith("cam")
+    }
+
+
+def _camera(entry: Mapping[str, Any]) -> Camera:
+    fields.check_has(entry, ["camera_model"])
+    camera_model = str(entry["camera_model"]).lower()
+    distortion_model = str(entry.get("distortion_model") or "none").lower()
+    if distortion_model == "equi":  # the name on Kalibr's command line
+        distortion_model = "equidistant"
+    if (camera_model, distortion_model) not in MODELS:
+        models = [fields.shortened(name) for name in (camera_model, distortion_model)]
+        wanted = "Kalibr camera_model {} with distortion_model {}".format(*models)
+        raise fields.unsupported(wanted, SUPPORTED)
+    fields.check_has(entry, ["intrinsics", "resolution"])
+    width, height = fields.numbers(entry["resolution"], 2, "resolution")
+    intrinsics = fields.real_numbers(
+        entry["intrinsics"], NUM_INTRINSICS[camera_model], f"intrinsics of {camera_model}"
+    )
+    *shape, fx, fy, cx, cy = intrinsics
+    cx, cy = cx + fields.OPENCV_TO_CONTINUOUS, cy + fields.OPENCV_TO_CONTINUOUS
+    model, left_out = MODELS[camera_model, distortion_model]
+    coefficients = _coefficients(entry, distortion_model)
+    return model(width, height, fx, fy, cx, cy, *left_out, *shape, *coefficients)
+
+
+def _coefficients(entry: Mapping[str, Any], distortion_model: str) -> list[Any]:
+    count = NUM_COEFFICIENTS[distortion_model]
+    if count:
+        fields.check_has(entry, ["distortion_coeffs"])
+        return fields.numbers(entry["distortion_coeffs"], count, "distortion_coeffs")
+    given = entry.get("distortion_coeffs") or []
+    if not isinstance(given, list) or any(fields.number(value) != 0 for value in given):
+        raise ValueError(
+            "distortion_coeffs must be empty without a distortion_model, "
+            f"got {fields.shortened(given)}"
+        )
+    return []
+
+
+def _camera_and_poses(
+    entry: Mapping[str, Any],
+) -> tuple[Camera, Pose | None, Pose | None]:
+    """Camera, its pose on the IMU, and from the camera before."""
+    return _camera(entry), _pose(entry, "T_cam_imu"), _pose(entry, "T_cn_cnm1")
+
+
+def _placed(
+    cameras: Mapping[str, tuple[Camera, Pose | None, Pose | None]],
+) -> dict[str, KalibrCamera]:
+    rig: dict[str, KalibrCamera] = {}
+    cam_from_imu: Pose | None = None  # of the camera before
+    for name, (camera, own_cam_from_imu, cam_from_before) in cameras.items():
+        if own_cam_from_imu is not None:
+            cam_from_imu = own_cam_from_imu
+        elif cam_from_before is None or cam_from_imu is None:
+            cam_from_imu = None
+        else:
+            cam_from_imu = cam_from_before @ cam_from_imu
+        rig[name] = KalibrCamera(camera, cam_from_imu)
+    return rig
+
+
+def _pose(entry: Mapping[str, Any], key: str) -> Pose | None:
+    if entry.get(key) is None:
+        return None
+    rows = entry[key]
+    if not isinstance(rows, list) or len(rows) != 4:
+        raise ValueError(f"{key} must be 4 rows of 4 numbers, got {fields.shortened(rows)}")
+    matrix = [fields.real_numbers(row, 4, f"a row of {key}") for row in rows]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers far beyond a rotation's
+            return Pose.from_matrix(matrix)
+    except ValueError as error:
+        raise ValueError(f"{key} must be a rigid transform: {error}") from None

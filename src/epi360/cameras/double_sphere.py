@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The double sphere camera of Usenko, Demmel and Cremers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from epi360.cameras.extended_unified import check_alpha, half_space, heights, largest_square
+from epi360.cameras.lifted import Array, LiftedCamera
+
+
+@dataclass(frozen=True)
+class DoubleSphere(LiftedCamera):
+    """Two unit spheres xi apart, the second seen by a shifted pinhole.
+
+    A unit direction is moved to ``q = (x, y, z + xi)``, and goes to
+    ``(q_x, q_y) / (alpha |q| + (1 - alpha) q_z)``. These are Kalibr's and basalt's ``ds``.
+    xi = 0 is `ExtendedUnified` with beta = 1; alpha = 0 is `UnifiedCamera` without distortion.
+
+    For alpha <= 0.5 any pixel has a ray; for alpha > 0.5 those within r^2 <= 1 / (2 alpha - 1) of
+    the principal point. The directions that are seen are exactly those of these pixels.
+
+    Parameters
+    ----------
+    width, height : int
+        Size of the image in pixels.
+    fx, fy : float
+        Focal lengths in pixels; on the axis a direction moves by fx / (1 + xi) pixels a radian.
+    cx, cy : float
+        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    xi : float
+        Distance of the spheres, between -1 and 1; mostly a small negative number.
+    alpha : float
+        From 0 to 1; a little over 0.5 in lenses of 180 degrees and more.
+
+    Raises
+    ------
+    ValueError
+        If a size or focal length is not positive, xi not in (-1, 1) or alpha not in [0, 1].
+
+    Notes
+    -----
+    Usenko, Demmel & Cremers, "The double sphere camera model", 3DV 2018, eq. 40-51. The paper
+    limits directions by z > -w2 with w2 = (w1 + xi) / sqrt(2 w1 xi + xi^2 + 1), which is not where
+    the pixels with a ray end unless xi = 0 or alpha = 0.5: it leaves out directions that have a
+    pixel, or lets in some of the other side. Here the limit is where q_z = -w1 |q|:
+    z = -xi (1 - w1^2) - w1 sqrt(1 - xi^2 (1 - w1^2)).
+    """
+
+    xi: float
+    alpha: float
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        check_alpha(self.alpha)
+        if not -1 < self.xi < 1:
+            raise ValueError(f"xi must be between -1 and 1, got {self.xi}")
+
+    @property
+    def _largest_square(self) -> float:
+        return largest_square(self.alpha, 1.0)
+
+    @property
+    def _lowest_z(self) -> float:
+        w = half_space(self.alpha)
+        rest = 1 - w * w
+        return float(-self.xi * rest - w * np.sqrt(1 - self.xi**2 * rest))
+
+    def _heights(self, squares: Array) -> tuple[Array, Array]:
+        # Back from the second sphere along q to the first: a line through a unit sphere.
+        z, z_slopes = heights(squares, self.alpha, 1.0)
+        squeeze = 1 - self.xi**2
+        roots = np.sqrt(z * z + squeeze * squares)
+        root_slopes = (z * z_slopes + squeeze / 2) / roots
+        return (z - self.xi * roots) / squeeze, (z_slopes - self.xi * root_slopes) / squeeze
+
+    def _depths(self, squares: Array, z: Array) -> Array:
+        q_z = z + self.xi
+        return self.alpha * np.sqrt(squares + q_z * q_z) + (1 - self.alpha) * q_z
