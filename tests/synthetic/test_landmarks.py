@@ -9,7 +9,8 @@ from epi360.synthetic import (
     sample_von_mises_fisher,
     two_view_scene,
 )
-from epi360.synthetic.landmarks import MIN_RANGE_M, rotation_from_euler
+from epi360.synthetic.landmarks import rotation_from_euler
+from epi360.synthetic.layouts import MIN_RANGE_M
 
 LAYOUTS = ["room", "sphere", "cone", "plane", "behind"]
 

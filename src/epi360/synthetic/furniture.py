@@ -58,6 +58,11 @@ class Furniture:
     ellipsoid_materials: list[Material] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
 
+    def textures(self) -> list[str]:
+        """Names of the textures that the solids use, sorted."""
+        materials = [m for faces in self.box_materials for m in faces] + self.ellipsoid_materials
+        return sorted({material.texture for material in materials})
+
     def box(
         self,
         place: Place,

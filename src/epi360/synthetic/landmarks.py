@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Two-view scenes of landmarks with known truth: layouts, noise on the sphere, outliers."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -9,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.poses import Pose
+from epi360.synthetic.directions import cap_directions, unit
+from epi360.synthetic.disturbances import (
+    OutlierModel,
+    add_metric_noise,
+    check_outliers,
+    replace_with_outliers,
+)
+from epi360.synthetic.layouts import Layout, sample_points
+from epi360.synthetic.von_mises_fisher import sample_von_mises_fisher
 
-Layout = Literal["room", "sphere", "cone", "plane", "behind"]
-
-# No landmark is closer than this to either camera, so that every bearing is well defined.
-MIN_RANGE_M = 0.3
-# Ranges of the layouts without walls: log-uniform between these, an indoor scene's spread.
-NEAREST_M, FARTHEST_M = 1.0, 10.0
-# Half extents of the room of the layout "room"; it grows where camera 2 stands outside.
-ROOM_HALF_M = (3.5, 1.6, 2.5)
-WALL_CLEARANCE_M = 0.5
-
-Sampler = Callable[[np.random.Generator, int], NDArray[np.float64]]
+Noise = Literal["bearings", "points"]
 
 
 @dataclass(frozen=True)
@@ -58,6 +56,7 @@ def two_view_scene(
     kappa: float | None = None,
     noise_in_both_views: bool = False,
     outlier_ratio: float = 0.0,
+    outlier_model: OutlierModel = "uniform",
 ) -> TwoViewScene:
     """Seeded matches of two cameras that see the same landmarks.
 
@@ -84,9 +83,10 @@ def two_view_scene(
     noise_in_both_views : bool
         Disturbs view 1 as well; by default view 2 only, as in the paper.
     outlier_ratio : float
-        Share in [0, 1] of the matches, exactly ``round(outlier_ratio * N)`` of them, whose
-        bearing in view 2 becomes a uniform random direction (for "cone": uniform over the cone
-        turned with the camera, so that both views see a cone).
+        Share in [0, 1] of the matches whose bearing in view 2 is wrong, as the model states.
+    outlier_model : {"uniform", "shuffled", "authors"}
+        See `replace_with_outliers`. "uniform" directions of the layout "cone" are those of the
+        cone turned with the camera, so that both views see a cone.
 
     Returns
     -------
@@ -98,24 +98,92 @@ def two_view_scene(
         If an option is out of its range, if both `noise_deg` and `kappa` are given, or if the
         layout cannot be seen with the given pose.
     """
-    _check_options(num_matches, layout, cone_half_angle_deg, baseline_m, outlier_ratio)
+    _check_options(num_matches, layout, cone_half_angle_deg, baseline_m)
+    check_outliers(outlier_ratio, outlier_model)
     concentration = _concentration(noise_deg, kappa)
     rng = np.random.Generator(np.random.PCG64(seed))
     pose = sample_relative_pose(rng) if cam2_from_cam1 is None else cam2_from_cam1
     pose = pose if baseline_m is None else _with_baseline(pose, baseline_m)
-    points = _sample_points(rng, num_matches, layout, np.radians(cone_half_angle_deg), pose)
-    bearings1 = _unit(points)
-    bearings2 = _unit(points @ pose.rotation.T + pose.translation)
+    points = sample_points(rng, num_matches, layout, np.radians(cone_half_angle_deg), pose)
+    bearings1 = unit(points)
+    bearings2 = unit(points @ pose.rotation.T + pose.translation)
     if concentration is not None:
         bearings2 = sample_von_mises_fisher(rng, bearings2, concentration)
         if noise_in_both_views:
             bearings1 = sample_von_mises_fisher(rng, bearings1, concentration)
-    outliers = rng.choice(num_matches, round(outlier_ratio * num_matches), replace=False)
     half_angle = np.radians(cone_half_angle_deg) if layout == "cone" else np.pi
-    bearings2[outliers] = _cap_directions(rng, len(outliers), half_angle) @ pose.rotation.T
-    inlier_mask = np.ones(num_matches, dtype=np.bool_)
-    inlier_mask[outliers] = False
+    bearings2, inlier_mask = replace_with_outliers(
+        rng,
+        bearings2,
+        outlier_ratio,
+        model=outlier_model,
+        uniform_directions=lambda rng, num: cap_directions(rng, num, half_angle) @ pose.rotation.T,
+    )
     return TwoViewScene(bearings1, bearings2, points, pose, inlier_mask)
+
+
+def scene_from_points(
+    rng: np.random.Generator,
+    points: NDArray[np.float64],
+    cam2_from_cam1: Pose,
+    *,
+    kappa: float | None = None,
+    noise: Noise = "bearings",
+    noise_in_both_views: bool = False,
+    outlier_ratio: float = 0.0,
+    outlier_model: OutlierModel = "uniform",
+) -> TwoViewScene:
+    """Matches of two cameras that see given landmarks, such as those of `landmarks_from_depth`.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Source of the noise and the outliers.
+    points : ndarray, shape (N, 3)
+        Landmarks in the frame of camera 1, in metres.
+    cam2_from_cam1 : Pose
+        Metric, such as that of `sample_relative_pose`.
+    kappa : float, optional
+        Concentration of the noise; without it there is none.
+    noise : {"bearings", "points"}
+        "bearings": von Mises-Fisher noise on the sphere, as the paper says. "points": noise in
+        metres on the points in the frame of the camera, see `add_metric_noise`, as its code does.
+    noise_in_both_views : bool
+        Disturbs view 1 as well; by default view 2 only.
+    outlier_ratio, outlier_model : float, {"uniform", "shuffled", "authors"}
+        See `replace_with_outliers`.
+
+    Returns
+    -------
+    scene : TwoViewScene
+
+    Raises
+    ------
+    ValueError
+        If an option is out of its range or `points` are not (N, 3).
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise ValueError(f"points must have shape (N, 3), got {points.shape}")
+    if noise not in get_args(Noise):
+        raise ValueError(f"noise must be 'bearings' or 'points', got {noise!r}")
+    points2 = points @ cam2_from_cam1.rotation.T + cam2_from_cam1.translation
+    bearings2 = _seen(rng, points2, kappa, noise)
+    bearings1 = _seen(rng, points, kappa if noise_in_both_views else None, noise)
+    bearings2, inlier_mask = replace_with_outliers(
+        rng, bearings2, outlier_ratio, model=outlier_model
+    )
+    return TwoViewScene(bearings1, bearings2, points, cam2_from_cam1, inlier_mask)
+
+
+def _seen(
+    rng: np.random.Generator, points: NDArray[np.float64], kappa: float | None, noise: Noise
+) -> NDArray[np.float64]:
+    """Bearings of points in the frame of a camera."""
+    if kappa is None:
+        return unit(points)
+    if noise == "points":
+        return unit(add_metric_noise(rng, points, kappa=kappa))
+    return sample_von_mises_fisher(rng, unit(points), kappa)
 
 
 def sample_relative_pose(
@@ -130,8 +198,8 @@ def sample_relative_pose(
     max_translation_m : float
         Each coordinate of the translation is uniform in plus or minus this, in metres.
     max_angle_deg : float
-        Each Euler angle is uniform in plus or minus this; R = Rz Ry Rx (the paper leaves the
-        order open).
+        Each Euler angle is uniform in plus or minus this (45 in the paper, 10 in the authors'
+        code); R = Rz Ry Rx (the paper leaves the order open, their code has this one).
 
     Returns
     -------
@@ -163,53 +231,27 @@ def rotation_from_euler(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
     return rotation
 
 
-def sample_von_mises_fisher(
-    rng: np.random.Generator, mean_directions: NDArray[np.float64], kappa: float
-) -> NDArray[np.float64]:
-    """Sample unit vectors from von Mises-Fisher distributions about given directions.
+def rotation_from_heading(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World-from-camera rotation of a camera that is tilted first and then turned to a heading.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Source of the random numbers.
-    mean_directions : ndarray, shape (N, 3)
-        Unit vectors.
-    kappa : float
-        Concentration, > 0; 1 / kappa is the variance in rad^2 per tangent axis when it is large.
+    angles_rad : ndarray, shape (3,)
+        Pitch (about x) and roll (about z) of the camera with its heading (about y, the vertical)
+        between them, in radians.
 
     Returns
     -------
-    directions : ndarray, shape (N, 3)
-        One unit vector about each mean direction.
-
-    Raises
-    ------
-    ValueError
-        If `kappa` is not a positive number or the directions are not (N, 3).
-
-    Notes
-    -----
-    Exact inversion on the sphere (Wood 1994; Jakob 2012): with u uniform in (0, 1] the cosine of
-    the angle is ``1 + log(u + (1 - u) exp(-2 kappa)) / kappa``. The mean angle is about
-    ``sqrt(pi / (2 kappa))``: 3.21 deg for kappa = 500.
+    rotation : ndarray, shape (3, 3)
     """
-    if mean_directions.ndim != 2 or mean_directions.shape[1] != 3:
-        raise ValueError(f"mean_directions must have shape (N, 3), got {mean_directions.shape}")
-    if not kappa > 0:
-        raise ValueError(f"kappa must be positive, got {kappa}; 1 / sigma_rad**2 for small noise")
-    num = len(mean_directions)
-    u = 1.0 - rng.random(num)
-    # 1 - cos directly: cos itself would lose the angle's digits for a large kappa.
-    versine = -np.log(u + (1.0 - u) * np.exp(-2.0 * kappa)) / kappa
-    azimuth = rng.uniform(0.0, 2.0 * np.pi, num)
-    tangent1, tangent2 = _tangents(mean_directions)
-    across = np.cos(azimuth)[:, None] * tangent1 + np.sin(azimuth)[:, None] * tangent2
-    sine = np.sqrt(versine * (2.0 - versine))
-    return _unit((1.0 - versine)[:, None] * mean_directions + sine[:, None] * across)
+    pitch, heading, roll = angles_rad
+    tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
+    rotation: NDArray[np.float64] = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
+    return rotation
 
 
 def _check_options(
-    num_matches: int, layout: str, half_angle_deg: float, baseline: float | None, ratio: float
+    num_matches: int, layout: str, half_angle_deg: float, baseline: float | None
 ) -> None:
     if num_matches < 0:
         raise ValueError(f"num_matches must be 0 or more, got {num_matches}")
@@ -220,8 +262,6 @@ def _check_options(
         raise ValueError(f"cone_half_angle_deg must be in (0, 180], got {half_angle_deg}")
     if baseline is not None and not 0.0 <= baseline < np.inf:
         raise ValueError(f"baseline_m must be 0 or more, got {baseline}")
-    if not 0.0 <= ratio <= 1.0:
-        raise ValueError(f"outlier_ratio must be in [0, 1], got {ratio}; 0.2 is 20 %")
 
 
 def _concentration(noise_deg: float | None, kappa: float | None) -> float | None:
@@ -243,84 +283,3 @@ def _with_baseline(pose: Pose, baseline_m: float) -> Pose:
         )
     scale = baseline_m / length if length > 0.0 else 0.0
     return Pose(pose.rotation, scale * pose.translation)
-
-
-def _sample_points(
-    rng: np.random.Generator, num: int, layout: Layout, half_angle: float, pose: Pose
-) -> NDArray[np.float64]:
-    """Landmarks of a layout that keep their distance from both cameras, by rejection."""
-    center2 = pose.inverse().translation
-    samplers: dict[str, Sampler] = {
-        "room": lambda rng, num: _room_points(rng, num, center2),
-        "sphere": lambda rng, num: _ranged(rng, _cap_directions(rng, num, np.pi)),
-        "cone": lambda rng, num: _ranged(rng, _cap_directions(rng, num, half_angle)),
-        "behind": lambda rng, num: _ranged(rng, -_cap_directions(rng, num, np.pi / 2)),
-    }
-    sample = _plane_sampler(rng, center2) if layout == "plane" else samplers[layout]
-    kept: list[NDArray[np.float64]] = [np.empty((0, 3))]
-    for _ in range(1000):
-        missing = num - sum(len(points) for points in kept)
-        if missing == 0:
-            return np.concatenate(kept)
-        points = sample(rng, max(missing, 16))
-        points2 = points @ pose.rotation.T + pose.translation
-        ranges = np.minimum(np.linalg.norm(points, axis=1), np.linalg.norm(points2, axis=1))
-        good = ranges >= MIN_RANGE_M
-        if layout == "behind":
-            good &= (points[:, 2] < 0.0) & (points2[:, 2] < 0.0)
-        kept.append(points[good][:missing])
-    raise ValueError(f"cam2_from_cam1 sees no landmarks of the layout {layout!r}; turn it less")
-
-
-def _room_points(
-    rng: np.random.Generator, num: int, center2: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Points uniform over the six inner faces of a box that holds both cameras."""
-    low = np.minimum(-np.array(ROOM_HALF_M), center2 - WALL_CLEARANCE_M)
-    high = np.maximum(ROOM_HALF_M, center2 + WALL_CLEARANCE_M)
-    size = high - low
-    areas = np.prod(size) / size
-    axis = rng.choice(3, num, p=areas / areas.sum())
-    points = rng.uniform(low, high, (num, 3))
-    points[np.arange(num), axis] = np.where(rng.random(num) < 0.5, low[axis], high[axis])
-    return points
-
-
-def _plane_sampler(rng: np.random.Generator, center2: NDArray[np.float64]) -> Sampler:
-    """One random plane in front of both cameras, and a sampler of an 8 m square on it."""
-    normal = _cap_directions(rng, 1, np.pi)
-    distance = rng.uniform(1.5, 3.0) + max(0.0, float(normal[0] @ center2))
-    tangents = np.concatenate(_tangents(normal))
-
-    def sample(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
-        points: NDArray[np.float64] = distance * normal + rng.uniform(-4, 4, (num, 2)) @ tangents
-        return points
-
-    return sample
-
-
-def _cap_directions(rng: np.random.Generator, num: int, half_angle: float) -> NDArray[np.float64]:
-    """Sample unit vectors uniformly over the spherical cap of a half angle about +z."""
-    z = 1.0 - rng.random(num) * (1.0 - np.cos(half_angle))
-    azimuth = rng.uniform(0.0, 2.0 * np.pi, num)
-    radius = np.sqrt(np.maximum(0.0, 1.0 - z * z))
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
-
-
-def _ranged(rng: np.random.Generator, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    ranges = np.exp(rng.uniform(np.log(NEAREST_M), np.log(FARTHEST_M), (len(directions), 1)))
-    points: NDArray[np.float64] = ranges * directions
-    return points
-
-
-def _tangents(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors that make an orthonormal frame with each direction."""
-    # The cross product with the axis of the smallest coordinate is never near zero.
-    axis = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
-    tangent1 = _unit(np.cross(directions, axis))
-    return tangent1, np.cross(directions, tangent1)
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    units: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return units

@@ -1,27 +1,37 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The furnished living room, wall by wall."""
 
-from typing import Literal
-
 import numpy as np
 
-from epi360.synthetic.furniture import FRONT, TOP, Furniture, Light, Material, Place, Span
+from epi360.synthetic.furniture import FRONT, TOP, Furniture, Light, Material, Place
+from epi360.synthetic.pieces import (
+    WALLS,
+    Wall,
+    bookshelf,
+    ceiling_lamp,
+    chair,
+    floor_at,
+    ornament,
+    picture,
+    potted_plant,
+    wall_place,
+)
 
 ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M, ROOM_HEIGHT_M = 3.0, 2.5, 2.7
 
-Wall = Literal["north", "east", "south", "west"]
-WALLS: tuple[Wall, ...] = ("north", "east", "south", "west")
-
 
 def on_wall(wall: Wall) -> Place:
-    """Origin at the foot of a wall's middle, +z into the room."""
-    places = {
-        "north": Place(0.0, ROOM_HALF_DEPTH_M, np.pi),
-        "east": Place(ROOM_HALF_WIDTH_M, 0.0, -np.pi / 2),
-        "south": Place(0.0, -ROOM_HALF_DEPTH_M, 0.0),
-        "west": Place(-ROOM_HALF_WIDTH_M, 0.0, np.pi / 2),
-    }
-    return places[wall]
+    """Origin at the foot of a wall's middle, +z into the room.
+
+    Parameters
+    ----------
+    wall : {"north", "east", "south", "west"}
+
+    Returns
+    -------
+    place : Place
+    """
+    return wall_place(wall, ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M)
 
 
 def furnish_living_room(rng: np.random.Generator) -> Furniture:
@@ -66,17 +76,7 @@ def _shell(room: Furniture) -> None:
     for x in (-1.9, 0.0, 1.9):
         room.box(center, (x - 0.07, x + 0.07), (2.54, ROOM_HEIGHT_M), span_z, beam)
     for x, z in ((-0.95, -1.2), (-0.95, 1.2), (0.95, -1.2), (0.95, 1.2)):
-        _ceiling_lamp(room, Place(x, z))
-
-
-def _ceiling_lamp(room: Furniture, place: Place) -> None:
-    glow = Material("white", 1.0, glow=2.2)
-    room.box(place, (-0.17, 0.17), (2.65, 2.69), (-0.17, 0.17), glow, shadow=False)
-    room.box(
-        place, (-0.19, 0.19), (2.67, ROOM_HEIGHT_M), (-0.19, 0.19), Material("brass", 0.5),
-        shadow=False,
-    )  # fmt: skip
-    room.lights.append(Light((place.x, -2.6, place.z), (0.0, 1.0, 0.0), (1.15, 1.02, 0.82)))
+        ceiling_lamp(room, Place(x, z), ROOM_HEIGHT_M)
 
 
 def _north_wall(room: Furniture, rng: np.random.Generator) -> None:
@@ -103,82 +103,8 @@ def _north_wall(room: Furniture, rng: np.random.Generator) -> None:
         light = wall.to_world((x, -1.6, 0.15))
         room.lights.append(Light(light, (0.0, 0.0, -1.0), (1.5, 1.62, 1.8)))
     for x in (-1.7, -0.5):
-        _potted_plant(room, Place(*_floor(wall, x, 0.13)), 0.83, 0.09, rng)
-    _bookshelf(room, Place(*_floor(wall, 1.75, 0.0), wall.yaw), rng)
-
-
-def _floor(place: Place, x: float, z: float) -> tuple[float, float]:
-    world = place.to_world((x, 0.0, z))
-    return world[0], world[2]
-
-
-def _bookshelf(room: Furniture, place: Place, rng: np.random.Generator) -> None:
-    wood = Material("walnut", 0.8)
-    room.box(place, (-0.95, 0.95), (0.0, 2.2), (0.0, 0.02), wood)
-    for x in (-0.95, -0.32, 0.30, 0.92):
-        room.box(place, (x, x + 0.03), (0.0, 2.2), (0.0, 0.32), wood)
-    levels = np.linspace(0.08, 2.17, 7)
-    for height in levels:
-        room.box(place, (-0.95, 0.95), (height, height + 0.03), (0.0, 0.32), wood)
-    for level in levels[:-1] + 0.03:
-        for x in (-0.92, -0.29, 0.33):
-            kind, height, depth = rng.random(), rng.uniform(0.22, 0.29), rng.uniform(0.19, 0.29)
-            end = x + (0.59 if kind < 0.55 else rng.uniform(0.25, 0.42))
-            books = Material(f"books{rng.integers(1, 4)}", 0.59)
-            room.box(place, (x, end), (level, level + height), (0.02, depth), books, shadow=False)
-            if end < x + 0.5:
-                _ornament(room, place, (end + x + 0.59) / 2, level, 0.16, rng)
-
-
-def _ornament(
-    room: Furniture, place: Place, x: float, height: float, z: float, rng: np.random.Generator
-) -> None:
-    """Put down a vase, a ball or a few lying books."""
-    kind = rng.integers(4)
-    color = Material(str(rng.choice(["terracotta", "cushion1", "brass", "cushion2"])), 0.4)
-    if kind == 0:
-        room.ellipsoid(place, (x, height + 0.10, z), (0.055, 0.10, 0.055), color)
-        room.ellipsoid(place, (x, height + 0.19, z), (0.028, 0.045, 0.028), color)
-    elif kind == 1:
-        radius = float(rng.uniform(0.05, 0.075))
-        room.ellipsoid(place, (x, height + radius, z), (radius, radius, radius), color)
-    else:
-        for layer in range(int(rng.integers(2, 5))):
-            book = Material(str(rng.choice(["poster1", "abstract", "blocks", "sofa"])))
-            low = height + 0.035 * layer
-            room.box(
-                place, (x - 0.07, x + 0.06), (low, low + 0.032), (z - 0.09, z + 0.10), book,
-                shadow=False,
-            )  # fmt: skip
-
-
-def _potted_plant(
-    room: Furniture, place: Place, foot: float, size: float, rng: np.random.Generator
-) -> None:
-    pot = Material("terracotta", 0.5)
-    room.box(place, (-size / 2, size / 2), (foot, foot + size), (-size / 2, size / 2), pot)
-    for _ in range(7):
-        x, z = rng.uniform(-0.7, 0.7, 2) * size
-        height = foot + size * rng.uniform(1.2, 2.6)
-        radii = rng.uniform(0.35, 0.7, 3) * size
-        leaves = Material("leaves", float(4 * size))
-        room.ellipsoid(place, (x, height, z), (radii[0], radii[1], radii[2]), leaves)
-
-
-def _picture(
-    room: Furniture, wall: Wall, x: float, height: float, size: Span, texture: str
-) -> None:
-    half_w, half_h = size[0] / 2, size[1] / 2
-    place, edge = on_wall(wall), 0.025
-    frame = Material("black" if texture in ("blocks", "circles") else "walnut", 0.5)
-    room.box(
-        place, (x - half_w - edge, x + half_w + edge),
-        (height - half_h - edge, height + half_h + edge), (0.0, 0.022), frame, shadow=False,
-    )  # fmt: skip
-    room.box(
-        place, (x - half_w, x + half_w), (height - half_h, height + half_h), (0.0, 0.027),
-        Material(texture), shadow=False,
-    )  # fmt: skip
+        potted_plant(room, Place(*floor_at(wall, x, 0.13)), 0.83, 0.09, rng)
+    bookshelf(room, Place(*floor_at(wall, 1.75, 0.0), wall.yaw), rng)
 
 
 def _east_wall(room: Furniture, rng: np.random.Generator) -> None:
@@ -196,15 +122,15 @@ def _east_wall(room: Furniture, rng: np.random.Generator) -> None:
     for x, cushion in ((-0.62, "cushion1"), (-0.22, "chair"), (0.60, "cushion2")):
         print_ = Material(cushion, 0.5)
         room.ellipsoid(wall, (x, 0.60, 0.36), (0.10, 0.19, 0.21), print_)
-    _side_table(room, Place(*_floor(wall, -1.62, 0.35)))
-    _potted_plant(room, Place(*_floor(wall, 1.85, 0.45), 0.3), 0.0, 0.34, rng)
+    _side_table(room, Place(*floor_at(wall, -1.62, 0.35)))
+    potted_plant(room, Place(*floor_at(wall, 1.85, 0.45), 0.3), 0.0, 0.34, rng)
     art = rng.permutation(["landscape", "abstract", "circles"])
     for x, name, size in zip(
         (-0.95, 0.0, 0.85), art, ((0.6, 0.6), (0.95, 0.7), (0.5, 0.7)), strict=True
     ):
-        _picture(room, "east", x, 1.60 + rng.uniform(-0.05, 0.05), size, str(name))
-    _picture(room, "east", -1.75, 1.75, (0.42, 0.55), "poster2")
-    _picture(room, "east", 1.65, 1.85, (0.42, 0.42), "blocks")
+        picture(room, wall, x, 1.60 + rng.uniform(-0.05, 0.05), size, str(name))
+    picture(room, wall, -1.75, 1.75, (0.42, 0.55), "poster2")
+    picture(room, wall, 1.65, 1.85, (0.42, 0.42), "blocks")
 
 
 def _side_table(room: Furniture, place: Place) -> None:
@@ -235,12 +161,12 @@ def _south_wall(room: Furniture, rng: np.random.Generator) -> None:
             shadow=False,
         )  # fmt: skip
     for x in (-1.85, -1.45, -0.35, 0.05):
-        _ornament(room, wall, x + rng.uniform(-0.05, 0.05), 0.72, 0.22, rng)
-    _potted_plant(room, Place(*_floor(wall, -0.9, 0.22)), 0.72, 0.15, rng)
-    _picture(room, "south", -0.95, 1.62, (1.35, 0.85), "map")
-    _picture(room, "south", 0.42, 1.65, (0.5, 0.7), "poster1")
-    _picture(room, "south", 1.02, 1.55, (0.34, 0.44), str(rng.choice(["abstract", "circles"])))
-    _picture(room, "south", -2.3, 1.55, (0.5, 0.65), str(rng.choice(["landscape", "blocks"])))
+        ornament(room, wall, x + rng.uniform(-0.05, 0.05), 0.72, 0.22, rng)
+    potted_plant(room, Place(*floor_at(wall, -0.9, 0.22)), 0.72, 0.15, rng)
+    picture(room, wall, -0.95, 1.62, (1.35, 0.85), "map")
+    picture(room, wall, 0.42, 1.65, (0.5, 0.7), "poster1")
+    picture(room, wall, 1.02, 1.55, (0.34, 0.44), str(rng.choice(["abstract", "circles"])))
+    picture(room, wall, -2.3, 1.55, (0.5, 0.65), str(rng.choice(["landscape", "blocks"])))
     room.box(wall, (2.58, 2.66), (1.05, 1.17), (0.0, 0.015), Material("white", 0.5), shadow=False)
 
 
@@ -255,7 +181,7 @@ def _west_wall(room: Furniture, rng: np.random.Generator) -> None:
             top = height + 0.03 + rng.uniform(0.18, 0.26)
             room.box(wall, (x, x + width), (height + 0.03, top), (0.01, 0.18), books, shadow=False)
             x += width + 0.14
-            _ornament(room, wall, x - 0.07, height + 0.03, 0.11, rng)
+            ornament(room, wall, x - 0.07, height + 0.03, 0.11, rng)
     dark = Material("walnut", 0.9)
     room.box(wall, (0.7, 2.2), (0.72, 0.76), (0.0, 0.6), dark)
     for x in (0.72, 1.75):
@@ -266,23 +192,12 @@ def _west_wall(room: Furniture, rng: np.random.Generator) -> None:
     page = Material("poster2")
     room.box(wall, (0.85, 1.06), (0.76, 0.775), (0.25, 0.52), page, shadow=False)
     room.ellipsoid(wall, (2.02, 0.83, 0.25), (0.05, 0.07, 0.05), Material("cushion1", 0.3))
-    _chair(room, Place(*_floor(wall, 1.4, 0.95), wall.yaw + np.pi + rng.uniform(-0.4, 0.4)))
+    chair(room, Place(*floor_at(wall, 1.4, 0.95), wall.yaw + np.pi + rng.uniform(-0.4, 0.4)))
     room.box(wall, (0.02, 0.34), (1.90, 2.22), (0.0, 0.03), Material("clock"), shadow=False)
-    _picture(room, "west", 0.15, 1.35, (0.5, 0.66), str(rng.choice(["circles", "poster2"])))
-    _picture(room, "west", -2.1, 0.95, (0.4, 0.5), "abstract")
+    picture(room, wall, 0.15, 1.35, (0.5, 0.66), str(rng.choice(["circles", "poster2"])))
+    picture(room, wall, -2.1, 0.95, (0.4, 0.5), "abstract")
     room.box(wall, (-1.6, -0.6), (0.0, 0.45), (0.02, 0.42), Material("white", 0.9),
              faces={TOP: Material("cushion2", 0.8)})  # fmt: skip
-
-
-def _chair(room: Furniture, place: Place) -> None:
-    """Chair that looks along its +z."""
-    wood, seat = Material("oak", 0.5), Material("chair", 0.5)
-    for x in (-0.21, 0.17):
-        room.box(place, (x, x + 0.04), (0.0, 0.43), (0.17, 0.21), wood)
-        room.box(place, (x, x + 0.04), (0.0, 0.90), (-0.21, -0.17), wood)
-    room.box(place, (-0.22, 0.22), (0.43, 0.48), (-0.21, 0.22), seat)
-    for height in (0.60, 0.75):
-        room.box(place, (-0.17, 0.17), (height, height + 0.10), (-0.205, -0.18), wood)
 
 
 def _dining(room: Furniture, place: Place, rng: np.random.Generator) -> None:
@@ -294,7 +209,7 @@ def _dining(room: Furniture, place: Place, rng: np.random.Generator) -> None:
     for side, z in ((-1, -0.35), (-1, 0.38), (1, -0.38), (1, 0.35)):
         x = side * (0.58 + rng.uniform(-0.05, 0.1))
         turn = place.yaw - side * np.pi / 2 + rng.uniform(-0.3, 0.3)
-        _chair(room, Place(*_floor(place, x, z), turn))
+        chair(room, Place(*floor_at(place, x, z), turn))
         plate = (0.27 * side, 0.755, z * 0.95)
         room.ellipsoid(place, plate, (0.11, 0.012, 0.11), Material("ceiling", 0.5))
     room.box(
@@ -304,7 +219,7 @@ def _dining(room: Furniture, place: Place, rng: np.random.Generator) -> None:
     for x, z in ((-0.05, 0.03), (0.06, 0.04), (0.0, -0.06)):
         fruit = Material(str(rng.choice(["brass", "leaves", "terracotta"])), 0.4)
         room.ellipsoid(place, (x, 0.85, z), (0.042, 0.042, 0.042), fruit)
-    _ornament(room, place, 0.0, 0.749, 0.42, rng)
+    ornament(room, place, 0.0, 0.749, 0.42, rng)
     room.box(place, (-0.006, 0.006), (1.98, 2.7), (-0.006, 0.006), Material("black", 0.5))
     room.ellipsoid(place, (0.0, 1.88, 0.0), (0.2, 0.13, 0.2), Material("cream", 0.5, glow=1.3))
 
@@ -318,7 +233,7 @@ def _coffee_corner(room: Furniture, rng: np.random.Generator) -> None:
     for x in (-0.31, 0.26):
         for z in (-0.54, 0.49):
             room.box(place, (x, x + 0.05), (0.012, 0.36), (z, z + 0.05), wood)
-    _ornament(room, place, 0.1, 0.40, 0.3, rng)
+    ornament(room, place, 0.1, 0.40, 0.3, rng)
     magazine = Material(str(rng.choice(["poster1", "blocks"])))
     room.box(place, (-0.2, 0.02), (0.40, 0.41), (-0.1, 0.18), magazine, shadow=False)
     room.box(

@@ -362,4 +362,9 @@ PAINTERS: dict[str, Callable[[Generator], Floats]] = {
     "window": _window,
     "door": _door,
     "clock": _clock,
+    # Nearly without contrast: surfaces on which no corner is found.
+    "plaster": lambda rng: _plaster(rng, (0.87, 0.86, 0.84), 0.003),
+    "screed": lambda rng: _plaster(rng, (0.58, 0.57, 0.55), 0.005),
+    "lacquer": lambda rng: _plaster(rng, (0.80, 0.80, 0.79), 0.002),
+    "felt": lambda rng: _plaster(rng, (0.36, 0.38, 0.42), 0.006),
 }

@@ -1,44 +1,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Textured, furnished room rendered for any central camera, with exact depth and pose."""
 
-import os
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.poses import Pose
-from epi360.synthetic.landmarks import rotation_from_euler
+from epi360.synthetic.furniture import Furniture
+from epi360.synthetic.landmarks import rotation_from_heading
 from epi360.synthetic.living_room import furnish_living_room
 from epi360.synthetic.raycast import Solids, nearest_hits
+from epi360.synthetic.rendering import Rays, Rendering, render_view
+from epi360.synthetic.studio import furnish_studio
 from epi360.synthetic.surfaces import Hits, Surfaces, build_surfaces
 from epi360.synthetic.textures import GAMMA, build_atlas
 
 Floats = NDArray[np.float32]
 
-# Rays are cast in tiles: large enough to amortise NumPy's calls, small enough that a tile's cone
-# of rays misses most of the furniture. At 1024x512 128 is 10 % faster than 64.
-TILE_PX = 128
+SceneName = Literal["living_room", "studio"]
+SCENES: dict[str, Callable[[np.random.Generator], Furniture]] = {
+    "living_room": furnish_living_room,
+    "studio": furnish_studio,
+}
 # By eye: white walls stay just below white, lamps and sky saturate.
 EXPOSURE = 1.25
-
-
-@dataclass(frozen=True)
-class Rendering:
-    """One picture of a room.
-
-    Attributes
-    ----------
-    image : ndarray, shape (H, W, 3), uint8
-        RGB; black where the camera has no ray.
-    depth : ndarray, shape (H, W), float32
-        Distance along the ray of the pixel's centre in metres; 0 where the camera has no ray.
-    """
-
-    image: NDArray[np.uint8]
-    depth: Floats
 
 
 @dataclass(frozen=True)
@@ -82,6 +71,21 @@ class Room:
     solids: Solids
     surfaces: Surfaces
 
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """Unit vector against gravity, shape (3,)."""
+        return np.array([0.0, -1.0, 0.0])
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest coordinates of the room, shape (2, 3)."""
+        center, half = self.solids.box_centers[0], self.solids.box_halves[0]
+        return np.stack([center - half, center + half])
+
+    def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from points to the nearest surface, see `Solids.distances`."""
+        return self.solids.distances(points)
+
     def render(
         self,
         camera: Camera,
@@ -112,24 +116,28 @@ class Room:
         ValueError
             If the camera stands in a wall or a piece of furniture, or an option is below 1.
         """
-        if supersample < 1:
-            raise ValueError(f"supersample must be 1 or more, got {supersample}")
-        if num_threads is not None and num_threads < 1:
-            raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
         position = world_from_cam.translation
         if not self.solids.distances(position[None])[0] > 0.0:
             raise ValueError(
                 f"world_from_cam puts the camera at {np.round(position, 2).tolist()}, inside a "
                 "solid or outside the room; take a pose from sample_pose"
             )
-        frame = _Frame(self, camera, world_from_cam)
-        with ThreadPoolExecutor(num_threads or os.cpu_count()) as pool:
-            tiles = _tiles(camera.width, camera.height)
-            list(pool.map(frame.fill, tiles))
-            if supersample > 1:
-                edges = frame.edge_mask()
-                list(pool.map(lambda tile: frame.smooth(tile, edges, supersample), tiles))
-        return Rendering(frame.image(), frame.depth)
+        return render_view(
+            self, camera, world_from_cam, supersample=supersample, num_threads=num_threads
+        )
+
+    def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:
+        """Colours, ranges and faces that rays from inside the room meet, see `RayCaster`."""
+        ranges = np.empty(len(rays.directions), np.float32)
+        solid = np.empty(len(rays.directions), np.intp)
+        for rows in rays.bundles:
+            ranges[rows], solid[rows] = nearest_hits(
+                self.solids, rays.origin, rays.directions[rows]
+            )
+        points = (rays.origin + ranges[:, None] * rays.directions).astype(np.float32)
+        hits = Hits(solid, points, rays.directions.astype(np.float32), ranges * rays.widths)
+        light, surface = self.surfaces.shade(self.solids, hits)
+        return _developed(light), ranges, surface
 
     def sample_pose(
         self,
@@ -165,7 +173,7 @@ class Room:
             positions = rng.uniform(low, high, (32, 3))
             free = np.flatnonzero(self.solids.distances(positions) >= clearance_m)
             if len(free):
-                return Pose(_heading_then_tilt(angles), positions[free[0]])
+                return Pose(rotation_from_heading(angles), positions[free[0]])
         raise ValueError(f"clearance_m is {clearance_m} but the room has no place that free")
 
 
@@ -180,7 +188,33 @@ def furnished_room(seed: int = 0) -> Room:
     -------
     room : Room
     """
-    furniture = furnish_living_room(np.random.Generator(np.random.PCG64(seed)))
+    return scene("living_room", seed)
+
+
+def scene(name: SceneName, seed: int = 0) -> Room:
+    """Built-in room to take pictures in.
+
+    Parameters
+    ----------
+    name : {"living_room", "studio"}
+        "living_room", 6 x 5 x 2.7 m, has texture and things on all sides: rich in key points.
+        "studio", 7.6 x 4.8 x 2.9 m, has one busy end; the other walls, floor and ceiling are
+        plain, so that key points are few and uneven.
+    seed : int
+        Another seed paints and arranges a room differently.
+
+    Returns
+    -------
+    room : Room
+
+    Raises
+    ------
+    ValueError
+        If no scene has this name.
+    """
+    if name not in SCENES:
+        raise ValueError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
+    furniture = SCENES[name](np.random.Generator(np.random.PCG64(seed)))
     centers, halves, yaws = zip(*furniture.boxes, strict=True)
     ellipsoid_centers, radii = zip(*furniture.ellipsoids, strict=True)
     solids = Solids(
@@ -191,7 +225,7 @@ def furnished_room(seed: int = 0) -> Room:
         np.array(ellipsoid_centers),
         np.array(radii),
     )
-    return Room(solids, build_surfaces(solids, furniture, build_atlas(seed)))
+    return Room(solids, build_surfaces(solids, furniture, build_atlas(seed, furniture.textures())))
 
 
 def demo_pair(width: int = 1024, seed: int = 0) -> RenderedPair:
@@ -234,97 +268,8 @@ def _demo_poses(room: Room, seed: int) -> tuple[Pose, Pose]:
         position = np.array((0.1, -1.5, -0.35)) + rng.uniform(-0.25, 0.25, 3) * (1, 0.3, 1)
         clear = room.solids.distances(np.stack([position, position + step])) > 0.45
         if clear.all() and 0.6 < np.linalg.norm(step) < 0.9:
-            first = Pose(_heading_then_tilt(angles), position)
-            return first, Pose(_heading_then_tilt(turn), position + step)
-
-
-def _heading_then_tilt(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World-from-camera rotation: pitch (x) and roll (z) of the camera, then its heading (y)."""
-    pitch, heading, roll = angles_rad
-    tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
-    rotation: NDArray[np.float64] = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
-    return rotation
-
-
-def _tiles(width: int, height: int) -> list[tuple[slice, slice]]:
-    return [
-        (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
-        for top in range(0, height, TILE_PX)
-        for left in range(0, width, TILE_PX)
-    ]
-
-
-class _Frame:
-    """The buffers of one picture; tiles are disjoint, so threads may fill them in any order."""
-
-    def __init__(self, room: Room, camera: Camera, world_from_cam: Pose) -> None:
-        shape = (camera.height, camera.width)
-        self.room, self.camera, self.world_from_cam = room, camera, world_from_cam
-        self.depth = np.zeros(shape, np.float32)
-        self.color = np.zeros((*shape, 3), np.float32)
-        self.surface = np.full(shape, -1, np.int32)
-
-    def fill(self, tile: tuple[slice, slice]) -> None:
-        """One ray through the centre of each pixel."""
-        rows, columns = tile
-        v, u = np.mgrid[rows, columns] + 0.5
-        pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-        color, depth, surface = self._trace(pixels, 1.0)
-        self.color[tile] = color.reshape(*u.shape, 3)
-        self.depth[tile] = depth.reshape(u.shape)
-        self.surface[tile] = surface.reshape(u.shape)
-
-    def edge_mask(self) -> NDArray[np.bool_]:
-        """Pixels whose neighbour to any side shows another surface."""
-        edges = np.zeros(self.surface.shape, np.bool_)
-        down = self.surface[1:] != self.surface[:-1]
-        right = self.surface[:, 1:] != self.surface[:, :-1]
-        edges[1:] |= down
-        edges[:-1] |= down
-        edges[:, 1:] |= right
-        edges[:, :-1] |= right
-        return edges
-
-    def smooth(self, tile: tuple[slice, slice], edges: NDArray[np.bool_], supersample: int) -> None:
-        """Replace the colour of edge pixels by the mean over a grid of rays."""
-        v, u = np.nonzero(edges[tile])
-        if not len(v):
-            return
-        v, u = v + tile[0].start, u + tile[1].start
-        ticks = (np.arange(supersample) + 0.5) / supersample
-        offsets = np.stack(np.meshgrid(ticks, ticks), axis=2).reshape(-1, 1, 2)
-        pixels = (np.stack([u, v], axis=1) + offsets).reshape(-1, 2)
-        color = self._trace(pixels, 1.0 / supersample)[0]
-        self.color[v, u] = color.reshape(supersample**2, -1, 3).mean(axis=0)
-
-    def _trace(
-        self, pixels: NDArray[np.float64], pixel_size: float
-    ) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """Cast rays through pixels: displayed colour, range and surface of each."""
-        bearings = self.camera.bearings_from_pixels(pixels)
-        seen = np.isfinite(bearings).all(axis=1)
-        color = np.zeros((len(pixels), 3), np.float32)
-        ranges = np.zeros(len(pixels), np.float32)
-        surface = np.full(len(pixels), -1, np.intp)
-        if seen.any():
-            directions = bearings[seen] @ self.world_from_cam.rotation.T
-            origin = self.world_from_cam.translation
-            near, solid = nearest_hits(self.room.solids, origin, directions)
-            points = (origin + near[:, None] * directions).astype(np.float32)
-            widths = near * self._spread(pixels[seen]) * np.float32(pixel_size)
-            hits = Hits(solid, points, directions.astype(np.float32), widths)
-            light, surface[seen] = self.room.surfaces.shade(self.room.solids, hits)
-            color[seen], ranges[seen] = _developed(light), near
-        return color, ranges, surface
-
-    def _spread(self, pixels: NDArray[np.float64]) -> Floats:
-        """Angle that a pixel covers in its wider direction."""
-        jacobians = self.camera.bearing_jacobians(pixels)
-        widest: Floats = np.sqrt(np.sum(jacobians**2, axis=1).max(axis=1)).astype(np.float32)
-        return widest
-
-    def image(self) -> NDArray[np.uint8]:
-        return np.round(255.0 * self.color).astype(np.uint8)
+            first = Pose(rotation_from_heading(angles), position)
+            return first, Pose(rotation_from_heading(turn), position + step)
 
 
 def _developed(light: Floats) -> Floats:

@@ -3,6 +3,7 @@
 
 import os
 import zlib
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -82,27 +83,46 @@ def _mix(a: Floats, b: Floats, weight: Floats) -> Floats:
     return mixed
 
 
-def build_atlas(seed: int) -> TextureAtlas:
-    """All textures of `PAINTERS`, painted for a seed.
+def build_atlas(seed: int, names: Iterable[str] = PAINTERS) -> TextureAtlas:
+    """Textures painted for a seed.
 
     Parameters
     ----------
     seed : int
         Each texture has its own random stream of this seed and its name, so that a new texture
         changes no other.
+    names : iterable of str
+        Which of the textures of `PAINTERS`, by default all.
 
     Returns
     -------
     atlas : TextureAtlas
     """
 
-    def painted(name: str) -> list[Floats]:
+    def painted(name: str) -> Floats:
         rng = np.random.Generator(np.random.PCG64([seed, zlib.crc32(name.encode())]))
-        return _pyramid(np.clip(PAINTERS[name](rng), 0, 1).astype(np.float32) ** np.float32(GAMMA))
+        return np.clip(PAINTERS[name](rng), 0, 1).astype(np.float32) ** np.float32(GAMMA)
 
+    names = tuple(names)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        pyramids = list(pool.map(painted, PAINTERS))
-    num_levels = max(len(levels) for levels in pyramids)
+        return atlas_of_images(dict(zip(names, pool.map(painted, names), strict=True)))
+
+
+def atlas_of_images(images: Mapping[str, Floats]) -> TextureAtlas:
+    """Textures made of pictures, with their mip maps.
+
+    Parameters
+    ----------
+    images : mapping of str to ndarray, shape (S, S, 3)
+        Square pictures whose side is a power of two, in any scale: `TextureAtlas.sample` mixes
+        their values.
+
+    Returns
+    -------
+    atlas : TextureAtlas
+    """
+    pyramids = [_pyramid(image) for image in images.values()]
+    num_levels = max((len(levels) for levels in pyramids), default=1)
     starts, sizes, start = [], [], 0
     for levels in pyramids:
         sides = [len(level) for level in levels] + [1] * (num_levels - len(levels))
@@ -111,8 +131,9 @@ def build_atlas(seed: int) -> TextureAtlas:
         starts.append(np.minimum([start, *ends[:-1]], last - 1))
         sizes.append(sides)
         start = int(last)
-    texels = np.concatenate([level.reshape(-1, 3) for levels in pyramids for level in levels])
-    return TextureAtlas(tuple(PAINTERS), texels, np.array(starts), np.array(sizes))
+    flat = [level.reshape(-1, 3) for levels in pyramids for level in levels]
+    texels = np.concatenate([np.empty((0, 3), np.float32), *flat])
+    return TextureAtlas(tuple(images), texels, np.array(starts), np.array(sizes))
 
 
 def _pyramid(image: Floats) -> list[Floats]:

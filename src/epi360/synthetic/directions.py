@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Directions on the unit sphere: normalised, uniform over a cap, tangents."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of an array, each divided by its length; NaN rows where that is zero.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (N, 3)
+
+    Returns
+    -------
+    units : ndarray, shape (N, 3)
+    """
+    with np.errstate(invalid="ignore"):
+        units: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return units
+
+
+def tangents(
+    directions: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors that make an orthonormal frame with each direction.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (N, 3)
+        Unit vectors.
+
+    Returns
+    -------
+    tangent1, tangent2 : ndarray, shape (N, 3)
+    """
+    # The cross product with the axis of the smallest coordinate is never near zero.
+    axis = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
+    tangent1 = unit(np.cross(directions, axis))
+    return tangent1, np.cross(directions, tangent1)
+
+
+def cap_directions(rng: np.random.Generator, num: int, half_angle: float) -> NDArray[np.float64]:
+    """Unit vectors uniform over the spherical cap of a half angle about +z.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+    num : int
+        Number N of vectors.
+    half_angle : float
+        Radians; pi is the whole sphere.
+
+    Returns
+    -------
+    directions : ndarray, shape (N, 3)
+    """
+    z = 1.0 - rng.random(num) * (1.0 - np.cos(half_angle))
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, num)
+    radius = np.sqrt(np.maximum(0.0, 1.0 - z * z))
+    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

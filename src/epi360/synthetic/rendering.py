@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pictures with depth of anything that rays can be cast at, in tiles, smooth at edges."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.poses import Pose
+
+Floats = NDArray[np.float32]
+
+# Rays are cast in tiles: large enough to amortise NumPy's calls, small enough that a tile's cone
+# of rays misses most of the furniture: geometry in blocks of 32, the rest in tiles of 128. At
+# 640x320 that takes half the time of tiles of 128 alone.
+TILE_PX = 128
+BLOCK_PX = 32
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One picture of a scene.
+
+    Attributes
+    ----------
+    image : ndarray, shape (H, W, 3), uint8
+        RGB; black where the camera has no ray.
+    depth : ndarray, shape (H, W), float32
+        Distance along the ray of the pixel's centre in metres; 0 where the camera has no ray or
+        the ray meets nothing.
+    """
+
+    image: NDArray[np.uint8]
+    depth: Floats
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays from one point.
+
+    Attributes
+    ----------
+    origin : ndarray, shape (3,)
+    directions : ndarray, shape (N, 3)
+        Unit directions in the world.
+    widths : ndarray, shape (N,), float32
+        Angle in radians that the ray's pixel covers.
+    bundles : list of ndarray of int
+        Which rays look in about the same direction; every ray is in one bundle.
+    """
+
+    origin: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    widths: Floats
+    bundles: list[NDArray[np.intp]]
+
+
+class RayCaster(Protocol):
+    """A scene as `render_view` needs it."""
+
+    def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:
+        """What rays meet.
+
+        Parameters
+        ----------
+        rays : Rays
+            N rays.
+
+        Returns
+        -------
+        colors : ndarray, shape (N, 3)
+            Display values in [0, 1].
+        ranges : ndarray, shape (N,)
+            Metres; 0 where a ray meets nothing.
+        surfaces : ndarray, shape (N,), int
+            Any numbers that differ between surfaces; -1 where a ray meets nothing.
+        """
+
+
+def render_view(
+    scene: RayCaster,
+    camera: Camera,
+    world_from_cam: Pose,
+    *,
+    supersample: int = 2,
+    num_threads: int | None = None,
+) -> Rendering:
+    """Picture and depth that a camera sees from a pose.
+
+    Parameters
+    ----------
+    scene : RayCaster
+    camera : Camera
+        Any central camera.
+    world_from_cam : Pose
+    supersample : int
+        Rays per axis in pixels that hold an edge.
+    num_threads : int, optional
+        Threads to use, by default one per core; the result does not depend on it.
+
+    Returns
+    -------
+    rendering : Rendering
+
+    Raises
+    ------
+    ValueError
+        If `supersample` or `num_threads` is below 1.
+    """
+    if supersample < 1:
+        raise ValueError(f"supersample must be 1 or more, got {supersample}")
+    if num_threads is not None and num_threads < 1:
+        raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+    frame = _Frame(scene, camera, world_from_cam)
+    with ThreadPoolExecutor(num_threads or os.cpu_count()) as pool:
+        tiles = _tiles(camera.width, camera.height)
+        list(pool.map(frame.fill, tiles))
+        if supersample > 1:
+            edges = frame.edge_mask()
+            list(pool.map(lambda tile: frame.smooth(tile, edges, supersample), tiles))
+    return Rendering(frame.image(), frame.depth)
+
+
+def _tiles(width: int, height: int) -> list[tuple[slice, slice]]:
+    return [
+        (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
+        for top in range(0, height, TILE_PX)
+        for left in range(0, width, TILE_PX)
+    ]
+
+
+class _Frame:
+    """The buffers of one picture; tiles are disjoint, so threads may fill them in any order."""
+
+    def __init__(self, scene: RayCaster, camera: Camera, world_from_cam: Pose) -> None:
+        shape = (camera.height, camera.width)
+        self.scene, self.camera, self.world_from_cam = scene, camera, world_from_cam
+        self.depth = np.zeros(shape, np.float32)
+        self.color = np.zeros((*shape, 3), np.float32)
+        self.surface = np.full(shape, -1, np.int32)
+
+    def fill(self, tile: tuple[slice, slice]) -> None:
+        """One ray through the centre of each pixel."""
+        rows, columns = tile
+        v, u = np.mgrid[rows, columns] + 0.5
+        pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+        color, depth, surface = self._trace(pixels, 1.0)
+        self.color[tile] = color.reshape(*u.shape, 3)
+        self.depth[tile] = depth.reshape(u.shape)
+        self.surface[tile] = surface.reshape(u.shape)
+
+    def edge_mask(self) -> NDArray[np.bool_]:
+        """Pixels whose neighbour to any side shows another surface."""
+        edges = np.zeros(self.surface.shape, np.bool_)
+        down = self.surface[1:] != self.surface[:-1]
+        right = self.surface[:, 1:] != self.surface[:, :-1]
+        edges[1:] |= down
+        edges[:-1] |= down
+        edges[:, 1:] |= right
+        edges[:, :-1] |= right
+        return edges
+
+    def smooth(self, tile: tuple[slice, slice], edges: NDArray[np.bool_], supersample: int) -> None:
+        """Replace the colour of edge pixels by the mean over a grid of rays."""
+        v, u = np.nonzero(edges[tile])
+        if not len(v):
+            return
+        v, u = v + tile[0].start, u + tile[1].start
+        ticks = (np.arange(supersample) + 0.5) / supersample
+        offsets = np.stack(np.meshgrid(ticks, ticks), axis=2).reshape(-1, 1, 2)
+        pixels = (np.stack([u, v], axis=1) + offsets).reshape(-1, 2)
+        color = self._trace(pixels, 1.0 / supersample)[0]
+        self.color[v, u] = color.reshape(supersample**2, -1, 3).mean(axis=0)
+
+    def _trace(
+        self, pixels: NDArray[np.float64], pixel_size: float
+    ) -> tuple[Floats, Floats, NDArray[np.intp]]:
+        """Cast rays through pixels: displayed colour, range and surface of each."""
+        bearings = self.camera.bearings_from_pixels(pixels)
+        seen = np.isfinite(bearings).all(axis=1)
+        color = np.zeros((len(pixels), 3), np.float32)
+        ranges = np.zeros(len(pixels), np.float32)
+        surface = np.full(len(pixels), -1, np.intp)
+        if seen.any():
+            directions = bearings[seen] @ self.world_from_cam.rotation.T
+            widths = self._spread(pixels[seen]) * np.float32(pixel_size)
+            origin = self.world_from_cam.translation
+            rays = Rays(origin, directions, widths, self._bundles(pixels[seen]))
+            color[seen], ranges[seen], surface[seen] = self.scene.cast(rays)
+        return color, ranges, surface
+
+    def _bundles(self, pixels: NDArray[np.float64]) -> list[NDArray[np.intp]]:
+        """Which pixels lie in the same small block of the picture."""
+        u, v = (pixels // BLOCK_PX).astype(np.intp).T
+        block = v * (self.camera.width // BLOCK_PX + 1) + u
+        order = np.argsort(block, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(block[order])) + 1)
+
+    def _spread(self, pixels: NDArray[np.float64]) -> Floats:
+        """Angle that a pixel covers in its wider direction."""
+        jacobians = self.camera.bearing_jacobians(pixels)
+        squared = np.einsum("nij,nij->nj", jacobians, jacobians)
+        widest: Floats = np.sqrt(np.maximum(squared[:, 0], squared[:, 1])).astype(np.float32)
+        return widest
+
+    def image(self) -> NDArray[np.uint8]:
+        return np.round(255.0 * self.color).astype(np.uint8)
