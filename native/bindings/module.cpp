@@ -190,7 +190,10 @@ nb::dict estimate_binding(Bearings b1, Bearings b2, const std::string& residual,
 
 }  // namespace
 
+void bind_paper(nb::module_& m);  // paper.cpp
+
 NB_MODULE(_core, m) {
+  bind_paper(m);
   m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
   m.def(
       "eight_point",

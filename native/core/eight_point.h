@@ -5,18 +5,32 @@
 
 #include <Eigen/Core>
 
+#include "gram.h"
 #include "matches.h"
 
 namespace epi360 {
 
-// Weighted Gram matrix A^T A of the observation matrix with rows b2 (x) b1.
-Eigen::Matrix<double, 9, 9> gram_matrix(const Matches& m);
+using Gram = Eigen::Matrix<double, 9, 9>;
 
-// Least-squares E over all matches (N > 8), rank 2 by zeroing the smallest singular value,
+// A^T A of these sums.
+Gram gram_matrix(const GramSums& sums);
+
+// Unit vector e of least e^T M e as a matrix, row by row.
+Eigen::Matrix3d smallest_as_matrix(const Gram& M);
+
+// The same of D M D, D = diag(d).
+Eigen::Matrix3d smallest_as_matrix(const Gram& M, const Eigen::Matrix<double, 9, 1>& d);
+
+// Unit vector of A e = 0 for the first eight matches, bearings multiplied by N1 and N2, rows by
+// the roots of the weights: keeps the digits that A^T A would lose.
+Eigen::Matrix3d null_as_matrix(const Matches& m, const Eigen::Matrix3d& N1,
+                               const Eigen::Matrix3d& N2);
+
+// Least-squares E over all matches, rank 2 by zeroing the smallest singular value,
 // ||E||_F = sqrt 2.
 Eigen::Matrix3d eight_point(const Matches& m);
 
-// E of exactly eight matches by the null space of A: keeps the digits that A^T A would lose.
+// E of exactly eight matches by the null space of A.
 bool eight_point_minimal(const Eigen::Matrix<double, 3, 8>& bearings1,
                          const Eigen::Matrix<double, 3, 8>& bearings2, Eigen::Matrix3d* E);
 

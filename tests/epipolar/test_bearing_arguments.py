@@ -83,7 +83,7 @@ def test_bearings_of_any_length_become_directions(length):
 )
 def test_eight_point_refuses_bad_weights(weights, message):
     with pytest.raises(ValueError, match=message):
-        eight_point(B1, B2, weights)
+        eight_point(B1, B2, weights=weights)
 
 
 def test_tangent_sampson_refuses_bad_bearings_too():

@@ -203,7 +203,7 @@ def test_unknown_residual_is_refused_with_the_known_ones():
     b1, b2, pose, _ = exact_matches(0)
     with pytest.raises(ValueError, match="residual must be one of paper, angular.*got 'huber'"):
         pose_residuals(pose, b1, b2, "huber")
-    with pytest.raises(ValueError, match="residual must be paper, angular or sampson, got 'tang"):
+    with pytest.raises(ValueError, match="residual must be paper, angular, .* got 'tang"):
         residual_jacobians(pose, b1, b2, "tangent_sampson")
 
 

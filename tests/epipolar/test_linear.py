@@ -72,7 +72,9 @@ def test_weights_of_zero_remove_outliers():
     b1, b2, pose, _ = exact_matches(5, 60)
     b2[:20] = np.roll(b2[:20], 1, axis=0)
     weights = np.repeat([0.0, 1.0], [20, 40])
-    assert_same_up_to_sign(eight_point(b1, b2, weights).E, essential_from_pose(pose), atol=1e-9)
+    assert_same_up_to_sign(
+        eight_point(b1, b2, weights=weights).E, essential_from_pose(pose), atol=1e-9
+    )
     assert np.abs(np.abs(eight_point(b1, b2).E) - np.abs(essential_from_pose(pose))).max() > 1e-2
 
 
@@ -80,7 +82,7 @@ def test_a_weight_of_three_counts_like_three_copies():
     b1, b2, _, _ = exact_matches(6, 30)
     b2 = disturbed(b2, 1.0, 6)
     copies = np.where(np.arange(30) < 10, 3, 1)
-    weighted = eight_point(b1, b2, copies).E
+    weighted = eight_point(b1, b2, weights=copies).E
     repeated = eight_point(np.repeat(b1, copies, axis=0), np.repeat(b2, copies, axis=0)).E
     assert_same_up_to_sign(weighted, repeated, atol=1e-9)
 

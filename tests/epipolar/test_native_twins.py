@@ -93,7 +93,7 @@ def test_native_eight_point_equals_the_twin_up_to_sign(seed):
     b1, b2, _ = noisy_matches(seed, 9 + 4 * seed)
     weights = None if seed % 2 else np.random.default_rng(seed).uniform(0.1, 1.0, len(b1))
     native = _core.eight_point(b1, b2, weights)
-    twin = eight_point(b1, b2, weights).E
+    twin = eight_point(b1, b2, weights=weights).E
     np.testing.assert_allclose(np.sign((native * twin).sum()) * native, twin, atol=1e-9)
 
 

@@ -1,33 +1,56 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The eight-point algorithm on bearing vectors (paper section 3)."""
+"""The eight-point algorithm on bearing vectors, normalised or not (paper sections 3 and 4.1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearing_pair, weights_array
+from epi360.epipolar.normalization import check_normalization, normalizers
+from epi360.epipolar.sk_search import check_sk_search, search_sk
 
 Array = NDArray[np.float64]
 
+CONSTRAINTS = ("unit", "taubin")
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class EightPointSolution:
     """Linear estimate of the essential matrix.
 
     Attributes
     ----------
     E : ndarray, shape (3, 3)
-        Rank 2, Frobenius norm sqrt(2); its two singular values may differ.
-    singular_values : ndarray, shape (9,)
-        Of the observation matrix, descending (NaN where N < 9 leaves fewer): the eighth over the
-        first tells how well the data determine E, the ninth how well they fit.
+        Rank 2, Frobenius norm sqrt(2); its two singular values may differ, its sign is free.
+    normalizer1, normalizer2 : ndarray, shape (3, 3)
+        N of each view: the estimate was made on N b (paper eq. 6).
+    S, K : float or None
+        Parameters of eq. 5, where the normalisation has them.
     """
 
     E: Array
-    singular_values: Array
+    normalizer1: Array = field(default_factory=lambda: np.eye(3))
+    normalizer2: Array = field(default_factory=lambda: np.eye(3))
+    S: float | None = None
+    K: float | None = None
+    # The matches used and their weights, for what is computed on demand.
+    _bearings1: Array = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+    _bearings2: Array = field(default_factory=lambda: np.empty((0, 3)), repr=False)
+    _weights: Array | None = field(default=None, repr=False)
+
+    @cached_property
+    def singular_values(self) -> Array:
+        """Nine values of the (weighted) normalised observation matrix, descending.
+
+        The eighth over the first tells how well the data determine E, the ninth over the eighth
+        how well they fit. Fewer than nine matches leave the last ones NaN.
+        """
+        b1, b2 = self._bearings1 @ self.normalizer1.T, self._bearings2 @ self.normalizer2.T
+        return nine_singular_values(_weighted_rows(b1, b2, self._weights))
 
 
 def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
@@ -48,12 +71,17 @@ def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
     ValueError
         If the bearings are no valid pair.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    return np.asarray(np.einsum("ni,nj->nij", b2, b1).reshape(-1, 9))
+    return kronecker_rows(*bearing_pair(bearings1, bearings2))
 
 
 def eight_point(
-    bearings1: ArrayLike, bearings2: ArrayLike, weights: ArrayLike | None = None
+    bearings1: ArrayLike,
+    bearings2: ArrayLike,
+    normalization: str | tuple[float, float] = "none",
+    constraint: str = "unit",
+    weights: ArrayLike | None = None,
+    *,
+    sk_search: str = "line",
 ) -> EightPointSolution:
     """Return the essential matrix of least algebraic error (DLT, then rank 2).
 
@@ -61,30 +89,157 @@ def eight_point(
     ----------
     bearings1, bearings2 : array_like, shape (N, 3)
         At least eight matches; rows with NaN are left out.
+    normalization : str or tuple (S, K)
+        "none", "isotropic", "non_isotropic", "isotropic+non_isotropic", "sk" (searched, eq. 14)
+        or S and K of eq. 5 themselves.
+    constraint : str
+        What has length one: "unit" the vector E, "taubin" the mean squared gradient of the
+        algebraic errors, which makes them angles to first order. The latter is the same in every
+        normalised domain, so it goes with "none" only.
     weights : array_like, shape (N,), optional
-        Of the squared algebraic errors.
+        Of the squared algebraic errors, and of the matches wherever a normalisation or constraint
+        sums over them: a weight of 3 counts like three copies, 0 removes a match.
+    sk_search : str
+        "line" or "lm": how "sk" is searched.
+
+    Returns
+    -------
+    solution : EightPointSolution
+        E and what it was computed with.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair or fewer than eight matches are there.
+        If the bearings are no valid pair, fewer than eight are usable, a name is unknown, or the
+        bearings do not allow the normalisation or constraint.
 
     Notes
     -----
-    Longuet-Higgins 1981; paper section 3. The last right singular vector of A is reshaped and its
-    smallest singular value zeroed.
+    Longuet-Higgins 1981; paper sections 3 and 4.1. Taubin, "Estimation of planar curves", PAMI
+    1991, in the tangent planes of the sphere. For eight matches there is one solution up to scale
+    and rank, whatever the constraint.
+    """
+    check_normalization(normalization)
+    check_constraint(constraint, normalization)
+    check_sk_search(sk_search)
+    b1, b2, w = usable_matches(bearings1, bearings2, weights)
+    if constraint == "taubin":
+        return EightPointSolution(_taubin(b1, b2, w), _bearings1=b1, _bearings2=b2, _weights=w)
+    if normalization == "sk":
+        normalization = search_sk(b1, b2, sk_search, w)[:2]
+    N1, N2 = normalizers(b1, b2, normalization, w)
+    E = _least_algebraic_error(b1, b2, N1, N2, w)
+    S, K = normalization if isinstance(normalization, tuple) else (None, None)
+    return EightPointSolution(E, N1, N2, S, K, b1, b2, w)
+
+
+def check_constraint(constraint: str, normalization: str | tuple[float, float]) -> None:
+    """Refuse an unknown constraint, or one that the normalisation leaves without effect.
+
+    Parameters
+    ----------
+    constraint : str
+        To be checked.
+    normalization : str or tuple (S, K)
+        That it goes with.
+
+    Raises
+    ------
+    ValueError
+        With the names that exist.
+    """
+    if constraint not in CONSTRAINTS:
+        raise ValueError(f"constraint must be one of {', '.join(CONSTRAINTS)}, got {constraint!r}")
+    if constraint == "taubin" and normalization != "none":
+        raise ValueError(
+            "constraint taubin gives the same E in every normalised domain: use it with "
+            f"normalization='none', got {normalization!r}"
+        )
+
+
+def usable_matches(
+    bearings1: ArrayLike, bearings2: ArrayLike, weights: ArrayLike | None
+) -> tuple[Array, Array, Array | None]:
+    """Return unit bearings and weights of the rows without NaN and of positive weight.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : array_like, shape (N, 3)
+        Matches.
+    weights : array_like, shape (N,), or None
+        Of the matches.
+
+    Raises
+    ------
+    ValueError
+        If the bearings are no valid pair or fewer than eight are usable.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     w = weights_array(weights, len(b1))
-    A = observation_matrix(b1, b2)
+    usable = np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1)
     if w is not None:
-        A = A * np.sqrt(w)[:, None]
-    A = A[np.isfinite(A).all(axis=1)]
-    if len(A) < 8:
-        raise ValueError(f"the eight-point algorithm needs at least 8 matches, got {len(A)}")
-    _, singular, Vt = np.linalg.svd(A, full_matrices=True)
-    U, s, Wt = np.linalg.svd(Vt[8].reshape(3, 3))
-    s = np.array([s[0], s[1], 0.0]) * np.sqrt(2.0) / np.hypot(s[0], s[1])
-    padded = np.full(9, np.nan)
-    padded[: len(singular)] = singular
-    return EightPointSolution(U @ np.diag(s) @ Wt, padded)
+        usable &= w > 0.0
+    if usable.sum() < 8:
+        raise ValueError(f"the eight-point algorithm needs at least 8 matches, got {usable.sum()}")
+    return b1[usable], b2[usable], None if w is None else w[usable]
+
+
+def _least_algebraic_error(b1: Array, b2: Array, N1: Array, N2: Array, w: Array | None) -> Array:
+    A = _weighted_rows(b1 @ N1.T, b2 @ N2.T, w)  # eq. 6 and 4
+    E_hat = _rank_two(np.linalg.svd(A, full_matrices=True)[2][8])
+    return _scaled(N2.T @ E_hat @ N1)  # eq. 9, with an N for each view
+
+
+def _taubin(b1: Array, b2: Array, w: Array | None) -> Array:
+    """Minimise e^T M e / e^T D e; e^T D e = sum |P2 E b1|^2 + |P1 E^T b2|^2, P = I - b b^T."""
+    weights = np.ones(len(b1)) if w is None else w
+    outer1, outer2 = np.einsum("ni,nj->nij", b1, b1), np.einsum("ni,nj->nij", b2, b2)
+    tangent1, tangent2 = np.eye(3) - outer1, np.eye(3) - outer2
+    gradients2 = np.einsum("n,nij,nkl->ikjl", weights, tangent2, outer1)
+    gradients1 = np.einsum("n,nij,nkl->ikjl", weights, outer2, tangent1)
+    try:
+        L = np.linalg.cholesky((gradients1 + gradients2).reshape(9, 9))
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "constraint taubin needs bearings in three dimensions; use constraint='unit'"
+        ) from None
+    # With e = L^-T y and D = L L^T the constraint is |y| = 1.
+    y = np.linalg.svd(_weighted_rows(b1, b2, w) @ np.linalg.inv(L).T, full_matrices=True)[2][8]
+    return _scaled(_rank_two(np.linalg.solve(L.T, y)))
+
+
+def kronecker_rows(q1: Array, q2: Array) -> Array:
+    """Return the observation matrix of vectors that need not have unit length.
+
+    Parameters
+    ----------
+    q1, q2 : ndarray, shape (N, 3)
+        Bearings, normalised by N or not.
+    """
+    return np.asarray(np.einsum("ni,nj->nij", q2, q1).reshape(-1, 9))
+
+
+def nine_singular_values(A: Array) -> Array:
+    """Return the singular values of an observation matrix, NaN where it has fewer than nine.
+
+    Parameters
+    ----------
+    A : ndarray, shape (N, 9)
+        Observation matrix.
+    """
+    values = np.linalg.svd(A, compute_uv=False)
+    return np.concatenate([values, np.full(9 - len(values), np.nan)])
+
+
+def _weighted_rows(b1: Array, b2: Array, w: Array | None) -> Array:
+    A = kronecker_rows(b1, b2)
+    return np.asarray(A if w is None else A * np.sqrt(w)[:, None])
+
+
+def _rank_two(e: Array) -> Array:
+    U, s, Vt = np.linalg.svd(e.reshape(3, 3))
+    return np.asarray(U @ np.diag([s[0], s[1], 0.0]) @ Vt)
+
+
+def _scaled(E: Array) -> Array:
+    return np.asarray(E * (np.sqrt(2.0) / np.linalg.norm(E)))

@@ -12,7 +12,7 @@ from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
-RESIDUALS = ("paper", "angular", "sampson", "tangent_sampson")
+RESIDUALS = ("paper", "angular", "sampson", "tangent_sampson")  # those of one match alone
 
 
 def paper_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
@@ -109,6 +109,40 @@ def sampson_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
         return np.asarray(C / np.sqrt(squared))
 
 
+def solarte2021_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
+    """Signed algebraic errors over norms of the whole arrays: eq. 13 as the authors' code has it.
+
+    Parameters
+    ----------
+    E : array_like, shape (3, 3)
+        Essential matrix.
+    bearings1, bearings2 : array_like, shape (N, 3)
+        Directions; row i of both is one match. Rows with NaN do not count in the norms.
+
+    Returns
+    -------
+    residuals : ndarray, shape (N,)
+        About the sine of eq. 13 divided by N: the thresholds of the paper's Table 4 belong to it,
+        and N times a threshold is an angle in radians.
+
+    Raises
+    ------
+    ValueError
+        If the bearings are no valid pair.
+
+    Notes
+    -----
+    b2^T E b1 / (|B2|_F |B1 E^T|_F) with the Frobenius norms of all bearings and of all normals,
+    where eq. 13 has those of one match. The authors' code takes the absolute value.
+    """
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    normals = b1 @ np.asarray(E, dtype=np.float64).T
+    usable = np.isfinite(normals).all(axis=1) & np.isfinite(b2).all(axis=1)
+    norms = np.linalg.norm(b2[usable]) * np.linalg.norm(normals[usable])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.einsum("ij,ij->i", b2, normals) / norms)
+
+
 def tangent_sampson_residuals(
     E: ArrayLike,
     bearings1: ArrayLike,
@@ -171,7 +205,7 @@ def pose_residuals(
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
     residual : str
-        "paper", "angular", "sampson" or "tangent_sampson".
+        "paper", "angular", "sampson", "tangent_sampson" or "solarte2021".
     jacobians1, jacobians2 : array_like, shape (N, 3, 2), optional
         For "tangent_sampson".
 
@@ -189,9 +223,11 @@ def pose_residuals(
         "paper": paper_residuals,
         "angular": angular_residuals,
         "sampson": sampson_residuals,
+        "solarte2021": solarte2021_residuals,
     }
     if residual not in functions:
-        raise ValueError(f"residual must be one of {', '.join(RESIDUALS)}, got {residual!r}")
+        names = ", ".join((*RESIDUALS, "solarte2021"))
+        raise ValueError(f"residual must be one of {names}, got {residual!r}")
     return functions[residual](E, bearings1, bearings2)
 
 
@@ -227,7 +263,7 @@ def residual_jacobians(
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
     residual : str
-        "paper", "angular" or "sampson".
+        "paper", "angular", "sampson" or "solarte2021".
 
     Returns
     -------
@@ -242,22 +278,34 @@ def residual_jacobians(
     Notes
     -----
     With a = R b1, b = b2, C = t.(a x b) and residual C / sqrt(D): dC/dw = a x (b x t),
-    dC/dt = a x b, and D = 1 - (t.a)^2, for Sampson also + 1 - (t.b)^2 - 2 C^2.
+    dC/dt = a x b, and D = 1 - (t.a)^2, for Sampson also + 1 - (t.b)^2 - 2 C^2. For "solarte2021"
+    D is N times the sum of 1 - (t.a)^2 over all N matches (those without NaN).
     """
-    if residual not in ("paper", "angular", "sampson"):
-        raise ValueError(f"residual must be paper, angular or sampson, got {residual!r}")
+    if residual not in ("paper", "angular", "sampson", "solarte2021"):
+        raise ValueError(
+            f"residual must be paper, angular, sampson or solarte2021, got {residual!r}"
+        )
     b1, b = bearing_pair(bearings1, bearings2)
     t = cam2_from_cam1.translation
     a = b1 @ cam2_from_cam1.rotation.T
     ta, tb = (a @ t)[:, None], (b @ t)[:, None]
     C_by_a, C_by_t = np.cross(b, t), np.cross(a, b)
     C = (C_by_t @ t)[:, None]
-    D, half_by_a, half_by_t = 1.0 - ta**2, -ta * t, -ta * a
+    # |t x a|^2 is 1 - (t.a)^2 with all of its digits near the epipole.
+    D, half_by_a, half_by_t = (np.cross(t, a) ** 2).sum(axis=1)[:, None], -ta * t, -ta * a
     if residual == "sampson":
         D = D + 1.0 - tb**2 - 2.0 * C**2
         half_by_a = half_by_a - 2.0 * C * C_by_a
         half_by_t = half_by_t - tb * b - 2.0 * C * C_by_t
-    by_w = np.cross(a, C_by_a - C / D * half_by_a)
+    half_by_w = np.cross(a, half_by_a)
+    if residual == "solarte2021":
+        usable = np.isfinite(C[:, 0])
+        num = float(usable.sum())
+        D, half_by_w, half_by_t = (
+            num * x[usable].sum(axis=0, keepdims=True) for x in (D, half_by_w, half_by_t)
+        )
+    D = np.maximum(D, 1e-20)  # a bearing in the epipole, as in native/core/residuals.cpp
+    by_w = np.cross(a, C_by_a) - C / D * half_by_w
     by_d = (C_by_t - C / D * half_by_t) @ tangent_basis(t)
     jacobians = np.hstack([by_w, by_d]) / np.sqrt(D)
     if residual == "angular":

@@ -3,20 +3,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
 from epi360.epipolar.arguments import bearing_pair, jacobians_array, weights_array
-from epi360.epipolar.residuals import (
-    RESIDUALS,
-    pose_residuals,
-    residual_jacobians,
-    tangent_basis,
+from epi360.epipolar.residuals import RESIDUALS, pose_residuals, residual_jacobians
+from epi360.estimation.covariance import (
+    inverse_information,
+    loss_influence,
+    reweighting_influence,
+    sandwich_covariance,
 )
-from epi360.poses import Pose, rotation_from_vector
+from epi360.estimation.refinement_reference import (
+    check_parameterization,
+    levenberg_marquardt,
+    refine_pose_reference,
+    weighing,
+)
+from epi360.estimation.weights import check_weight_kind, weight_model
+from epi360.poses import Pose
+
+__all__ = ["LOSSES", "RefinementResult", "refine_pose", "refine_pose_reference"]
 
 Array = NDArray[np.float64]
 
@@ -39,11 +49,14 @@ class RefinementResult:
     cost : float
         Sum of the loss; for the mixture -2 scale^2 times the log-likelihood.
     covariance : ndarray, shape (5, 5)
-        Radians squared, parameters as in ``RelativePoseResult``: the inverse normal equations
-        times the residual variance, for robust losses the M-estimator's sandwich. The scale of
-        the weights does not matter.
+        Radians squared, parameters as in ``RelativePoseResult`` whatever the parameterization: the
+        inverse normal equations times the residual variance; for robust losses and `reweight` the
+        M-estimator's sandwich, with the scale of the weights held; for "solarte2021" the sandwich
+        too, because its residuals have different variances. The scale of the weights does not
+        matter.
     scale : float
-        Scale of the loss; for the mixture the estimated standard deviation of the inliers.
+        Scale of the loss; for the mixture and for `reweight` the estimated standard deviation (or
+        scale) of the inliers' residuals.
     num_iterations : int
         Iterations of Levenberg-Marquardt.
     converged : bool
@@ -67,6 +80,8 @@ def refine_pose(
     loss: str = "squared",
     weights: ArrayLike | None = None,
     *,
+    reweight: str | None = None,
+    parameterization: str = "manifold",
     scale: float | None = None,
     jacobians1: ArrayLike | None = None,
     jacobians2: ArrayLike | None = None,
@@ -81,12 +96,20 @@ def refine_pose(
     cam2_from_cam1 : Pose
         Where the search starts; its translation needs a direction, not a length.
     residual : str
-        "paper" (eq. 13), "angular", "sampson" or "tangent_sampson" (needs the Jacobians).
+        "paper" (eq. 13), "solarte2021" (the authors' code, see `solarte2021_residuals`),
+        "angular", "sampson" or "tangent_sampson" (needs the Jacobians).
     loss : str
         "squared", "huber", "cauchy", "geman_mcclure", or "mixture" (maximum likelihood of
         Gaussian inliers, near misses and uniform outliers, whose scale and shares are estimated).
     weights : array_like, shape (N,), optional
-        Multiply each match's loss.
+        Multiply each match's loss: the constant omega of paper eq. 15.
+    reweight : str, optional
+        "gaussian", "student_t" or "mixture": before each step every match gets the
+        `residual_weights` of the current residuals (the paper's IRLS), times `weights`. In place
+        of a robust loss.
+    parameterization : str
+        "manifold": steps over SO(3) x S^2. "se3": the paper's xi in R^6, in which the length of
+        the translation is a sixth, idle parameter. Same minimum.
     scale : float, optional
         Of the robust losses, in the residual's unit; by default 1.345 (huber), 2.385 (cauchy) or 3
         (geman_mcclure) times the standard deviation that the median absolute residual at the start
@@ -104,115 +127,147 @@ def refine_pose(
     Raises
     ------
     ValueError
-        If an array has a wrong shape, a name is unknown, fewer than five matches are usable or the
-        starting pose has no direction.
+        If an array has a wrong shape, a name is unknown, fewer than five matches are usable, the
+        starting pose has no direction or two options exclude each other.
+
+    Notes
+    -----
+    "solarte2021", `reweight` and "se3" run in NumPy, everything else in the compiled core.
     """
+    _check_names(residual, loss, reweight, parameterization)
     b1, b2 = bearing_pair(bearings1, bearings2)
     usable = np.asarray(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
-    start = _checked_start(cam2_from_cam1, residual, loss, int(usable.sum()))
+    start = _checked_start(cam2_from_cam1, int(usable.sum()))
     w = weights_array(weights, len(b1))
     J1 = jacobians_array(jacobians1, len(b1), "jacobians1")
     J2 = jacobians_array(jacobians2, len(b1), "jacobians2")
     if residual == "tangent_sampson" and (J1 is None or J2 is None):
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
+    matches = _Matches(
+        b1[usable], b2[usable], _of(w, usable), _of(J1, usable), _of(J2, usable), residual
+    )
     if scale is None:
-        scale = _default_scale(start, b1[usable], b2[usable], residual, loss)
-    R, t, found, cost, information, squares, _, scale, iterations, converged = _core.refine(
-        b1[usable],
-        b2[usable],
+        scale = _default_scale(start, matches, loss)
+    if reweight is not None or parameterization == "se3" or residual == "solarte2021":
+        found = _refined_in_numpy(
+            matches, start, loss, scale, reweight, parameterization, max_iterations
+        )
+    else:
+        found = _refined_natively(matches, start, loss, scale, max_iterations)
+    residuals = np.full(len(b1), np.nan)
+    residuals[usable] = found.residuals
+    return replace(found, residuals=residuals)
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """Matches without missing rows and the residual to judge them by."""
+
+    b1: Array
+    b2: Array
+    weights: Array | None
+    J1: Array | None
+    J2: Array | None
+    residual: str
+
+    def residuals_at(self, pose: Pose) -> Array:
+        return pose_residuals(pose, self.b1, self.b2, self.residual, self.J1, self.J2)
+
+    def jacobians_at(self, pose: Pose) -> Array:
+        if self.residual == "solarte2021":
+            return residual_jacobians(pose, self.b1, self.b2, self.residual)
+        _, J = _core.residuals(
+            self.b1, self.b2, pose.rotation, pose.translation, self.residual, self.J1, self.J2
+        )
+        return J
+
+    def constant_weights(self) -> Array:
+        return np.ones(len(self.b1)) if self.weights is None else self.weights
+
+
+def _refined_natively(
+    matches: _Matches, start: Pose, loss: str, scale: float, max_iterations: int
+) -> RefinementResult:
+    R, t, residuals, cost, information, squares, _, scale, iterations, converged = _core.refine(
+        matches.b1,
+        matches.b2,
         start.rotation,
         start.translation,
-        residual=residual,
+        residual=matches.residual,
         loss=loss,
         scale=float(scale),
-        weights=_of(w, usable),
-        jacobians1=_of(J1, usable),
-        jacobians2=_of(J2, usable),
+        weights=matches.weights,
+        jacobians1=matches.J1,
+        jacobians2=matches.J2,
         max_iterations=max_iterations,
     )
-    residuals = np.full(len(b1), np.nan)
-    residuals[usable] = found
-    pose = Pose(R, t)
+    pose, w = Pose(R, t), matches.constant_weights()
     if loss in ("squared", "mixture"):
-        num_matches = int(usable.sum()) if w is None else int((w[usable] > 0.0).sum())
-        variance = scale**2 if loss == "mixture" else squares / max(num_matches - 5, 1)
-        covariance = variance * _inverse(information)
+        variance = scale**2 if loss == "mixture" else _variance(squares, w)
+        covariance = variance * inverse_information(information)
     else:
-        _, J = _core.residuals(
-            b1[usable], b2[usable], R, t, residual, _of(J1, usable), _of(J2, usable)
-        )
-        covariance = _sandwich(J, found, _of(w, usable), loss, scale)
+        influence = loss_influence(residuals, loss, scale)
+        covariance = sandwich_covariance(matches.jacobians_at(pose), w, influence)
     return RefinementResult(pose, residuals, cost, covariance, scale, iterations, bool(converged))
 
 
-def refine_pose_reference(
-    bearings1: ArrayLike,
-    bearings2: ArrayLike,
-    cam2_from_cam1: Pose,
-    residual: str = "angular",
-    loss: str = "squared",
-    weights: ArrayLike | None = None,
-    *,
-    scale: float = 1.0,
-    max_iterations: int = 100,
-) -> tuple[Pose, float]:
-    """Return pose and cost of the same refinement in plain NumPy: the twin that tests compare.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Matches without missing rows.
-    cam2_from_cam1 : Pose
-        Start.
-    residual : str
-        "paper", "angular" or "sampson".
-    loss : str
-        "squared", "huber", "cauchy" or "geman_mcclure".
-    weights : array_like, shape (N,), optional
-        Multiply each match's loss.
-    scale : float
-        Of the robust losses.
-    max_iterations : int
-        Limit of iterations.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown.
-    """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    w = np.ones(len(b1)) if weights is None else np.asarray(weights, dtype=np.float64)
-    t = cam2_from_cam1.translation
-    pose = Pose(cam2_from_cam1.rotation, t / np.linalg.norm(t))
-    residuals = pose_residuals(pose, b1, b2, residual)
-    cost = float(w @ _loss(residuals**2, loss, scale)[0])
-    damping = 1e-4
-    for _ in range(max_iterations):
-        J = residual_jacobians(pose, b1, b2, residual)
-        irls = w * _loss(residuals**2, loss, scale)[1]
-        hessian, gradient = (J.T * irls) @ J, J.T @ (irls * residuals)
-        damped = hessian + damping * np.diag(np.diag(hessian))
-        step = np.asarray(np.linalg.solve(damped, -gradient), dtype=np.float64)
-        if np.linalg.norm(step) < 1e-10:
-            break
-        candidate = _moved(pose, step)
-        candidate_residuals = pose_residuals(candidate, b1, b2, residual)
-        candidate_cost = float(w @ _loss(candidate_residuals**2, loss, scale)[0])
-        if candidate_cost < cost:
-            pose, residuals, cost = candidate, candidate_residuals, candidate_cost
-            damping = max(damping * 0.1, 1e-9)
-        else:
-            damping *= 10.0
-            if damping > 1e8:
-                break
-    return pose, cost
+def _refined_in_numpy(
+    matches: _Matches,
+    start: Pose,
+    loss: str,
+    scale: float,
+    reweight: str | None,
+    parameterization: str,
+    max_iterations: int,
+) -> RefinementResult:
+    w = matches.constant_weights()
+    found = levenberg_marquardt(
+        start,
+        matches.residuals_at,
+        matches.jacobians_at,
+        weighing(w, loss, scale, reweight),
+        parameterization,
+        max_iterations,
+    )
+    J, e = matches.jacobians_at(found.pose), found.residuals
+    if reweight is not None:
+        model = weight_model(e[w > 0.0], reweight)
+        scale = model.scale
+        covariance = sandwich_covariance(J, w, reweighting_influence(e, w > 0.0, model))
+    elif loss == "squared" and matches.residual != "solarte2021":
+        covariance = _variance(float(w @ e**2), w) * inverse_information((J.T * w) @ J)
+    else:
+        covariance = sandwich_covariance(J, w, loss_influence(e, loss, scale))
+    return RefinementResult(
+        found.pose, e, found.cost, covariance, scale, found.num_iterations, found.converged
+    )
 
 
-def _checked_start(pose: Pose, residual: str, loss: str, num_usable: int) -> Pose:
-    if residual not in RESIDUALS:
-        raise ValueError(f"residual must be one of {', '.join(RESIDUALS)}, got {residual!r}")
+def _variance(weighted_squares: float, weights: Array) -> float:
+    return weighted_squares / max(int((weights > 0.0).sum()) - 5, 1)
+
+
+def _check_names(residual: str, loss: str, reweight: str | None, parameterization: str) -> None:
+    residuals = (*RESIDUALS, "solarte2021")
+    if residual not in residuals:
+        raise ValueError(f"residual must be one of {', '.join(residuals)}, got {residual!r}")
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    check_parameterization(parameterization)
+    if reweight is not None:
+        check_weight_kind(reweight)
+        if loss != "squared":
+            raise ValueError(
+                f"reweight takes the place of a robust loss: use loss='squared', got {loss!r}"
+            )
+    if loss == "mixture" and (parameterization == "se3" or residual == "solarte2021"):
+        raise ValueError(
+            "loss mixture goes with parameterization='manifold' and without residual solarte2021; "
+            "use reweight='mixture'"
+        )
+
+
+def _checked_start(pose: Pose, num_usable: int) -> Pose:
     if num_usable < 5:
         raise ValueError(f"refinement needs at least 5 usable matches, got {num_usable}")
     norm = float(np.linalg.norm(pose.translation))
@@ -221,58 +276,12 @@ def _checked_start(pose: Pose, residual: str, loss: str, num_usable: int) -> Pos
     return Pose(pose.rotation, pose.translation / norm)
 
 
-def _default_scale(pose: Pose, b1: Array, b2: Array, residual: str, loss: str) -> float:
+def _default_scale(start: Pose, matches: _Matches, loss: str) -> float:
     if loss in ("squared", "mixture"):
         return 0.0 if loss == "mixture" else 1.0
-    kind = "sampson" if residual == "tangent_sampson" else residual
-    deviation = 1.4826 * float(np.median(np.abs(pose_residuals(pose, b1, b2, kind))))
+    deviation = 1.4826 * float(np.median(np.abs(matches.residuals_at(start))))
     return max(_TUNING[loss] * deviation, 1e-9)
 
 
 def _of(array: Array | None, chosen: NDArray[np.bool_]) -> Array | None:
     return None if array is None else array[chosen]
-
-
-def _inverse(matrix: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
-    except np.linalg.LinAlgError:  # the matches do not determine the pose
-        return np.full((5, 5), np.nan)
-
-
-def _sandwich(J: Array, residuals: Array, weights: Array | None, loss: str, scale: float) -> Array:
-    """Covariance of an M-estimator (Huber 1981): H^-1 (sum psi^2 J^T J) H^-1 with psi' in H."""
-    u = (residuals / scale) ** 2
-    psi = residuals * _loss(residuals**2, loss, scale)[1]
-    slopes = {
-        "huber": (u <= 1.0).astype(np.float64),
-        "cauchy": (1.0 - u) / (1.0 + u) ** 2,
-        "geman_mcclure": (1.0 - 3.0 * u) / (1.0 + u) ** 3,
-    }
-    w = np.ones(len(psi)) if weights is None else weights
-    bread = _inverse((J.T * (w * slopes[loss])) @ J)
-    return np.asarray(bread @ ((J.T * (w * psi) ** 2) @ J) @ bread)
-
-
-def _moved(pose: Pose, step: Array) -> Pose:
-    t = pose.translation + tangent_basis(pose.translation) @ step[3:]
-    return Pose(rotation_from_vector(step[:3]) @ pose.rotation, t / np.linalg.norm(t))
-
-
-def _loss(squared: Array, loss: str, scale: float) -> tuple[Array, Array]:
-    """Cost and weight of squared residuals, as in native/core/loss.h."""
-    c2 = scale**2
-    if loss == "squared":
-        return squared, np.ones_like(squared)
-    if loss == "huber":
-        root = np.sqrt(np.maximum(squared, 1e-300))
-        inside = squared <= c2
-        return np.where(inside, squared, 2.0 * scale * root - c2), np.where(
-            inside, 1.0, scale / root
-        )
-    if loss == "cauchy":
-        return c2 * np.log1p(squared / c2), 1.0 / (1.0 + squared / c2)
-    if loss == "geman_mcclure":
-        d = 1.0 / (1.0 + squared / c2)
-        return squared * d, d**2
-    raise ValueError(f"loss must be squared, huber, cauchy or geman_mcclure, got {loss!r}")

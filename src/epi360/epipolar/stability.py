@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""How well matches determine an essential matrix (paper section 4.2, eq. 10 to 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from epi360.epipolar.arguments import bearing_pair
+from epi360.epipolar.linear import kronecker_rows, nine_singular_values
+from epi360.epipolar.normalization import check_normalization, normalizers
+from epi360.epipolar.sk_search import search_sk
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+
+# Rows of an N x N table that are in memory at a time.
+_BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Stability:
+    """The paper's measures of a set of matches, in the normalised domain q^ = N q.
+
+    What needs all N^2 pairs of matches is computed on first use, in blocks. Angles are radians.
+
+    Attributes
+    ----------
+    singular_values : ndarray, shape (9,)
+        Of the normalised observation matrix, descending; the ninth is NaN for eight matches.
+    normalizer1, normalizer2 : ndarray, shape (3, 3)
+        N of each view.
+    alpha_rad : ndarray, shape (M,)
+        Angle between N1 q1 and N2 q2 of every match, the camera's rotation included: Table 1's
+        alpha is the mean. NaN for missing rows, as in the next two.
+    parallax_rad : ndarray, shape (M,)
+        Motion parallax: angle between R q1 and q2. NaN where no pose was given.
+    normalized_parallax_rad : ndarray, shape (M,)
+        Angle between N2 R q1 and N2 q2. NaN where no pose was given.
+    """
+
+    singular_values: Array
+    normalizer1: Array
+    normalizer2: Array
+    alpha_rad: Array
+    parallax_rad: Array
+    normalized_parallax_rad: Array
+    _q1: Array = field(repr=False)  # normalised, without missing rows
+    _q2: Array = field(repr=False)
+    _usable: NDArray[np.bool_] = field(repr=False)
+
+    @property
+    def num_matches(self) -> int:
+        """Number n of matches without missing rows."""
+        return len(self._q1)
+
+    @property
+    def sigma_8(self) -> float:
+        """Second smallest singular value, as printed: grows with n and with the square of N."""
+        return float(self.singular_values[7])
+
+    @property
+    def sigma_8_over_sigma_1(self) -> float:
+        """How well the data determine E, free of the scale of N and of n."""
+        return float(self.singular_values[7] / self.singular_values[0])
+
+    @property
+    def sigma_9_over_sigma_8(self) -> float:
+        """How far the data are from contradicting every E: 0 on exact data, 1 for none."""
+        return float(self.singular_values[8] / self.singular_values[7])
+
+    @property
+    def gram_norm_squared(self) -> float:
+        """Left side of eq. 10: squared Frobenius norm of A A^T, from the singular values."""
+        return float(np.nansum(self.singular_values**4))
+
+    @cached_property
+    def internal_angle_sum(self) -> float:
+        """Right side of eq. 10: sum over all i, j of cos^2 beta1_ij cos^2 beta2_ij.
+
+        On rows that are not of unit length (a normalised domain) each term carries the lengths of
+        its four vectors, squared; without them the equation holds on the sphere only.
+        """
+        return float(
+            sum(((a @ self._q1.T) ** 2 * (b @ self._q2.T) ** 2).sum() for a, b in self._blocks())
+        )
+
+    @property
+    def sigma_8_bound(self) -> float:
+        """Right side of eq. 11: no sigma_8 is larger.
+
+        For rows that are not of unit length n becomes tr(A^T A). The bound is that of the smallest
+        of eight numbers with this sum and sum of squares; a ninth above zero only lowers sigma_8.
+        """
+        n = float(np.nansum(self.singular_values**2))
+        spread = max(8.0 * self.gram_norm_squared - n**2, 0.0)
+        return float(np.sqrt(n / 8.0 - np.sqrt(spread / 7.0) / 8.0))
+
+    @property
+    def mean_alpha_rad(self) -> float:
+        """Table 1's alpha."""
+        return _mean(self.alpha_rad)
+
+    @property
+    def mean_parallax_rad(self) -> float:
+        """Mean motion parallax, NaN where no pose was given."""
+        return _mean(self.parallax_rad)
+
+    @property
+    def mean_normalized_parallax_rad(self) -> float:
+        """Mean motion parallax in the normalised domain of view 2, NaN where no pose was given."""
+        return _mean(self.normalized_parallax_rad)
+
+    @cached_property
+    def mean_internal_angles_rad(self) -> tuple[float, float]:
+        """Mean over all pairs i < j of beta1_ij and of beta2_ij, the internal angles."""
+        sums = np.zeros(2)
+        for a, b in self._blocks():
+            sums += _angles(a[:, None], self._q1).sum(), _angles(b[:, None], self._q2).sum()
+        pairs = self.num_matches * (self.num_matches - 1)
+        return float(sums[0] / pairs), float(sums[1] / pairs)
+
+    def internal_angles_rad(self) -> tuple[Array, Array]:
+        """All internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
+        return _angles(self._q1[:, None], self._q1), _angles(self._q2[:, None], self._q2)
+
+    def essential_error_bound(self, bearings1: ArrayLike, bearings2: ArrayLike) -> float:
+        """Right side of eq. 12, |Q|_2 / sigma_8, from the same matches without noise.
+
+        Parameters
+        ----------
+        bearings1, bearings2 : array_like, shape (M, 3)
+            The true bearings, in the rows of those that this object was made of.
+
+        Returns
+        -------
+        bound : float
+            Of the sine of the angle between the DLT's vector and the true one, both in the
+            normalised domain and before rank 2.
+
+        Raises
+        ------
+        ValueError
+            If the bearings are no valid pair, their number is another one or a used row is NaN.
+
+        Notes
+        -----
+        Q = A - A_true with sigma_8 of the noisy A. With A_true e = 0 and e at the angle theta from
+        the last right singular vector of A: sigma_8 sin theta <= |A e| = |Q e| <= |Q|_2.
+        """
+        b1, b2 = bearing_pair(bearings1, bearings2)
+        if len(b1) != len(self._usable):
+            rows = len(self._usable)
+            raise ValueError(f"bearings must have the {rows} rows of stability(), got {len(b1)}")
+        true1, true2 = b1[self._usable] @ self.normalizer1.T, b2[self._usable] @ self.normalizer2.T
+        if not (np.isfinite(true1).all() and np.isfinite(true2).all()):
+            raise ValueError("the true bearings must not be NaN where those of stability() are not")
+        Q = kronecker_rows(self._q1, self._q2) - kronecker_rows(true1, true2)
+        return float(np.linalg.norm(Q, 2) / self.sigma_8)
+
+    def _blocks(self) -> Iterator[tuple[Array, Array]]:
+        for start in range(0, self.num_matches, _BLOCK):
+            yield self._q1[start : start + _BLOCK], self._q2[start : start + _BLOCK]
+
+
+def stability(
+    bearings1: ArrayLike,
+    bearings2: ArrayLike,
+    normalization: str | tuple[float, float] = "none",
+    cam2_from_cam1: Pose | None = None,
+) -> Stability:
+    """Return how well matches determine an essential matrix.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : array_like, shape (M, 3)
+        At least eight matches; rows with NaN are left out.
+    normalization : str or tuple (S, K)
+        As in `eight_point`: the domain to measure in. "sk" is searched first.
+    cam2_from_cam1 : Pose, optional
+        For the true motion parallax.
+
+    Returns
+    -------
+    stability : Stability
+        Singular values, eq. 10 to 12, internal angles and motion parallax.
+
+    Raises
+    ------
+    ValueError
+        If the bearings are no valid pair, fewer than eight are usable or the normalisation is
+        unknown or impossible.
+
+    Notes
+    -----
+    Paper section 4.2; da Silveira & Jung, "Perturbation analysis of the 8-point algorithm", CVPR
+    2019. sigma_8 alone compares nothing: S = K = 2 makes it four times larger and leaves E as it
+    is. Compare sigma_8_over_sigma_1 and sigma_9_over_sigma_8.
+    """
+    check_normalization(normalization)
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    usable = np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1)
+    if usable.sum() < 8:
+        raise ValueError(f"stability needs at least 8 matches, got {usable.sum()}")
+    if normalization == "sk":
+        normalization = search_sk(b1, b2)[:2]
+    N1, N2 = normalizers(b1[usable], b2[usable], normalization)
+    q1, q2 = b1 @ N1.T, b2 @ N2.T
+    R = np.full((3, 3), np.nan) if cam2_from_cam1 is None else cam2_from_cam1.rotation
+    turned = b1 @ R.T
+    return Stability(
+        nine_singular_values(kronecker_rows(q1[usable], q2[usable])),
+        N1,
+        N2,
+        _angles(q1, q2),
+        _angles(turned, b2),
+        _angles(turned @ N2.T, q2),
+        q1[usable],
+        q2[usable],
+        np.asarray(usable),
+    )
+
+
+def _angles(a: Array, b: Array) -> Array:
+    across = np.linalg.norm(np.cross(a, b), axis=-1)
+    return np.asarray(np.arctan2(across, (a * b).sum(axis=-1)))
+
+
+def _mean(angles: Array) -> float:
+    present = angles[np.isfinite(angles)]
+    return float(present.mean()) if len(present) else float("nan")
