@@ -70,3 +70,22 @@ def estimate_relative_pose(
     jacobians1: _Array | None,
     jacobians2: _Array | None,
 ) -> _RobustResult: ...
+def paper_pose(
+    bearings1: _Array,
+    bearings2: _Array,
+    method: str,
+    sk_search: str = "line",
+    parameterization: str = "manifold",
+) -> tuple[_Array, _Array, float, float, float, int, int, bool]: ...
+def solve_linear(
+    bearings1: _Array,
+    bearings2: _Array,
+    normalization: str,
+    taubin: bool = False,
+    S: float = 1.0,
+    K: float = 1.0,
+    weights: _Array | None = None,
+) -> tuple[_Array, _Array, _Array]: ...
+def search_sk(
+    bearings1: _Array, bearings2: _Array, sk_search: str, weights: _Array | None = None
+) -> tuple[float, float, float, int]: ...

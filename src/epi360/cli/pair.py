@@ -1,21 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The command `epi360`: parse, one library call, report.
-
-Exit codes: 0 success, 1 honest failure (the result's status says why), 2 wrong use (one line on
-stderr), 130 interrupted. Heavy imports are inside the functions: the help appears at once.
-"""
+"""``epi360 pair``: two images to a relative pose."""
 
 from __future__ import annotations
 
-import os
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from cyclopts import App, CycloptsError, Group, Parameter
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, Flag, Progress, app, show_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,52 +18,6 @@ if TYPE_CHECKING:
     from epi360.cameras import Camera
     from epi360.estimation.result import ImagePairResult
     from epi360.poses import Pose
-
-SUCCESS, FAILURE, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
-Progress = Callable[[str], None]
-Flag = Annotated[bool, Parameter(negative=())]
-
-
-def _version() -> str:
-    from epi360.report.records import package_version
-
-    return package_version()
-
-
-app = App(
-    name="epi360",
-    help="Relative pose of 360° and other wide-angle images.",
-    version=_version,
-    suppress_keyboard_interrupt=False,
-)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Exit code of the command, after it has run.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words after the program's name; those of the process by default.
-
-    Returns
-    -------
-    code : int
-        0 success, 1 honest failure, 2 wrong use, 130 interrupted.
-    """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return SUCCESS
-    except (CycloptsError, ImportError, OSError, ValueError) as error:
-        print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
-        return WRONG_USE
-    except KeyboardInterrupt:
-        print("epi360: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    return code if isinstance(code, int) else SUCCESS
 
 
 @Parameter(name="*", group=Group("Images", sort_key=1))
@@ -166,7 +114,7 @@ def pair(
     """
     _check_pair_words(image1, image2, demo, given, output)
     _check_outputs(output, _files_read(image1, image2, given))
-    with _progress() as progress:
+    with show_progress() as progress:
         if image1 is None or image2 is None:
             images = _demo_pair(progress)
         else:
@@ -321,28 +269,3 @@ def _write_images(images: _Pair, folder: Path) -> None:
     for number, image in enumerate(images.images, start=1):
         encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
         write_file(folder / f"demo{number}.png", encoded.tobytes())
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """Show what is being done on stderr while that is a terminal."""
-    if not sys.stderr.isatty():
-        yield lambda message: None
-        return
-    from rich.console import Console
-    from rich.text import Text
-
-    with Console(stderr=True).status("starting") as status:
-        yield lambda message: status.update(Text(message))
-
-
-def _one_line(error: Exception) -> str:
-    """Error message without its number and line breaks."""
-    text = str(error)
-    if isinstance(error, OSError) and error.strerror is not None:
-        text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    return " ".join(text.split()) or type(error).__name__
-
-
-if __name__ == "__main__":
-    sys.exit(main())

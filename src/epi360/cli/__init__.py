@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The command `epi360`: parse, one library call, report.
+
+Exit codes: 0 success, 1 honest failure (the result's status says why), 2 wrong use (one line on
+stderr), 130 interrupted. Heavy imports are inside the functions: the help appears at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from cyclopts import CycloptsError
+
+# Importing the module of a command registers it.
+from epi360.cli import pair as _pair  # noqa: F401
+from epi360.cli import render as _render  # noqa: F401
+from epi360.cli import reproduce as _reproduce  # noqa: F401
+from epi360.cli.command import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE, app
+
+__all__ = ["FAILURE", "INTERRUPTED", "SUCCESS", "WRONG_USE", "app", "main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code of the command, after it has run.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; those of the process by default.
+
+    Returns
+    -------
+    code : int
+        0 success, 1 honest failure, 2 wrong use, 130 interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return SUCCESS
+    except (CycloptsError, ImportError, OSError, ValueError) as error:
+        print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
+        return WRONG_USE
+    except KeyboardInterrupt:
+        print("epi360: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return code if isinstance(code, int) else SUCCESS
+
+
+def _one_line(error: Exception) -> str:
+    """Error message without its number and line breaks."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror is not None:
+        text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return " ".join(text.split()) or type(error).__name__

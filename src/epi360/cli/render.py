@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 render``: a sequence of pictures, ranges and poses of a scene."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import SUCCESS, app, show_progress
+
+if TYPE_CHECKING:
+    from epi360.cameras import Camera
+    from epi360.synthetic.meshes import MeshScene
+    from epi360.synthetic.room import Room
+    from epi360.synthetic.sequence import FrameProgress
+
+# Where stderr is a file, a line every so often is enough.
+SECONDS_BETWEEN_LINES = 30.0
+
+
+@Parameter(name="*", group=Group("Scene", sort_key=1))
+@dataclass(frozen=True)
+class SceneChoice:
+    """What is rendered."""
+
+    scene: Literal["living_room", "studio"] | None = None
+    """Built-in scene: living_room (default) is rich in key points on all sides, studio on one."""
+    seed: int = 0
+    """Of the scene's furnishing and of the path."""
+    mesh: Path | None = None
+    """Textured mesh instead of a built-in scene: OBJ, PLY or GLB, in metres."""
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+y"
+    """With --mesh: axis of its world that points up; glTF says +y, many scans +z."""
+
+
+@Parameter(name="*", group=Group("Path", sort_key=2))
+@dataclass(frozen=True)
+class PathChoice:
+    """How the camera moves."""
+
+    num_frames: int = 300
+    """Number of frames."""
+    step_m: float = 0.04
+    """Largest way between two frames; frames 0.5 m apart are then about 13 frames apart."""
+    max_turn_deg: float = 2.0
+    """Largest turn between two frames."""
+    height_m: float = 1.5
+    """Mean height of the camera over the floor."""
+    clearance_m: float = 0.35
+    """Least distance from every surface."""
+
+
+@Parameter(name="*", group=Group("Camera", sort_key=3))
+@dataclass(frozen=True)
+class CameraChoice:
+    """What the pictures are like."""
+
+    width: int | None = None
+    """Width of the panoramas, twice their height; 1024 by default."""
+    camera: Path | None = None
+    """Calibration file of another camera, a fisheye for example, instead of a panorama."""
+    supersample: int = 2
+    """Rays per axis in pixels at edges."""
+
+
+ANY_SCENE, ANY_PATH, ANY_CAMERA = SceneChoice(), PathChoice(), CameraChoice()
+
+
+@app.command
+def render(
+    out: Path,
+    /,
+    *,
+    what: SceneChoice = ANY_SCENE,
+    path: PathChoice = ANY_PATH,
+    picture: CameraChoice = ANY_CAMERA,
+) -> int:
+    """Render pictures, depth and poses along a hand-held path, in the layout of 360-MP3D-VO.
+
+    Writes rgb/1.png, ..., depth/tiff/1.tiff, ... (float32, metres along the ray, 0 = none),
+    frm_ref.txt (rows t tx ty tz qx qy qz qw of world_from_cam; row k from 0 belongs to files
+    k + 1), camera.json and render.json. The same command resumes an interrupted run.
+
+    Parameters
+    ----------
+    out
+        Folder of the sequence: new, or begun with the same options.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.synthetic.paths import handheld_path
+    from epi360.synthetic.sequence import check_folder, render_sequence
+
+    _check_words(what, path, picture)
+    camera, options = _camera(picture), _options(what, path, picture)
+    check_folder(out, options)
+    out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work
+    with _frame_progress() as (say, progress):
+        say("building the scene")
+        scene = _scene(what)
+        say("planning the path")
+        poses = handheld_path(scene, seed=what.seed, **asdict(path))
+        supersample = picture.supersample
+        render_sequence(
+            scene, camera, poses, out, options, supersample=supersample, progress=progress
+        )
+    print(f"{len(poses)} frames of {camera.width}x{camera.height} pixels in {out}", flush=True)
+    return SUCCESS
+
+
+def _check_words(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> None:
+    """Raise before the work where the words of the command do not fit together."""
+    if what.mesh is not None and what.scene is not None:
+        raise ValueError("give --mesh or --scene, not both: each is a scene of its own")
+    if picture.camera is not None and picture.width is not None:
+        raise ValueError("--width is that of a panorama; a --camera file has its own size")
+    for name, value in (("num_frames", path.num_frames), ("supersample", picture.supersample)):
+        if value < 1:
+            raise ValueError(f"{name} must be 1 or more, got {value}")
+
+
+def _camera(picture: CameraChoice) -> Camera:
+    from epi360.cameras import Equirectangular, load_camera
+
+    if picture.camera is not None:
+        return load_camera(picture.camera)
+    width = 1024 if picture.width is None else picture.width
+    if width < 2 or width % 2:
+        raise ValueError(f"--width must be a positive even number, got {width}")
+    return Equirectangular(width, width // 2)
+
+
+def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict[str, Any]:
+    """What the pictures depend on, to recognise a sequence that can be resumed."""
+    from epi360.report.records import package_version
+
+    if what.mesh is None:
+        scene: dict[str, Any] = {"scene": what.scene or "living_room"}
+    else:
+        digest = hashlib.sha256(what.mesh.read_bytes()).hexdigest()
+        scene = {"mesh": what.mesh.name, "mesh_sha256": digest, "up": what.up}
+    calibration = None if picture.camera is None else picture.camera.name
+    options = {**scene, "seed": what.seed, **asdict(path)}
+    options |= {"width": picture.width, "camera": calibration, "supersample": picture.supersample}
+    return {**options, "epi360": package_version()}
+
+
+def _scene(what: SceneChoice) -> Room | MeshScene:
+    if what.mesh is None:
+        from epi360.synthetic.room import scene
+
+        return scene(what.scene or "living_room", what.seed)
+    from epi360.synthetic.meshes import load_mesh_scene
+
+    return load_mesh_scene(what.mesh, up=what.up)
+
+
+@contextmanager
+def _frame_progress() -> Iterator[tuple[Callable[[str], None], FrameProgress]]:
+    """How to say what is done and how far the frames are: on stderr, as lines in a file."""
+    with show_progress() as say:
+        start = last = time.monotonic()
+
+        def report(done: int, total: int, there: int) -> None:
+            nonlocal start, last
+            now = time.monotonic()
+            if done == there:
+                start = now
+            line = _progress_line(done, total, there, now - start)
+            say(line)
+            if not sys.stderr.isatty() and (now - last > SECONDS_BETWEEN_LINES or done == total):
+                last = now
+                print(f"epi360: {line}", file=sys.stderr, flush=True)
+
+        yield say, report
+
+
+def _progress_line(done: int, total: int, there: int, seconds: float) -> str:
+    """Frames so far, their rate and the time that the others will take."""
+    line = f"frame {done} of {total}"
+    if there:
+        line += f" ({there} were there)"
+    if done > there and seconds > 0:
+        rate = (done - there) / seconds
+        minutes, rest = divmod(round((total - done) / rate), 60)
+        line += f", {rate:.2f} frames/s, {minutes}:{rest:02d} min left"
+    return line

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 reproduce``: the figures and tables of the paper, made again."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, app
+from epi360.experiments.options import Outcome, Progress, ReproduceOptions, no_progress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
+Name = Literal[
+    "fig1", "fig2", "fig3", "fig4a", "fig4b", "fig4c",
+    "table1", "table2", "table3", "table4", "all", "report",
+]  # fmt: skip
+DEFAULTS = ReproduceOptions()
+
+
+@app.command
+def reproduce(
+    name: Name,
+    /,
+    *,
+    options: Annotated[ReproduceOptions, Parameter(name="*", negative=())] = DEFAULTS,
+    into: Path | None = None,
+) -> int:
+    """Make a figure or a table of Robust 360-8PA (CVPR 2021) again: paper's number | ours.
+
+    Writes raw trials (CSV, Parquet where pyarrow is installed), the table as Markdown and the
+    figure as PNG into a folder of its own. Interrupted, it keeps what is finished and goes on from
+    there. Exit code 1 where one of "all" failed.
+
+    Parameters
+    ----------
+    name
+        Figure or table; "all" makes one after the other; "report" collects the tables that are
+        there.
+    into
+        With "report": the document whose part between the marks is replaced, instead of printing.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    # Read by NumPy's libraries when they load: one worker process is one thread.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if into is not None and name != "report":
+        raise ValueError("--into needs the name report: it says where the collected tables go")
+    if name == "report":
+        return _report(options.out, into)
+    from epi360.experiments import EXPERIMENTS
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    if name == "all":
+        codes = [_attempt(each, options) for each in EXPERIMENTS]
+        return max(codes)
+    try:
+        _show(_run(name, options))
+    except ChildProcessError as error:
+        return _failed(name, error)
+    return SUCCESS
+
+
+def _attempt(name: str, options: ReproduceOptions) -> int:
+    """Run one of several; a failure is said and does not stop the others."""
+    try:
+        _show(_run(name, options))
+    except Exception as error:
+        return _failed(name, error)
+    return SUCCESS
+
+
+def _failed(name: str, error: Exception) -> int:
+    words = " ".join(str(error).split()) or type(error).__name__
+    print(f"epi360: {name} failed: {words}", file=sys.stderr)
+    return FAILURE
+
+
+def _run(name: str, options: ReproduceOptions) -> Outcome:
+    from epi360.experiments import load_experiment
+
+    with _bars() as progress:
+        return load_experiment(name)(options, progress)
+
+
+def _show(outcome: Outcome) -> None:
+    if outcome.summary:
+        print(outcome.summary)
+    for path in outcome.files:
+        print(f"wrote {path}")
+    sys.stdout.flush()
+
+
+def _report(out: Path, into: Path | None) -> int:
+    from epi360.experiments.report import collect_tables, insert_tables
+
+    tables = collect_tables(out)
+    if into is None:
+        print(tables)
+    else:
+        insert_tables(into, tables)
+        print(f"wrote {into}")
+    return SUCCESS
+
+
+@contextmanager
+def _bars() -> Iterator[Progress]:
+    """Bars on stderr with rate and remaining time, while that is a terminal."""
+    if not sys.stderr.isatty():
+        yield no_progress
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        yield _BarPerStage(bars)
+
+
+class _BarPerStage:
+    """A `Progress` that shows one bar for each stage."""
+
+    def __init__(self, bars: Bars) -> None:
+        self._bars = bars
+        self._begun: dict[str, tuple[TaskID, float, int]] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage not in self._begun:
+            # What an earlier run has left is no measure of the rate: it is there from the start.
+            task = self._bars.add_task(stage, total=total, completed=done, rate="")
+            self._begun[stage] = task, now, done
+        task, since, before = self._begun[stage]
+        rate = f"{(done - before) / (now - since):,.1f}/s" if done > before else ""
+        self._bars.update(task, completed=done, total=total, rate=rate)

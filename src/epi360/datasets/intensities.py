@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Brightness of image files: 16 bits to 8, and the lit circle of a fisheye lens.
+
+The 16-bit pictures of TUM-VI are linear in light and mostly dark: divided by 257 they would keep
+a few dozen grey values. One pair of levels per sequence, not per frame, keeps a surface's value
+the same from frame to frame, which is what Lucas and Kanade's tracker assumes. Between the levels
+the square root is taken: it gives the noise of counted photons one size at all brightnesses, so
+that dark corners are neither drowned nor blown up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.features import read_image
+from epi360.features.image_files import MAX_PIXELS, decode_image_file
+
+NUM_SAMPLED_FRAMES = 16  # spread over the sequence; 16 of 2800 frames of a room take 0.1 s
+DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5  # lamps and dead pixels must not set the range
+RIM_SHARE = 0.1  # of the median brightness: darker than any lit part after the maximum over frames
+RIM_MARGIN = 0.98  # of the radius: the last pixels are blurred and coloured
+
+
+def eight_bit_image(path: Path, levels: tuple[float, float] | None) -> NDArray[np.uint8]:
+    """8-bit RGB of an image file.
+
+    Parameters
+    ----------
+    path : Path
+        Any picture that `read_image` takes.
+    levels : (float, float), optional
+        16-bit values that become 0 and 255, with the square root between them; None: as
+        `read_image` does. Ignored for 8-bit files.
+
+    Returns
+    -------
+    image : ndarray, shape (H, W, 3), uint8
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no complete picture.
+    """
+    if levels is None:
+        return read_image(path)
+    raw = decode_image_file(path, MAX_PIXELS, "image")
+    if raw.dtype != np.uint16:
+        return read_image(path)
+    black, white = levels
+    ramp = np.clip((np.arange(2**16) - black) / (white - black), 0.0, 1.0)
+    table = np.round(255 * np.sqrt(ramp)).astype(np.uint8)
+    return np.ascontiguousarray(table[raw[:, :, 2::-1]])
+
+
+def intensity_levels(paths: Sequence[Path]) -> tuple[float, float] | None:
+    """Values of 16-bit images that should become black and white.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Images of one sequence; 16 spread over it are read.
+
+    Returns
+    -------
+    levels : (float, float) or None
+        Percentiles 1 and 99.5 of all pixels brighter than 0 (the rim of a fisheye is 0); None
+        for 8-bit images.
+
+    Raises
+    ------
+    ValueError
+        If an image is damaged, or all of them are black.
+    """
+    samples = [_gray(path) for path in _sampled(paths)]
+    if any(sample.dtype != np.uint16 for sample in samples):
+        return None
+    values = np.concatenate([sample[sample > 0] for sample in samples])
+    if not len(values):
+        raise ValueError(f"{paths[0].parent} must hold pictures, got black images only")
+    black, white = np.percentile(values, (DARK_PERCENT, BRIGHT_PERCENT))
+    return float(black), float(max(white, black + 1))
+
+
+def lens_circle_mask(paths: Sequence[Path], camera: Camera) -> NDArray[np.bool_]:
+    """Pixels inside the lit circle of a fisheye lens, where the camera also has a ray.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Images of one sequence; 16 spread over it are read.
+    camera : Camera
+        Of these images; the circle is centred where its axis is seen.
+
+    Returns
+    -------
+    mask : ndarray, shape (height, width), bool
+
+    Raises
+    ------
+    ValueError
+        If an image is damaged or has another size than the camera.
+
+    Notes
+    -----
+    What is black in the brightest value over all sampled frames is rim. The circle ends at the
+    largest radius of which a quarter of the visible circumference is brighter than a tenth of
+    the median; 2 % of it are given away. Without a rim the circle covers the image.
+    """
+    brightest = np.max([_gray(path, camera) for path in _sampled(paths)], axis=0)
+    center = camera.pixels_from_bearings([[0.0, 0.0, 1.0]])[0]
+    x = np.arange(camera.width) + 0.5 - center[0]
+    y = np.arange(camera.height) + 0.5 - center[1]
+    radii = np.hypot(x[None, :], y[:, None])
+    rings = radii.astype(np.intp).ravel()
+    lit = (brightest > RIM_SHARE * np.median(brightest[radii < 0.25 * camera.width])).ravel()
+    share = np.bincount(rings, lit) / np.maximum(np.bincount(rings), 1)
+    radius = float(np.flatnonzero(share >= 0.25).max(initial=0) + 1)
+    if radius < rings.max():  # else nothing is dark: there is no rim to stay away from
+        radius *= RIM_MARGIN
+    return np.asarray(camera.field_of_view_mask() & (radii <= radius), dtype=np.bool_)
+
+
+def mean_brightness(path: Path, mask: NDArray[np.bool_] | None = None) -> float:
+    """Mean of the grey values of an image file, in its own unit, over the pixels of a mask."""
+    gray = _gray(path)
+    return float(gray.mean() if mask is None else gray[mask].mean())
+
+
+def _sampled(paths: Sequence[Path]) -> list[Path]:
+    count = min(len(paths), NUM_SAMPLED_FRAMES)
+    return [paths[index] for index in np.linspace(0, len(paths) - 1, count).round().astype(int)]
+
+
+def _gray(path: Path, camera: Camera | None = None) -> NDArray[Any]:
+    """Grey values of the file's own type."""
+    raw = decode_image_file(path, MAX_PIXELS, "image")
+    if camera is not None and raw.shape[:2] != (camera.height, camera.width):
+        raise ValueError(
+            f"{path} must have the camera's size {camera.width}x{camera.height}, got "
+            f"{raw.shape[1]}x{raw.shape[0]}; use the calibration of these images"
+        )
+    return np.asarray(cv2.cvtColor(raw[:, :, :3], cv2.COLOR_BGR2GRAY))

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses of a table, and poses between two of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
+
+
+def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Pose:
+    """Pose with the rotation of a unit quaternion.
+
+    Parameters
+    ----------
+    translation : ndarray, shape (3,)
+        In the frame that the pose maps to.
+    wxyz : ndarray, shape (4,)
+        Unit quaternion, the scalar first.
+
+    Returns
+    -------
+    Pose
+    """
+    w, x, y, z = wxyz
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return Pose(np.array(rotation), translation)
+
+
+def interpolate_pose(before: Pose, after: Pose, share: float) -> Pose:
+    """Pose between two: linear in the translation, at constant turning speed in the rotation.
+
+    Parameters
+    ----------
+    before, after : Pose
+        Both from the same frame to the same frame.
+    share : float
+        0 gives ``before``, 1 gives ``after``.
+
+    Returns
+    -------
+    Pose
+
+    Notes
+    -----
+    Shoemake's spherical linear interpolation (SIGGRAPH 1985), written with rotation vectors.
+    """
+    turn = vector_from_rotation(before.rotation.T @ after.rotation)
+    rotation = before.rotation @ rotation_from_vector(share * turn)
+    translation = (1 - share) * before.translation + share * after.translation
+    return Pose(rotation, translation)
+
+
+def poses_at_times(
+    known_ns: NDArray[np.int64],
+    world_from_body: list[Pose],
+    wanted_ns: NDArray[np.int64],
+    max_gap_ns: int,
+) -> list[Pose | None]:
+    """Pose at each wanted time, None where the known ones are too far apart.
+
+    Parameters
+    ----------
+    known_ns : ndarray, shape (K,), int64
+        Increasing times of the known poses.
+    world_from_body : list of K Pose
+        The known poses.
+    wanted_ns : ndarray, shape (F,), int64
+        Times to interpolate at.
+    max_gap_ns : int
+        Largest time between the known poses around a wanted one.
+
+    Returns
+    -------
+    poses : list of F Pose or None
+        None also before the first and after the last known time.
+    """
+    poses: list[Pose | None] = []
+    for time in wanted_ns:
+        after = int(np.searchsorted(known_ns, time))
+        if after < len(known_ns) and known_ns[after] == time:
+            poses.append(world_from_body[after])
+        elif 0 < after < len(known_ns) and known_ns[after] - known_ns[after - 1] <= max_gap_ns:
+            share = (time - known_ns[after - 1]) / (known_ns[after] - known_ns[after - 1])
+            pair = world_from_body[after - 1], world_from_body[after]
+            poses.append(interpolate_pose(*pair, float(share)))
+        else:
+            poses.append(None)
+    return poses

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a run of an experiment is given and what it hands back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+ProtocolName = Literal["printed", "authors", "corrected"]
+
+# Called with (what is running, pieces done, pieces in all), from the process that was started.
+Progress = Callable[[str, int, int], None]
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Nothing: the progress of a run that nobody watches.
+
+    Parameters
+    ----------
+    stage : str
+        What is running.
+    done, total : int
+        Pieces done and in all.
+    """
+
+
+@dataclass(frozen=True)
+class ReproduceOptions:
+    """Options that all experiments share; an experiment ignores those that it has no use for.
+
+    Attributes
+    ----------
+    protocol : {"printed", "authors", "corrected"}
+        Follow the paper's text, the authors' code, or what is right.
+    trials : int, optional
+        Trials a cell; by default the paper's count.
+    seed : int
+        Of all random numbers.
+    jobs : int, optional
+        Worker processes, by default one a core; the numbers do not depend on it.
+    out : Path
+        Folder of the results; an experiment writes into its own folder in it.
+    landmarks : bool
+        Tables 1 and 2 on synthetic landmarks instead of tracks in rendered images.
+    mp3d_vo : Path, optional
+        Folder of the data set 360-MP3D-VO, for Table 3.
+    tum_vi : Path, optional
+        Folder of the data set TUM-VI, for Table 3.
+    image_width : int
+        Width of rendered panoramas in pixels.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    protocol: ProtocolName = "printed"
+    trials: int | None = None
+    seed: int = 0
+    jobs: int | None = None
+    out: Path = Path("out/reproduce")
+    landmarks: bool = False
+    mp3d_vo: Path | None = None
+    tum_vi: Path | None = None
+    image_width: int = 1024
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.protocol not in get_args(ProtocolName):
+            names = ", ".join(get_args(ProtocolName))
+            raise ValueError(f"protocol must be one of {names}, got {self.protocol!r}")
+        for name, least in (("trials", 1), ("jobs", 1), ("seed", 0), ("image_width", 64)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise ValueError(f"{name} must be {least} or more, got {value}")
+
+    @property
+    def num_workers(self) -> int:
+        """Worker processes of the run."""
+        return self.jobs or os.cpu_count() or 1
+
+    def num_trials(self, papers_count: int) -> int:
+        """Trials a cell.
+
+        Parameters
+        ----------
+        papers_count : int
+            The paper's number, used where none is given.
+
+        Returns
+        -------
+        num_trials : int
+        """
+        return self.trials or papers_count
+
+    def folder(self, name: str) -> Path:
+        """Folder of an experiment's results: runs under another protocol get their own.
+
+        Parameters
+        ----------
+        name : str
+            Of the experiment, such as "fig4a" or "table1-landmarks".
+
+        Returns
+        -------
+        folder : Path
+            ``out/name``, with the protocol at the end unless it is "printed".
+        """
+        return self.out / (name if self.protocol == "printed" else f"{name}-{self.protocol}")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What an experiment has made.
+
+    Attributes
+    ----------
+    name : str
+        Of the experiment.
+    files : tuple of Path
+        Files written, the raw trials first.
+    summary : str
+        The table in Markdown, *paper | ours*; empty for a figure without numbers.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    summary: str = ""

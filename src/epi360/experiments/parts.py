@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files of raw trials: CSV tables whose first line says which run they belong to."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Row = Mapping[str, float | int | str]
+
+TIMING_PREFIX = "time_"
+# Nine digits: 1e-9 of an error is below what any method means, and files stay half as large.
+_FORMATS: dict[str, Callable[[Any], str]] = {
+    "float": "{:.9g}".format,
+    "int": "{:d}".format,
+    "str": str,
+}
+_TYPES: dict[str, Callable[[str], Any]] = {"float": float, "int": int, "str": str}
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """What determines the numbers of a part.
+
+    Attributes
+    ----------
+    name, protocol, seed, version : str, str, int, str
+        Experiment, protocol, seed of the run, version of the package.
+    cell, value, settings : str
+        Key of the cell, ``repr`` of its value, and what else the experiment depends on.
+    """
+
+    name: str
+    protocol: str
+    seed: int
+    version: str
+    cell: str
+    value: str
+    settings: str
+
+    def difference(self, other: Mapping[str, Any]) -> str:
+        """First thing in which a part's header differs, in words; "" where none does.
+
+        Parameters
+        ----------
+        other : mapping
+            Header of a part.
+
+        Returns
+        -------
+        difference : str
+        """
+        for key, mine in asdict(self).items():
+            if other.get(key) != mine:
+                return f"{key} {other.get(key)!r}, not {mine!r}"
+        return ""
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Raw results of an experiment, one row a trial (or several).
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, each of shape (N,)
+        By name; "cell" and "trial" first.
+    seconds : float
+        Processor time of all parts together.
+    """
+
+    columns: dict[str, NDArray[Any]] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self.columns.values()), []))
+
+    def __getitem__(self, column: str) -> NDArray[Any]:
+        """Return one column, shape (N,)."""
+        return self.columns[column]
+
+    def where(self, **equal: str | int | float) -> Trials:
+        """Rows in which the named columns have the given values.
+
+        Parameters
+        ----------
+        **equal : str, int or float
+            Value by column, such as ``cell="50%"``.
+
+        Returns
+        -------
+        trials : Trials
+            In the same order.
+        """
+        mask = np.ones(len(self), dtype=bool)
+        for column, value in equal.items():
+            mask &= self.columns[column] == value
+        return Trials({name: values[mask] for name, values in self.columns.items()}, self.seconds)
+
+
+def write_part(path: Path, fingerprint: Fingerprint, rows: Sequence[Row], seconds: float) -> None:
+    """Write the trials of a part; readers never see half of it.
+
+    Parameters
+    ----------
+    path : Path
+        Written or replaced.
+    fingerprint : Fingerprint
+        Of the run.
+    rows : sequence of mapping
+        At least one; all with the same columns.
+    seconds : float
+        Processor time that they took.
+
+    Raises
+    ------
+    ValueError
+        If there is no row or the rows differ in their columns.
+    """
+    if not rows:
+        raise ValueError(f"a trial of {fingerprint.name} must give a row, got none")
+    names = list(rows[0])
+    uneven = next((row for row in rows if list(row) != names), None)
+    if uneven is not None:
+        raise ValueError(f"all rows of {fingerprint.name} must have {names}, got {list(uneven)}")
+    kinds = {name: _kind([row[name] for row in rows]) for name in names}
+    header = {**asdict(fingerprint), "seconds": round(seconds, 3), "columns": kinds}
+    text = io.StringIO()
+    text.write(f"# {json.dumps(header)}\n")
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(names)
+    formats = [_FORMATS[kind] for kind in kinds.values()]
+    lines.writerows(
+        [form(value) for form, value in zip(formats, row.values(), strict=True)] for row in rows
+    )
+    write_file(path, text.getvalue().encode())
+
+
+def read_part(path: Path, fingerprint: Fingerprint) -> dict[str, Any] | None:
+    """Header of a part; None where there is no such part, or a damaged one.
+
+    Parameters
+    ----------
+    path : Path
+        Of the part.
+    fingerprint : Fingerprint
+        Of the run that wants it.
+
+    Returns
+    -------
+    header : dict or None
+
+    Raises
+    ------
+    ValueError
+        If the part belongs to another run.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            header: dict[str, Any] = json.loads(file.readline().removeprefix("# "))
+    except (FileNotFoundError, ValueError):
+        return None
+    difference = fingerprint.difference(header)
+    if difference:
+        raise ValueError(
+            f"{path.parent} keeps trials of another run ({difference}); give another --out or "
+            "remove that folder"
+        )
+    return header
+
+
+def join_parts(parts: Sequence[tuple[Path, Fingerprint]]) -> Trials:
+    """Trials of several parts in the order given.
+
+    Parameters
+    ----------
+    parts : sequence of (Path, Fingerprint)
+        Files that exist.
+
+    Returns
+    -------
+    trials : Trials
+
+    Raises
+    ------
+    ValueError
+        If the parts differ in their columns or belong to another run.
+    """
+    pieces: dict[str, list[NDArray[Any]]] = {}
+    seconds = 0.0
+    for path, fingerprint in parts:
+        header = read_part(path, fingerprint) or {}
+        seconds += header.get("seconds", 0.0)
+        columns = _read_columns(path, header.get("columns", {}))
+        if pieces and list(columns) != list(pieces):
+            raise ValueError(f"{path} must have the columns {list(pieces)}, got {list(columns)}")
+        for name, values in columns.items():
+            pieces.setdefault(name, []).append(values)
+    return Trials({name: np.concatenate(values) for name, values in pieces.items()}, seconds)
+
+
+def write_file(path: Path, data: bytes) -> None:
+    """Write a file under a temporary name and rename it: readers never see half of it.
+
+    Parameters
+    ----------
+    path : Path
+        Written or replaced.
+    data : bytes
+        Content.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _read_columns(path: Path, kinds: Mapping[str, str]) -> dict[str, NDArray[Any]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        file.readline()
+        lines = csv.reader(file)
+        names = next(lines)
+        values = list(zip(*lines, strict=True))
+    return {
+        name: np.array([_TYPES[kinds[name]](value) for value in column])
+        for name, column in zip(names, values, strict=True)
+    }
+
+
+def _kind(values: Sequence[float | int | str]) -> str:
+    """Type of a column; truth values are written as 0 and 1."""
+    if any(isinstance(value, str) for value in values):
+        return "str"
+    whole = all(isinstance(value, int | np.integer | np.bool_) for value in values)
+    return "int" if whole else "float"
