@@ -4,6 +4,7 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <optional>
@@ -12,8 +13,10 @@
 #include "core/eight_point.h"
 #include "core/essential.h"
 #include "core/five_point.h"
+#include "core/pair.h"
 #include "core/refine.h"
 #include "core/robust.h"
+#include "core/upright.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -95,10 +98,8 @@ Matches matches_of(const Bearings& b1, const Bearings& b2, const std::optional<W
 
 nb::list five_point_binding(Bearings b1, Bearings b2) {
   if (b1.shape(0) != 5 || b2.shape(0) != 5) throw nb::value_error("five matches are needed");
-  Eigen::Matrix3d essentials[10];
-  const int count =
-      five_point(Eigen::Map<const Eigen::Matrix<double, 3, 5>>(b1.data()),
-                 Eigen::Map<const Eigen::Matrix<double, 3, 5>>(b2.data()), essentials);
+  Eigen::Matrix<double, 3, 3, Eigen::RowMajor> essentials[10];
+  const int count = five_point(b1.data(), b2.data(), essentials[0].data());
   nb::list out;
   for (int k = 0; k < count; ++k) out.append(matrix(essentials[k]));
   return out;
@@ -128,6 +129,7 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
                                  options.smallest_scale);
     }
     result = refine(m, start, options, workspace);
+    set_statistics(m, workspace, result);
     compute_residuals(m, options.residual, plain(result.pose), 0.0, residuals.data(), front.data());
   }
   residuals.resize(m.size);
@@ -137,55 +139,115 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
       result.loss.scale, result.num_iterations, result.converged);
 }
 
-nb::dict result_dict(RobustResult&& r, std::size_t n) {
-  nb::dict out;
-  r.residuals.resize(n);
+// status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
+// coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
+// spread_of_matches: in the order of _PairResult in _core.pyi.
+nb::tuple pair_tuple(PairResult&& pair) {
+  RobustResult& r = pair.robust;
+  const std::size_t n = r.inlier.size();
   nb::list alternatives;
   for (const RelativePose& pose : r.alternatives) {
     alternatives.append(nb::make_tuple(matrix(pose.R), vector(pose.t)));
   }
-  out["status"] = static_cast<int>(r.status);
-  out["rotation"] = matrix(r.pose.R);
-  out["translation"] = vector(r.pose.t);
-  out["scale"] = r.scale;
-  out["threshold"] = r.threshold;
-  out["inlier"] = array_of(std::move(r.inlier), {n});
-  out["residuals"] = array_of(std::move(r.residuals), {n});
-  out["num_iterations"] = r.num_iterations;
-  out["parallax"] = r.parallax;
-  out["coverage"] = r.coverage;
-  out["match_coverage"] = r.match_coverage;
-  out["rotation_share"] = r.rotation_share;
-  out["rival_share"] = r.rival_share;
-  out["rival_evidence"] = r.rival_evidence;
-  out["chance_log10"] = r.chance_log10;
-  out["covariance"] = matrix(r.covariance);
-  out["alternatives"] = alternatives;
-  return out;
+  return nb::make_tuple(
+      static_cast<int>(r.status), matrix(r.pose.R), vector(r.pose.t), r.scale, r.threshold,
+      array_of(std::move(r.inlier), {n}), array_of(std::move(r.residuals), {n}), r.num_iterations,
+      r.parallax, r.coverage, r.match_coverage, matrix(r.covariance), alternatives, pair.num_usable,
+      pair.support.num_distinct, pair.support.spread, pair.support.spread_of_matches);
 }
 
-nb::dict estimate_binding(Bearings b1, Bearings b2, const std::string& residual,
-                          double threshold_rad, int sample_size, int min_iterations,
-                          int max_iterations, double confidence, std::uint64_t seed,
-                          std::optional<Weights> weights, std::optional<Jacobians> j1,
-                          std::optional<Jacobians> j2) {
+// One view's arrays of each pair; those that nobody gave are empty lists.
+struct PairArrays {
+  std::vector<Bearings> bearings1, bearings2;
+  std::vector<Weights> weights, scores;
+  std::vector<Jacobians> jacobians1, jacobians2;
+  std::vector<Vector3> gravity1, gravity2;
+};
+
+template <typename T>
+const double* pointer(const std::vector<T>& arrays, std::size_t i, std::size_t n,
+                      std::size_t length) {
+  if (arrays.empty()) return nullptr;
+  if (arrays.size() != n || (length > 0 && arrays[i].shape(0) != length)) {
+    throw nb::value_error("all arrays of a pair must have the same length");
+  }
+  return arrays[i].data();
+}
+
+std::vector<RawPair> raw_pairs(const PairArrays& a) {
+  std::vector<RawPair> pairs(a.bearings1.size());
+  const std::size_t n = pairs.size();
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t length = a.bearings1[i].shape(0);
+    pairs[i].n = length;
+    pairs[i].bearings1 = a.bearings1[i].data();
+    pairs[i].bearings2 = pointer(a.bearings2, i, n, length);
+    if (length > 0 && !pairs[i].bearings2) throw nb::value_error("bearings2 is missing");
+    pairs[i].weights = pointer(a.weights, i, n, length);
+    pairs[i].scores = pointer(a.scores, i, n, length);
+    pairs[i].jacobians1 = pointer(a.jacobians1, i, n, length);
+    pairs[i].jacobians2 = pointer(a.jacobians2, i, n, length);
+    pairs[i].gravity1 = pointer(a.gravity1, i, n, 0);
+    pairs[i].gravity2 = pointer(a.gravity2, i, n, 0);
+  }
+  return pairs;
+}
+
+// A list of tuples, or (pair, view, row, is_infinite) of the first bearing that cannot be used.
+nb::object estimate_binding(std::vector<Bearings> bearings1, std::vector<Bearings> bearings2,
+                            const std::string& residual, double threshold, bool threshold_in_pixels,
+                            int sample_size, int min_iterations, int max_iterations,
+                            double confidence, std::uint64_t seed, int num_threads,
+                            std::vector<Weights> weights, std::vector<Weights> scores,
+                            std::vector<Jacobians> jacobians1, std::vector<Jacobians> jacobians2,
+                            std::vector<Vector3> gravity1, std::vector<Vector3> gravity2) {
   RobustOptions options;
   options.residual = residual_named(residual);
-  options.threshold = threshold_rad;
+  options.threshold = threshold;
+  options.threshold_in_pixels = threshold_in_pixels;
   options.sample_size = sample_size;
   options.min_iterations = min_iterations;
   options.max_iterations = max_iterations;
   options.confidence = confidence;
   options.seed = seed;
-  RobustResult result;
-  const std::size_t n = b1.shape(0);
-  const Matches m = matches_of(b1, b2, weights, j1, j2);
-  check_jacobians(options.residual, m);
+  const PairArrays arrays{std::move(bearings1), std::move(bearings2),  std::move(weights),
+                          std::move(scores),    std::move(jacobians1), std::move(jacobians2),
+                          std::move(gravity1),  std::move(gravity2)};
+  const std::vector<RawPair> pairs = raw_pairs(arrays);
+  if (options.residual == Residual::kTangentSampson && arrays.jacobians1.empty() &&
+      !pairs.empty()) {
+    throw nb::value_error("tangent_sampson needs the Jacobians of both views");
+  }
+  std::vector<PairResult> results;
   {
     nb::gil_scoped_release unlocked;
-    result = estimate_relative_pose(m, options);
+    results = estimate_pairs(pairs, options, num_threads);
   }
-  return result_dict(std::move(result), n);
+  nb::list out;
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    if (results[i].bad_view) {
+      return nb::make_tuple(i, results[i].bad_view, results[i].bad_row, results[i].is_infinite);
+    }
+    out.append(pair_tuple(std::move(results[i])));
+  }
+  return out;
+}
+
+nb::list upright_binding(Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gravity2) {
+  if (b1.shape(0) != 3 || b2.shape(0) != 3) throw nb::value_error("three matches are needed");
+  RelativePose poses[4];
+  const auto columns = [](const Bearings& b) {
+    return Eigen::Matrix3d(Eigen::Map<const Eigen::Matrix3d>(b.data()));
+  };
+  const auto upright = [](const Vector3& g) {
+    return upright_from(Eigen::Map<const Eigen::Vector3d>(g.data()));
+  };
+  const int count =
+      upright_three_point(columns(b1), columns(b2), upright(gravity1), upright(gravity2), poses);
+  nb::list out;
+  for (int k = 0; k < count; ++k)
+    out.append(nb::make_tuple(matrix(poses[k].R), vector(poses[k].t)));
+  return out;
 }
 
 }  // namespace
@@ -238,7 +300,10 @@ NB_MODULE(_core, m) {
   m.def("refine", &refine_binding, "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a,
         nb::kw_only(), "residual"_a, "loss"_a, "scale"_a, "weights"_a.none(), "jacobians1"_a.none(),
         "jacobians2"_a.none(), "max_iterations"_a);
-  m.def("estimate_relative_pose", &estimate_binding, "bearings1"_a, "bearings2"_a, nb::kw_only(),
-        "residual"_a, "threshold_rad"_a, "sample_size"_a, "min_iterations"_a, "max_iterations"_a,
-        "confidence"_a, "seed"_a, "weights"_a.none(), "jacobians1"_a.none(), "jacobians2"_a.none());
+  m.def("estimate_relative_poses", &estimate_binding, "bearings1"_a, "bearings2"_a, nb::kw_only(),
+        "residual"_a, "threshold"_a, "threshold_in_pixels"_a, "sample_size"_a, "min_iterations"_a,
+        "max_iterations"_a, "confidence"_a, "seed"_a, "num_threads"_a, "weights"_a, "scores"_a,
+        "jacobians1"_a, "jacobians2"_a, "gravity1"_a, "gravity2"_a);
+  m.def("upright_three_point", &upright_binding, "bearings1"_a, "bearings2"_a, "gravity1"_a,
+        "gravity2"_a);
 }

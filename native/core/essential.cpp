@@ -20,19 +20,26 @@ Eigen::Matrix3d orthonormalised(const Eigen::Matrix3d& R) {
 
 }  // namespace
 
-std::array<RelativePose, 4> decompose_essential(const Eigen::Matrix3d& E) {
+EssentialFactors factors_of(const Eigen::Matrix3d& E) {
+  EssentialFactors f;
   // t spans the left null space: the longest cross product of two columns.
-  Eigen::Vector3d t = E.col(0).cross(E.col(1));
+  f.t = E.col(0).cross(E.col(1));
   for (int k = 1; k < 3; ++k) {
     const Eigen::Vector3d candidate = E.col(k).cross(E.col((k + 1) % 3));
-    if (candidate.squaredNorm() > t.squaredNorm()) t = candidate;
+    if (candidate.squaredNorm() > f.t.squaredNorm()) f.t = candidate;
   }
-  t.normalize();
+  f.t.normalize();
   const Eigen::Matrix3d cofactor = cofactors(E);
-  const Eigen::Matrix3d tE = skew(t) * E;
-  const Eigen::Matrix3d R1 = orthonormalised(cofactor - tE);
-  const Eigen::Matrix3d R2 = orthonormalised(cofactor + tE);
-  return {{{R1, t}, {R1, -t}, {R2, t}, {R2, -t}}};
+  const Eigen::Matrix3d tE = skew(f.t) * E;
+  f.R[0] = cofactor - tE;
+  f.R[1] = cofactor + tE;
+  return f;
+}
+
+std::array<RelativePose, 4> decompose_essential(const Eigen::Matrix3d& E) {
+  const EssentialFactors f = factors_of(E);
+  const Eigen::Matrix3d R1 = orthonormalised(f.R[0]), R2 = orthonormalised(f.R[1]);
+  return {{{R1, f.t}, {R1, -f.t}, {R2, f.t}, {R2, -f.t}}};
 }
 
 Eigen::Matrix3d project_to_essential(const Eigen::Matrix3d& E) {

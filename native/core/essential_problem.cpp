@@ -10,6 +10,7 @@
 #include "essential.h"
 #include "five_point.h"
 #include "mixture.h"
+#include "upright.h"
 
 namespace epi360 {
 namespace {
@@ -18,33 +19,53 @@ constexpr double kDegree = 0.017453292519943295;
 constexpr int kLocalIterations = 8;
 // A hypothesis is polished when its support is at least this share of the best one's.
 constexpr double kCompetitive = 0.5;
+constexpr double kFewestOrdered =
+    30.0;  // best scored matches whose share of inliers means something
+// Steps at which a candidate counts as converged, in standard deviations of its pose.
+constexpr double kFinal = 1e-4;
+// Akaike's criterion: what three shares of wider Gaussians must add to the log-likelihood.
+constexpr double kSimpler = 3.0;
 constexpr double kAnnealFrom = 2.0 * kDegree;
 // Hypotheses closer than this share one place in the pool. Local minima of real pairs lie 1 degree
 // apart, so they must not.
 constexpr double kSameRotation = 0.7 * kDegree, kSameDirection = 2.0 * kDegree;
 
+// The sample's bearings, row-major as the solvers want them.
 template <int N>
-void gather(const Matches& m, const std::uint32_t* sample, Eigen::Matrix<double, 3, N>& b1,
-            Eigen::Matrix<double, 3, N>& b2) {
-  for (int k = 0; k < N; ++k) {
-    const std::uint32_t i = sample[k];
-    b1.col(k) << m.x1[i], m.y1[i], m.z1[i];
-    b2.col(k) << m.x2[i], m.y2[i], m.z2[i];
+struct Sample {
+  Eigen::Matrix<double, 3, N> b1, b2;
+  Sample(const Matches& m, const std::uint32_t* indices) {
+    for (int k = 0; k < N; ++k) {
+      const std::uint32_t i = indices[k];
+      b1.col(k) << m.x1[i], m.y1[i], m.z1[i];
+      b2.col(k) << m.x2[i], m.y2[i], m.z2[i];
+    }
   }
+};
+
+// Appends R with t or -t where the whole sample lies in front of both cameras: most wrong
+// hypotheses end here, before any scoring. Turning t round changes the sign of both depths.
+template <int N>
+int append_signs(const Eigen::Matrix3d& R, const Eigen::Vector3d& t, const Sample<N>& sample,
+                 double tolerance, RelativePose* models) {
+  bool ahead = true, behind = true;
+  for (int k = 0; k < N && (ahead || behind); ++k) {
+    const DepthMargins d = depth_margins({R, t}, sample.b1.col(k), sample.b2.col(k));
+    ahead = ahead && d.first > -tolerance && d.second > -tolerance;
+    behind = behind && d.first < tolerance && d.second < tolerance;
+  }
+  int count = 0;
+  if (ahead) models[count++] = {R, t};
+  if (behind) models[count++] = {R, -t};
+  return count;
 }
 
-// Appends the poses of E for which the whole sample lies in front of both cameras: most wrong
-// hypotheses end here, before any scoring.
 template <int N>
-int append_poses(const Eigen::Matrix3d& E, const Eigen::Matrix<double, 3, N>& b1,
-                 const Eigen::Matrix<double, 3, N>& b2, double tolerance, RelativePose* models) {
-  int count = 0;
-  for (const RelativePose& pose : decompose_essential(E)) {
-    bool all = true;
-    for (int k = 0; k < N && all; ++k) all = in_front(pose, b1.col(k), b2.col(k), tolerance);
-    if (all) models[count++] = pose;
-  }
-  return count;
+int append_poses(const Eigen::Matrix3d& E, const Sample<N>& sample, double tolerance,
+                 RelativePose* models) {
+  const EssentialFactors f = factors_of(E);
+  const int count = append_signs<N>(f.R[0], f.t, sample, tolerance, models);
+  return count + append_signs<N>(f.R[1], f.t, sample, tolerance, models + count);
 }
 
 }  // namespace
@@ -70,6 +91,13 @@ EssentialProblem::EssentialProblem(const Matches& m, Residual residual, int samp
   workspace_.resize(m.padded);
 }
 
+void EssentialProblem::use_gravity(const Eigen::Vector3d& gravity1,
+                                   const Eigen::Vector3d& gravity2) {
+  sample_size_ = 3;
+  upright1_ = upright_from(gravity1);
+  upright2_ = upright_from(gravity2);
+}
+
 void EssentialProblem::set_gates(std::vector<double> gates) {
   gates_ = std::move(gates);
   for (Hypothesis& h : pool_) h.score = score(h.pose, std::numeric_limits<double>::infinity());
@@ -77,21 +105,29 @@ void EssentialProblem::set_gates(std::vector<double> gates) {
             [](const Hypothesis& a, const Hypothesis& b) { return a.score < b.score; });
 }
 
-int EssentialProblem::generate(const std::uint32_t* sample, RelativePose* models) {
-  int count = 0;
+int EssentialProblem::generate(const std::uint32_t* indices, RelativePose* models) {
   if (sample_size_ == 8) {
-    Eigen::Matrix<double, 3, 8> b1, b2;
-    gather<8>(m_, sample, b1, b2);
+    const Sample<8> sample(m_, indices);
     Eigen::Matrix3d E;
-    if (!eight_point_minimal(b1, b2, &E)) return 0;
-    return append_poses<8>(project_to_essential(E), b1, b2, sample_tolerance(), models);
+    if (!eight_point_minimal(sample.b1, sample.b2, &E)) return 0;
+    return append_poses<8>(project_to_essential(E), sample, sample_tolerance(), models);
   }
-  Eigen::Matrix<double, 3, 5> b1, b2;
-  gather<5>(m_, sample, b1, b2);
-  Eigen::Matrix3d essentials[10];
-  const int num = five_point(b1, b2, essentials);
+  if (sample_size_ == 3) {
+    const Sample<3> sample(m_, indices);
+    RelativePose poses[4];
+    const int num = upright_three_point(sample.b1, sample.b2, upright1_, upright2_, poses);
+    int count = 0;
+    for (int k = 0; k < num; ++k) {
+      count += append_signs<3>(poses[k].R, poses[k].t, sample, sample_tolerance(), models + count);
+    }
+    return count;
+  }
+  const Sample<5> sample(m_, indices);
+  Eigen::Matrix<double, 3, 3, Eigen::RowMajor> essentials[10];
+  const int num = five_point(sample.b1.data(), sample.b2.data(), essentials[0].data());
+  int count = 0;
   for (int k = 0; k < num && count + 4 <= kMaxModels; ++k) {
-    count += append_poses<5>(essentials[k], b1, b2, sample_tolerance(), models + count);
+    count += append_poses<5>(essentials[k], sample, sample_tolerance(), models + count);
   }
   return count;
 }
@@ -120,27 +156,30 @@ void EssentialProblem::keep(const RelativePose& pose, double score) {
 }
 
 LossModel EssentialProblem::mixture_at(const RelativePose& pose) {
-  compute_residuals(m_, residual_, plain(pose), sample_tolerance(), workspace_.residuals.data(),
-                    workspace_.front.data());
-  return fit_mixture(m_, workspace_.residuals.data(), workspace_.front.data(), outlier_density_,
-                     1e-6);
+  compute_residuals(m_, residual_, plain(pose), sample_tolerance(),
+                    workspace_.current.residuals.data(), workspace_.current.front.data());
+  return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.front.data(),
+                     outlier_density_, 1e-6);
+}
+
+RefineResult EssentialProblem::local(const RelativePose& pose, const LossModel& start,
+                                     int max_iterations, double sigma_tolerance, bool use_depths) {
+  RefineOptions options;
+  options.residual = residual_;
+  options.loss = start;
+  options.use_depths = use_depths;
+  options.max_iterations = max_iterations;
+  options.step_tolerance = 1e-12;
+  options.sigma_tolerance = sigma_tolerance;
+  return epi360::refine(m_, pose, options, workspace_);
 }
 
 Candidate EssentialProblem::polish(const RelativePose& pose, int max_iterations,
-                                   double step_tolerance) {
-  RefineOptions options;
-  options.residual = residual_;
-  options.loss = mixture_at(pose);
-  options.use_depths = true;
-  options.max_iterations = max_iterations;
-  options.step_tolerance = step_tolerance;
-  const RefineResult refined = epi360::refine(m_, pose, options, workspace_);
-  Candidate candidate{refined.pose, refined.loss, scale_evidence(refined.loss)};
-  compute_residuals(m_, residual_, plain(refined.pose), depth_tolerance(refined.loss.scale),
-                    workspace_.residuals.data(), workspace_.front.data());
-  const MixturePass pass{m_.padded, workspace_.residuals.data(), workspace_.front.data(),
-                         m_.weight.data()};
-  candidate.evidence += mixture_log_likelihood(pass, refined.loss);
+                                   double sigma_tolerance, const LossModel* start) {
+  const RefineResult refined =
+      local(pose, start ? *start : mixture_at(pose), max_iterations, sigma_tolerance);
+  const Candidate candidate{refined.pose, refined.loss,
+                            scale_evidence(refined.loss) - workspace_.current.objective};
   keep(candidate);
   return candidate;
 }
@@ -160,12 +199,14 @@ void EssentialProblem::keep(const Candidate& candidate) {
   if (candidates_.size() > 2 * kPoolSize) candidates_.pop_back();
 }
 
-RelativePose EssentialProblem::annealed(const Candidate& start) {
+void EssentialProblem::anneal() {
+  if (candidates_.empty()) return;
+  const Candidate start = candidates_.front();
   RefineOptions options;
   options.residual = residual_;
   options.loss.loss = Loss::kGemanMcClure;
   options.use_depths = true;
-  options.max_iterations = 4;
+  options.max_iterations = 2;
   options.step_tolerance = 1e-7;
   RelativePose pose = start.pose;
   const double last = std::max(2.0 * start.loss.scale, 1e-4);
@@ -173,7 +214,32 @@ RelativePose EssentialProblem::annealed(const Candidate& start) {
     options.loss.scale = scale;
     pose = epi360::refine(m_, pose, options, workspace_).pose;
   }
-  return pose;
+  if (!same_pose(pose, start.pose, 0.05 * kSameRotation, 0.05 * kSameDirection)) polish(pose, 25);
+}
+
+void EssentialProblem::finish(const std::vector<Candidate>& candidates, double range) {
+  const std::vector<Candidate> chosen = candidates;  // polish changes candidates_
+  for (const Candidate& c : chosen) {
+    if (c.evidence > chosen.front().evidence - range) polish(c.pose, 50, kFinal, &c.loss);
+  }
+}
+
+Candidate EssentialProblem::without_depths(const Candidate& start) {
+  const RefineResult refined = local(start.pose, start.loss, 30, 1e-1, false);
+  return {refined.pose, refined.loss, scale_evidence(refined.loss) - workspace_.current.objective};
+}
+
+void EssentialProblem::simplify() {
+  if (candidates_.empty()) return;
+  Candidate& best = candidates_.front();
+  LossModel simple = best.loss;
+  simple.share[0] = std::min(simple.share[0] + simple.share[1], 0.999);
+  for (int k = 1; k < LossModel::kGaussians; ++k) simple.share[k] = 0.0;  // they stay at zero
+  const RefineResult refined = local(best.pose, simple, 50, kFinal);
+  const double log_likelihood = -workspace_.current.objective;
+  if (log_likelihood < best.evidence - scale_evidence(best.loss) - kSimpler) return;
+  best.pose = refined.pose;
+  best.loss = refined.loss;
 }
 
 void EssentialProblem::polish_pool(int max_iterations) {
@@ -183,12 +249,18 @@ void EssentialProblem::polish_pool(int max_iterations) {
   for (Hypothesis& h : pool_) {
     if (h.polished || total - h.score < needed) continue;
     h.polished = true;
-    const bool known = std::any_of(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
-      return same_pose(c.pose, h.pose, kSameRotation, kSameDirection);
-    });
-    if (!known) polish(h.pose, max_iterations);
+    // A few steps tell whether it leads to a candidate that is known.
+    if (is_known(h.pose, 1.0)) continue;
+    const LossModel start = mixture_at(h.pose);
+    const RefineResult near = local(h.pose, start, 3);
+    if (!is_known(near.pose, 0.5)) polish(near.pose, max_iterations, 1e-2, &near.loss);
   }
-  if (!candidates_.empty()) polish(annealed(candidates_.front()), max_iterations);
+}
+
+bool EssentialProblem::is_known(const RelativePose& pose, double reach) const {
+  return std::any_of(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return same_pose(c.pose, pose, reach * kSameRotation, reach * kSameDirection);
+  });
 }
 
 void EssentialProblem::refine(RelativePose& pose, double& best) {
@@ -199,16 +271,25 @@ void EssentialProblem::refine(RelativePose& pose, double& best) {
   best = value;
 }
 
-double EssentialProblem::inlier_ratio(const RelativePose& pose) {
+int EssentialProblem::needed(const RelativePose& pose, const LoopOptions& options,
+                             const Sampler& sampler) {
   const LossModel mixture = mixture_at(pose);
   const double gate = gates_.size() == 1 ? gates_.front() : gate_of(mixture);
-  double inliers = 0.0, total = 0.0;
-  for (std::size_t i = 0; i < m_.size; ++i) {
-    total += m_.weight[i] > 0.0;
-    inliers +=
-        m_.weight[i] > 0.0 && workspace_.front[i] > 0.5 && std::abs(workspace_.residuals[i]) < gate;
+  const std::vector<std::uint32_t>& order = sampler.order();
+  double inliers = 0.0, total = 0.0, best = 0.0;
+  for (std::size_t k = 0; k < m_.size; ++k) {
+    const std::size_t i = order.empty() ? k : order[k];
+    if (m_.weight[i] > 0.0) {
+      total += 1.0;
+      inliers +=
+          workspace_.current.front[i] > 0.5 && std::abs(workspace_.current.residuals[i]) < gate;
+    }
+    // Progressive samples came from the first matches only: they may stop as soon as those say so.
+    const bool considered = !order.empty() && k + 1 >= sampler.reached() && total >= kFewestOrdered;
+    if (considered) best = std::max(best, inliers / total);
   }
-  return total > 0.0 ? inliers / total : 0.0;
+  if (total > 0.0) best = std::max(best, inliers / total);
+  return iterations_needed(best, sample_size_, options);
 }
 
 }  // namespace epi360

@@ -32,6 +32,10 @@ class ChanceDensity {
 // points with up to ten solutions).
 double log10_false_alarms(int matches, int inliers, double probability, int sample_size);
 
+// Equal-area cells of the sphere: bands along y by sectors around it.
+constexpr int kBands = 4, kSectors = 12, kNumCells = kBands * kSectors;
+std::size_t cell_of(const Eigen::Vector3d& bearing);
+
 // Share of 48 equal-area cells (4 bands by 12 sectors) that hold a chosen bearing, the lower of
 // both views. chosen: one flag per match or null for all.
 double sphere_coverage(const Matches& m, const unsigned char* chosen);

@@ -52,6 +52,24 @@ inline MixtureParts mixture_parts(double s, const LossModel& m) {
   return p;
 }
 
+// First and second derivative of the negative log-likelihood of the mixture at residual r.
+struct LossSlopes {
+  double first, second;
+};
+
+inline LossSlopes mixture_slopes(double r, const LossModel& m) {
+  const MixtureParts p = mixture_parts(r * r, m);
+  const double total = p.total();
+  double precision = 1.0 / (m.scale * m.scale), mean = 0.0, squares = 0.0;
+  for (int k = 0; k < LossModel::kGaussians; ++k) {
+    const double share = p.gaussian[k] / total;
+    mean += share * precision;
+    squares += share * precision * precision;
+    precision /= 16.0;
+  }
+  return {r * mean, mean - r * r * (squares - mean * mean)};
+}
+
 inline LossValue evaluate_loss(double s, const LossModel& m) {
   const double c2 = m.scale * m.scale;
   switch (m.loss) {

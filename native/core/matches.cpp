@@ -25,7 +25,10 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
   fill(m.y2, m.padded, bearings2, n, 3, 1, 1.0);
   fill(m.z2, m.padded, bearings2, n, 3, 2, 0.0);
   m.weight.assign(m.padded, 0.0);
-  for (std::size_t i = 0; i < n; ++i) m.weight[i] = weights ? weights[i] : 1.0;
+  for (std::size_t i = 0; i < n; ++i) {
+    m.weight[i] = weights ? weights[i] : 1.0;
+    m.unit_weights = m.unit_weights && m.weight[i] == 1.0;
+  }
   if (jacobians1 && jacobians2) {
     std::vector<double>* columns1[6] = {&m.u1x, &m.v1x, &m.u1y, &m.v1y, &m.u1z, &m.v1z};
     std::vector<double>* columns2[6] = {&m.u2x, &m.v2x, &m.u2y, &m.v2y, &m.u2z, &m.v2z};

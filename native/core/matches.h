@@ -16,6 +16,7 @@ struct Matches {
   std::size_t padded = 0;  // length of each array
   std::vector<double> x1, y1, z1, x2, y2, z2;
   std::vector<double> weight;
+  bool unit_weights = true;  // every match has weight 1
   // Columns of the cameras' unprojection Jacobians, only for tangent Sampson: u1 = d b1 / d column.
   std::vector<double> u1x, u1y, u1z, v1x, v1y, v1z, u2x, u2y, u2z, v2x, v2y, v2z;
 

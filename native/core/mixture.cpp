@@ -125,61 +125,54 @@ EPI360_INLINE double precision_of(const Parts& p) {
 
 EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
-}  // namespace
-
-EPI360_MULTIVERSION
-MixtureSums mixture_expectation(const MixturePass& pass, const LossModel& model) {
+template <bool unit>
+EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
+                                    double* weights) {
   const Model m = prepared(model);
-  MixtureSums sums = {{0.0, 0.0, 0.0, 0.0}, 0.0, 0.0};
-  double part[LossModel::kGaussians][kBlock], squares[kBlock], count[kBlock];
+  MixtureSums sums = {{0.0, 0.0, 0.0, 0.0}, 0.0, 0.0, 0.0, 0.0};
+  double part[LossModel::kGaussians][kBlock], squares[kBlock], weight[kBlock], total[kBlock];
   for (std::size_t start = 0; start < pass.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
-      const double r = pass.residuals[i];
+      const double r = pass.residuals[i], own = pass.weight[i];
       const Parts p = parts_at(r, pass.front[i], m);
-      const double share = pass.weight[i] / total_of(p);
+      const double all = total_of(p), share = own / all;
       part[0][j] = share * p.g0;
       part[1][j] = share * p.g1;
       part[2][j] = share * p.g2;
       part[3][j] = share * p.g3;
-      squares[j] = share * r * r * precision_of(p);
-      count[j] = pass.weight[i];
+      weight[j] = share * precision_of(p);
+      squares[j] = weight[j] * r * r;
+      total[j] = unit && own == 0.0 ? 1.0 : all;
     }
     for (int k = 0; k < LossModel::kGaussians; ++k) sums.part[k] += block_sum(part[k]);
     sums.squares += block_sum(squares);
-    sums.count += block_sum(count);
+    sums.weight += block_sum(weight);
+    sums.count += block_sum(pass.weight + start);
+    std::copy(weight, weight + kBlock, weights + start);
+    double log_density[kBlock];
+    if (unit) {  // densities are between 1e-4 and 1e6: products of four stay in range
+      for (std::size_t j = 0; j < kBlock; ++j) log_density[j] = 0.0;
+      for (std::size_t j = 0; j < kBlock / 4; ++j) {
+        log_density[j] = log_of(total[j] * total[j + kBlock / 4] * total[j + kBlock / 2] *
+                                total[j + 3 * kBlock / 4]);
+      }
+    } else {
+      for (std::size_t j = 0; j < kBlock; ++j) {
+        log_density[j] = pass.weight[start + j] * log_of(total[j]);
+      }
+    }
+    sums.log_likelihood += block_sum(log_density);
   }
   return sums;
 }
 
-EPI360_MULTIVERSION
-double mixture_weights(const MixturePass& pass, const LossModel& model, double* weights) {
-  const Model m = prepared(model);
-  double total = 0.0, block[kBlock];
-  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
-    for (std::size_t j = 0; j < kBlock; ++j) {
-      const std::size_t i = start + j;
-      const Parts p = parts_at(pass.residuals[i], pass.front[i], m);
-      block[j] = pass.weight[i] * precision_of(p) / total_of(p);
-    }
-    std::copy(block, block + kBlock, weights + start);
-    total += block_sum(block);
-  }
-  return total;
-}
+}  // namespace
 
 EPI360_MULTIVERSION
-double mixture_log_likelihood(const MixturePass& pass, const LossModel& model) {
-  const Model m = prepared(model);
-  double total = 0.0, term[kBlock];
-  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
-    for (std::size_t j = 0; j < kBlock; ++j) {
-      const std::size_t i = start + j;
-      term[j] = pass.weight[i] * log_of(total_of(parts_at(pass.residuals[i], pass.front[i], m)));
-    }
-    total += block_sum(term);
-  }
-  return total;
+MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights) {
+  return pass.unit_weights ? pass_loop<true>(pass, model, weights)
+                           : pass_loop<false>(pass, model, weights);
 }
 
 }  // namespace epi360

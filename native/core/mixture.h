@@ -15,20 +15,17 @@ struct MixturePass {
   const double* residuals;
   const double* front;
   const double* weight;  // the user's, 0 for padding
+  bool unit_weights;     // all of them are 1: the logarithm of a product serves four matches
 };
 
-// Sums of one expectation step.
+// One look at all matches: the expectation step, the weights of the next pose step, the likelihood.
 struct MixtureSums {
   double part[LossModel::kGaussians];  // matches in each Gaussian
   double squares;                      // of the residuals, by precision
-  double count;
+  double count;                        // of the matches
+  double weight;                       // sum of the weights
+  double log_likelihood;
 };
-MixtureSums mixture_expectation(const MixturePass& pass, const LossModel& model);
-
-// Weight of every match in the pose; returns their sum.
-double mixture_weights(const MixturePass& pass, const LossModel& model, double* weights);
-
-// Sum of weight * log density.
-double mixture_log_likelihood(const MixturePass& pass, const LossModel& model);
+MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights);
 
 }  // namespace epi360

@@ -35,6 +35,7 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
     Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     total = inside = 0.0;
+    double near = 0.0;
     for (std::size_t i = 0; i < m.size; ++i) {
       if (!chosen[i]) continue;
       const Eigen::Vector3d b1(m.x1[i], m.y1[i], m.z1[i]), b2(m.x2[i], m.y2[i], m.z2[i]);
@@ -46,7 +47,9 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
       right -= weight * term.lever * term.constant * b1;
       total += 1.0;
       inside += std::abs(error) < gate;
+      near += std::abs(error) < scale;
     }
+    if (round == 4 && near < 0.5 * total) break;  // at 4 gates: no plane
     normal.diagonal().array() += 1e-12 * (1.0 + normal.trace());
     n = normal.ldlt().solve(right);
   }

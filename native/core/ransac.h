@@ -6,7 +6,8 @@
 //   int generate(const uint32_t* sample, Model* models);   // models of a minimal sample
 //   double score(const Model&, double limit);              // truncated cost; may stop above limit
 //   void refine(Model&, double& score);                    // local optimisation, if it is better
-//   double inlier_ratio(const Model&);                     // for the stopping rule
+//   int needed(const Model&, const LoopOptions&, const Sampler&);  // samples, for the stopping
+//   rule
 #pragma once
 
 #include <cmath>
@@ -14,6 +15,7 @@
 #include <limits>
 
 #include "random.h"
+#include "sampler.h"
 
 namespace epi360 {
 
@@ -41,9 +43,9 @@ struct LoopResult {
   bool found() const { return score < std::numeric_limits<double>::infinity(); }
 };
 
-// `result` may hold an incumbent; num_matches >= sample_size.
+// `result` may hold an incumbent; there are at least as many matches as the sample needs.
 template <typename Problem>
-void ransac(Problem& problem, std::uint32_t num_matches, const LoopOptions& options, Random& random,
+void ransac(Problem& problem, Sampler& sampler, const LoopOptions& options, Random& random,
             LoopResult<Problem>& result) {
   using Model = typename Problem::Model;
   constexpr double kInfinity = std::numeric_limits<double>::infinity();
@@ -54,28 +56,31 @@ void ransac(Problem& problem, std::uint32_t num_matches, const LoopOptions& opti
   double best_sampled = kInfinity;
   int needed = options.max_iterations;
   if (result.found()) {
-    needed = iterations_needed(problem.inlier_ratio(result.model), problem.sample_size(), options);
+    needed = problem.needed(result.model, options, sampler);
   }
-  for (int iteration = 0; iteration < needed; ++iteration) {
-    random.distinct(num_matches, problem.sample_size(), sample);
+  Model best_model = result.model;
+  bool improved = false;
+  while (result.num_iterations < needed) {
+    sampler.draw(random, sample);
     const int num_models = problem.generate(sample, models);
     ++result.num_iterations;
-    int chosen = -1;
     for (int k = 0; k < num_models; ++k) {
       const double score = problem.score(models[k], best_sampled);
-      if (score < best_sampled) {
-        best_sampled = score;
-        chosen = k;
-      }
+      if (score >= best_sampled) continue;
+      best_sampled = score;
+      best_model = models[k];
+      improved = true;
     }
-    if (chosen < 0) continue;
-    Model refined = models[chosen];
+    // The first samples only compete: most local optimisations would be of poor ones.
+    if (!improved || result.num_iterations < options.min_iterations) continue;
+    improved = false;
+    Model refined = best_model;
     double score = best_sampled;
     problem.refine(refined, score);
     if (score >= result.score) continue;
     result.model = refined;
     result.score = score;
-    needed = iterations_needed(problem.inlier_ratio(result.model), problem.sample_size(), options);
+    needed = problem.needed(result.model, options, sampler);
   }
 }
 

@@ -21,47 +21,25 @@ RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& 
   return next;
 }
 
-struct Totals {
-  double cost = 0.0, weight = 0.0;
-};
-
-MixturePass pass_over(const Matches& m, const RefineWorkspace& w) {
-  return {m.padded, w.residuals.data(), w.front.data(), m.weight.data()};
+MixturePass pass_over(const Matches& m, const Linearisation& at) {
+  return {m.padded, at.residuals.data(), at.front.data(), m.weight.data(), m.unit_weights};
 }
 
-// Cost in units of squared residual: a constant times the negative log-likelihood.
-double mixture_cost(const Matches& m, const LossModel& loss, const RefineWorkspace& w) {
-  return -2.0 * loss.scale * loss.scale * mixture_log_likelihood(pass_over(m, w), loss);
-}
-
-double robust_cost(const Matches& m, const LossModel& loss, const RefineWorkspace& w) {
-  if (loss.loss == Loss::kMixture) return mixture_cost(m, loss, w);
-  const double behind = outlier_cost(loss);
-  double cost = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    const bool wrong = behind >= 0.0 && w.front[i] < 0.5;
-    cost +=
-        m.weight[i] * (wrong ? behind : evaluate_loss(w.residuals[i] * w.residuals[i], loss).cost);
-  }
-  return cost;
-}
-
-// Cost and weights of all residuals; the user's weights multiply both.
-Totals weigh(const Matches& m, const LossModel& loss, RefineWorkspace& w) {
-  Totals totals;
-  totals.cost = robust_cost(m, loss, w);
+// Weights of all matches and what they cost together; the user's weights multiply both.
+void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
-    totals.weight = mixture_weights(pass_over(m, w), loss, w.weights.data());
-    return totals;
+    at.sums = mixture_pass(pass_over(m, at), loss, at.weights.data());
+    at.objective = -at.sums.log_likelihood;
+    return;
   }
-  const bool bounded = outlier_cost(loss) >= 0.0;
+  const double behind = outlier_cost(loss);
+  at.objective = 0.0;
   for (std::size_t i = 0; i < m.padded; ++i) {
-    const bool wrong = bounded && w.front[i] < 0.5;
-    const double s = w.residuals[i] * w.residuals[i];
-    w.weights[i] = wrong ? 0.0 : m.weight[i] * evaluate_loss(s, loss).weight;
-    totals.weight += w.weights[i];
+    const bool wrong = behind >= 0.0 && at.front[i] < 0.5;
+    const LossValue value = evaluate_loss(at.residuals[i] * at.residuals[i], loss);
+    at.weights[i] = wrong ? 0.0 : m.weight[i] * value.weight;
+    at.objective += m.weight[i] * (wrong ? behind : value.cost);
   }
-  return totals;
 }
 
 // Moves shares to the inliers until part k has at most `ratio` times theirs.
@@ -85,10 +63,8 @@ void set_shares(const double* in_part, double count, LossModel& loss) {
   }
 }
 
-// One step of expectation-maximisation for scale and shares at fixed residuals.
-void update_mixture(const Matches& m, const RefineOptions& options, const RefineWorkspace& w,
-                    LossModel& loss) {
-  const MixtureSums sums = mixture_expectation(pass_over(m, w), loss);
+// Maximisation step for scale and shares.
+void update_mixture(const MixtureSums& sums, const RefineOptions& options, LossModel& loss) {
   const double total = sums.part[0] + sums.part[1] + sums.part[2] + sums.part[3];
   if (!(total > 0.0) || !(sums.count > 0.0)) return;
   // Five parameters were fitted to the inliers.
@@ -98,10 +74,13 @@ void update_mixture(const Matches& m, const RefineOptions& options, const Refine
   set_shares(sums.part, sums.count, loss);
 }
 
-double weighted_squares(const Matches& m, const RefineWorkspace& w) {
-  double sum = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) sum += w.weights[i] * w.residuals[i] * w.residuals[i];
-  return sum;
+void linearise(const Matches& m, const RefineOptions& options, const LossModel& loss,
+               const RelativePose& pose, Linearisation& at) {
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+  const double tolerance = options.use_depths ? depth_tolerance(loss.scale) : 1e300;
+  compute_jacobians(m, options.residual, plain(pose), basis.data(), tolerance, at.residuals.data(),
+                    at.front.data(), at.jacobian.data());
+  weigh(m, loss, at);
 }
 
 Matrix5 symmetric(const double* upper) {
@@ -124,11 +103,16 @@ PlainPose plain(const RelativePose& pose) {
   return p;
 }
 
-void RefineWorkspace::resize(std::size_t padded) {
+void Linearisation::resize(std::size_t padded) {
   residuals.resize(padded);
   front.resize(padded);
   weights.resize(padded);
   jacobian.resize(5 * padded);
+}
+
+void RefineWorkspace::resize(std::size_t padded) {
+  current.resize(padded);
+  trial.resize(padded);
 }
 
 double scale_evidence(const LossModel& mixture) { return 5.0 * std::log(mixture.scale); }
@@ -141,70 +125,86 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   // A long chain of products would drift away from orthonormality.
   result.pose.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
   result.loss = options.loss;
+  const bool adaptive = options.loss.loss == Loss::kMixture && options.estimate_mixture;
+  linearise(m, options, result.loss, result.pose, w.current);
+  if (adaptive) {  // the start's mixture may come from other residuals
+    update_mixture(w.current.sums, options, result.loss);
+    weigh(m, result.loss, w.current);
+  }
   double damping = 1e-4;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
-    const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.pose.t);
-    const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> rows = basis;
-    const double tolerance = options.use_depths ? depth_tolerance(result.loss.scale) : 1e300;
-    compute_jacobians(m, options.residual, plain(result.pose), rows.data(), tolerance,
-                      w.residuals.data(), w.front.data(), w.jacobian.data());
-    if (result.loss.loss == Loss::kMixture && options.estimate_mixture) {
-      update_mixture(m, options, w, result.loss);
-    }
-    const Totals totals = weigh(m, result.loss, w);
     double upper[15];
     Vector5 gradient;
-    accumulate_normal_equations(m.padded, w.jacobian.data(), w.residuals.data(), w.weights.data(),
-                                upper, gradient.data());
-    result.information = symmetric(upper);
-    result.cost = totals.cost;
-    result.effective_matches = totals.weight;
-    result.weighted_squares = weighted_squares(m, w);
+    accumulate_normal_equations(m.padded, w.current.jacobian.data(), w.current.residuals.data(),
+                                w.current.weights.data(), upper, gradient.data());
+    const Matrix5 hessian = symmetric(upper);
+    const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.pose.t);
+    // Pose and mixture step from one set of posterior probabilities (expectation conditional
+    // maximisation); together they may only become more likely.
+    if (adaptive) update_mixture(w.current.sums, options, result.loss);
     result.num_iterations = iteration + 1;
 
-    bool accepted = false;
+    const double sigma = options.sigma_tolerance * result.loss.scale;
+    bool accepted = false, fresh = !adaptive;
     Vector5 step = Vector5::Zero();
     while (!accepted && damping < 1e8) {
-      Matrix5 damped = result.information;
+      Matrix5 damped = hessian;
       damped.diagonal() *= 1.0 + damping;
-      damped.diagonal().array() += 1e-15 * (1.0 + result.information.trace());
+      damped.diagonal().array() += 1e-15 * (1.0 + hessian.trace());
       step = -damped.ldlt().solve(gradient);
       if (!step.allFinite()) return result;
       if (step.norm() < options.step_tolerance) break;
+      // -g.step = step^T H step: its squared length in units of the covariance scale^2 H^-1.
+      if (-gradient.dot(step) < sigma * sigma) break;
       const RelativePose candidate = moved(result.pose, basis, step);
-      compute_residuals(m, options.residual, plain(candidate), tolerance, w.residuals.data(),
-                        w.front.data());
-      const double cost = robust_cost(m, result.loss, w);
-      if (cost < totals.cost) {
+      linearise(m, options, result.loss, candidate, w.trial);
+      if (w.trial.objective < w.current.objective) {
         result.pose = candidate;
-        result.cost = cost;
+        std::swap(w.current, w.trial);
         accepted = true;
+        damping = std::max(damping * 0.1, 1e-9);
+      } else if (!fresh) {  // limits on the shares can make the new mixture the less likely one
+        weigh(m, result.loss, w.current);
+        fresh = true;
+        if (w.trial.objective >= w.current.objective) damping *= 10.0;
+      } else {
+        damping *= 10.0;
       }
-      damping = accepted ? std::max(damping * 0.1, 1e-9) : damping * 10.0;
     }
-    if (!accepted) {  // no step lowers the cost: a minimum to working precision
-      result.converged = true;
-      break;
-    }
-    if (step.norm() < options.step_tolerance) {
-      result.converged = true;
-      break;
-    }
+    // Without a step that lowers the cost it is a minimum to working precision.
+    result.converged = !accepted || step.norm() < options.step_tolerance;
+    if (result.converged) break;
   }
+  if (adaptive) weigh(m, result.loss, w.current);
+  result.cost = w.current.objective;
+  if (options.loss.loss == Loss::kMixture)
+    result.cost *= 2.0 * result.loss.scale * result.loss.scale;
   return result;
+}
+
+void set_statistics(const Matches& m, const RefineWorkspace& w, RefineResult& result) {
+  double upper[15], gradient[5];
+  const Linearisation& at = w.current;
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  result.information = symmetric(upper);
+  for (std::size_t i = 0; i < m.size; ++i) {
+    result.effective_matches += at.weights[i];
+    result.weighted_squares += at.weights[i] * at.residuals[i] * at.residuals[i];
+  }
 }
 
 namespace {
 
-constexpr int kBins = 56;         // of |residual|, logarithmic
-constexpr int kScales = 18;       // candidate standard deviations
-constexpr int kStepsPerPart = 3;  // scale_of(k + 3) = 4 scale_of(k)
+constexpr int kBins = 40;         // of |residual|, logarithmic
+constexpr int kScales = 12;       // candidate standard deviations
+constexpr int kStepsPerPart = 2;  // scale_of(k + 2) = 4 scale_of(k)
 constexpr int kRows = kScales + kStepsPerPart * (LossModel::kGaussians - 1);
 constexpr double kFirstBin = 1e-6;  // radians
-constexpr double kBinsPerOctave = 2.6;
+constexpr double kBinsPerOctave = 1.8;
 
 double bin_edge(int k) { return kFirstBin * std::exp2(k / kBinsPerOctave); }
-double scale_of(int k) { return 4e-5 * std::exp2(k * 2.0 / 3.0); }  // 0.002 to 6 degrees
+double scale_of(int k) { return 4e-5 * std::exp2(k); }  // 0.002 to 6 degrees
 
 // Probability that |residual| of a Gaussian falls into each bin, and each bin's width.
 struct BinTable {
@@ -245,9 +245,10 @@ LossModel fit_mixture(const Matches& m, const double* residuals, const double* f
     model.outlier_density = outlier_density;
     model.scale = scale_of(k);
     double likelihood = 0.0;
-    for (int round = 0; round < 5; ++round) {
+    for (int round = 0; round < 4; ++round) {
       double in_part[LossModel::kGaussians] = {0.0};
       likelihood = 0.0;
+      const bool last = round == 3;
       const double uniform = model.uniform_share() * 2.0 * outlier_density;
       for (int b = 0; b < kBins; ++b) {
         if (counts[b] == 0.0) continue;
@@ -257,7 +258,7 @@ LossModel fit_mixture(const Matches& m, const double* residuals, const double* f
           all += part[j];
         }
         for (int j = 0; j < LossModel::kGaussians; ++j) in_part[j] += counts[b] * part[j] / all;
-        likelihood += counts[b] * std::log(all);
+        if (last) likelihood += counts[b] * std::log(all);
       }
       set_shares(in_part, total, model);
     }

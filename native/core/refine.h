@@ -6,6 +6,7 @@
 
 #include "loss.h"
 #include "matches.h"
+#include "mixture.h"
 #include "pose.h"
 #include "residuals.h"
 
@@ -25,6 +26,8 @@ struct RefineOptions {
   double largest_scale = 0.06;   // radians: with more noise than that nothing is an outlier
   int max_iterations = 100;
   double step_tolerance = 1e-10;  // radians
+  // Of a mixture: the step's length in standard deviations of the pose at which to stop.
+  double sigma_tolerance = 0.0;
 };
 
 struct RefineResult {
@@ -38,14 +41,26 @@ struct RefineResult {
   double weighted_squares = 0.0;   // of the residuals
 };
 
-// Scratch memory of one refinement: reused between calls, one per thread.
-struct RefineWorkspace {
+// All matches at one pose: residuals, depths, derivatives, and their weights under a loss.
+struct Linearisation {
   std::vector<double> residuals, front, weights, jacobian;
+  double objective = 0.0;  // cost, or the negative log-likelihood of a mixture
+  MixtureSums sums{};      // of a mixture
+  void resize(std::size_t padded);
+};
+
+// Scratch memory of one refinement: reused between calls, one per thread. After it, `current` is
+// the result's.
+struct RefineWorkspace {
+  Linearisation current, trial;
   void resize(std::size_t padded);
 };
 
 RefineResult refine(const Matches& m, const RelativePose& start, const RefineOptions& options,
                     RefineWorkspace& workspace);
+
+// Fills in what refine leaves out: information, effective_matches, weighted_squares.
+void set_statistics(const Matches& m, const RefineWorkspace& workspace, RefineResult& result);
 
 // Five matches can always be fitted perfectly. Added to the log-likelihood, this is the part of the
 // pose's Laplace evidence that depends on the scale: it takes back what five residuals near zero

@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -27,16 +28,19 @@ const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * k
 constexpr int kScaleRounds = 3;          // re-sampling rounds while the gate still moves
 constexpr double kGateSettled = 1.25;    // ratio of successive gates that counts as settled
 constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
-constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
-constexpr double kFalseAlarms = -3.0;    // log10; accepted below
-constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
-constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
+constexpr double kRotationNear = 0.4;    // of the inliers, near a rotation: worth a search
+constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.8;
+constexpr double kReleasedEvidence = 60.0;
+constexpr double kLargestChance = 0.6;  // of a wrong match inside the gate: then it tells nothing
+constexpr double kFalseAlarms = -3.0;   // log10; accepted below
+constexpr double kPlaneShare = 0.9;     // of the inliers on one plane
+constexpr double kPlaneSpread = 3.0;    // standard deviations of the log-likelihood ratio
 constexpr double kSmallestParallax = 2.5;  // in noise; on real pairs directions are wrong below 3
 constexpr double kRivalEvidence = -6.0;    // a second pose this likely (log) makes a pair ambiguous
 constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
-constexpr double kFinalistEvidence = -30.0;  // candidates of the search that all matches refine
-constexpr double kTypicalDensity = 0.35;  // of wrong matches in front of both cameras, per radian
-constexpr double kSmallestGate = 4e-6;    // radians, for exact data
+constexpr double kFinalistEvidence = 30.0;  // candidates of the search that all matches refine
+constexpr double kTypicalDensity = 0.35;    // of wrong matches in front of both cameras, per radian
+constexpr double kSmallestGate = 4e-6;      // radians, for exact data
 constexpr double kLargestWrongParallax = 0.07;  // radians: depths must be right beyond it
 
 // Among the four poses of this E, the one with most inliers in front of both cameras.
@@ -77,15 +81,48 @@ int mark_inliers(const Matches& m, const RobustOptions& options, const RelativeP
   return count;
 }
 
+// In a narrow view with much noise, a turn along the epipolar planes hardly changes the residuals,
+// and large false parallax puts every wrong match in front of both cameras: the count of depths
+// then pulls poses away from the residuals' own optimum, and prefers wrong ones. Where such an
+// optimum has much less parallax and nearly the support of the best candidate, it takes its place.
+void release_depths(const Matches& m, const RobustOptions& options, EssentialProblem& problem) {
+  if (problem.candidates().empty()) return;
+  const std::vector<Candidate> candidates = problem.candidates();
+  const Candidate& best = candidates.front();
+  const double gate = gate_of(best.loss);
+  std::vector<unsigned char> inlier;
+  std::vector<double> residuals;
+  const int support = mark_inliers(m, options, best.pose, gate, true, inlier, residuals);
+  const double parallax = median_parallax(m, best.pose, inlier.data());
+  double most = -kInfinity;
+  for (const Candidate& c : candidates) {
+    if (c.evidence < best.evidence - kReleasedEvidence) break;
+    Candidate released = problem.without_depths(c);
+    if (released.evidence < most ||
+        same_pose(best.pose, released.pose, kReleased, 2.0 * kReleased)) {
+      most = std::max(most, released.evidence);
+      continue;
+    }
+    mark_inliers(m, options, released.pose, gate, false, inlier, residuals);
+    decide_cheirality(m, inlier, released.pose);
+    const int kept = mark_inliers(m, options, released.pose, gate, true, inlier, residuals);
+    if (kept < kReleasedSupport * support) continue;
+    if (!(median_parallax(m, released.pose, inlier.data()) < kReleasedParallax * parallax))
+      continue;
+    most = released.evidence;
+    released.evidence = best.evidence;
+    problem.replace_best(released);
+  }
+}
+
 // Sampling until the gate agrees with the noise found. Returns the number of samples.
-int sample_poses(const RobustOptions& options, EssentialProblem& problem, Random& random) {
+int sample_poses(const RobustOptions& options, EssentialProblem& problem, Sampler& sampler,
+                 Random& random) {
   LoopOptions loop{options.min_iterations, options.max_iterations, options.confidence};
   LoopResult<EssentialProblem> result;
-  const std::uint32_t n = problem.num_matches();
   problem.set_gates(options.threshold > 0.0 ? std::vector<double>{options.threshold} : kAllScales);
-  ransac(problem, n, loop, random, result);
+  ransac(problem, sampler, loop, random, result);
   if (options.threshold > 0.0 || !result.found()) return result.num_iterations;
-  loop.min_iterations = 0;
   double gate = kAllScales.back();
   for (int round = 0; round < kScaleRounds; ++round) {
     problem.polish_pool(12);
@@ -97,7 +134,7 @@ int sample_poses(const RobustOptions& options, EssentialProblem& problem, Random
     problem.set_gates({gate});
     result.model = best.pose;
     result.score = problem.score(best.pose, kInfinity);
-    ransac(problem, n, loop, random, result);
+    ransac(problem, sampler, loop, random, result);
   }
   return result.num_iterations;
 }
@@ -109,7 +146,8 @@ int best_rotation(const Matches& m, double gate, Random& random, Eigen::Matrix3d
   RotationProblem problem(m, {gate, 1.5 * gate, 2.2 * gate, 3.0 * gate});
   const LoopOptions loop{20, 500, 0.999};
   LoopResult<RotationProblem> result;
-  ransac(problem, static_cast<std::uint32_t>(m.size), loop, random, result);
+  Sampler sampler(static_cast<std::uint32_t>(m.size), problem.sample_size());
+  ransac(problem, sampler, loop, random, result);
   // Samples of nearly equal bearings fix no rotation; all of them together may.
   *R = result.found() ? result.model : align_rotations(m, m.weight.data());
   problem.count_within(*R, gate);
@@ -117,6 +155,35 @@ int best_rotation(const Matches& m, double gate, Random& random, Eigen::Matrix3d
   residuals->resize(m.size);
   return static_cast<int>(
       std::count_if(residuals->begin(), residuals->end(), [&](double r) { return r < gate; }));
+}
+
+// Whether a rotation may explain the inliers: of twenty made from two inliers each, one would come
+// near most of them. Spares real motion the search of best_rotation.
+bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlier, int support,
+                       double gate, Random& random) {
+  std::vector<std::uint32_t> chosen;
+  double total = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    total += m.weight[i];
+    if (inlier[i]) chosen.push_back(static_cast<std::uint32_t>(i));
+  }
+  if (support < 10) return true;
+  const double wide = 3.0 * gate, limit = total - kRotationNear * support;
+  int tried = 0;
+  for (int round = 0; round < 20; ++round) {
+    std::uint32_t pick[2];
+    random.distinct(static_cast<std::uint32_t>(chosen.size()), 2, pick);
+    const std::uint32_t i = chosen[pick[0]], j = chosen[pick[1]];
+    Eigen::Matrix3d R;
+    if (!rotation_of_two({m.x1[i], m.y1[i], m.z1[i]}, {m.x2[i], m.y2[i], m.z2[i]},
+                         {m.x1[j], m.y1[j], m.z1[j]}, {m.x2[j], m.y2[j], m.z2[j]}, &R)) {
+      continue;
+    }
+    ++tried;
+    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = R;
+    if (truncated_rotation_score(m, rows.data(), &wide, 1, limit) < limit) return true;
+  }
+  return tried < 10;  // nearly equal bearings fix no rotation
 }
 
 void set_pure_rotation(const Matches& m, const Eigen::Matrix3d& R, double gate,
@@ -151,50 +218,90 @@ void set_pure_rotation(const Matches& m, const Eigen::Matrix3d& R, double gate,
   out.parallax = median_parallax(m, turn, out.inlier.data());
 }
 
-// Covariance from the inliers' normal equations; the inliers' scale is corrected for the part of a
-// Gaussian that the gate cuts off.
-void set_uncertainty(const Matches& m, const RobustOptions& options, double gate,
-                     RobustResult& out) {
-  Matches inliers_only = m;
+// Standard deviation of the inliers' residuals, corrected for the part of a Gaussian that the gate
+// cuts off.
+double inlier_scale(const Matches& m, const RobustResult& out, double gate) {
   double sum = 0.0, count = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (!out.inlier[i]) inliers_only.weight[i] = 0.0;
-    sum += inliers_only.weight[i] * out.residuals[i] * out.residuals[i];
-    count += inliers_only.weight[i];
+    if (!out.inlier[i]) continue;
+    sum += m.weight[i] * out.residuals[i] * out.residuals[i];
+    count += m.weight[i];
   }
-  double variance = sum / std::max(count - 5.0, 0.2 * count + 1e-9);
   // Variance of a unit Gaussian cut at +-k: 1 - 2 k phi(k) / (2 Phi(k) - 1); fixed point.
-  const double observed = variance;
+  const double observed = sum / std::max(count - 5.0, 0.2 * count + 1e-9);
+  double variance = observed;
   for (int round = 0; round < 20; ++round) {
     const double k = gate / std::sqrt(std::max(variance, 1e-30));
     const double inside = std::erf(k / std::sqrt(2.0));
     const double kept = 1.0 - 2.0 * k * 0.3989422804014327 * std::exp(-0.5 * k * k) / inside;
     variance = observed / std::max(kept, 0.25);
   }
-  out.scale = std::sqrt(variance);
+  return std::sqrt(variance);
+}
 
-  RefineWorkspace w;
-  w.resize(m.padded);
+Eigen::Matrix<double, 5, 5> from_upper(const double* upper) {
+  Eigen::Matrix<double, 5, 5> matrix;
+  for (int p = 0; p < 5; ++p) {
+    for (int q = p; q < 5; ++q) matrix(p, q) = matrix(q, p) = *upper++;
+  }
+  return matrix;
+}
+
+// Covariance of an M-estimator (Huber 1981): (mean psi^2 / (mean psi')^2) (J^T J)^-1, with the
+// derivative psi of the negative log-likelihood, so that the wrong matches which agree by chance
+// count as the noise they are. Errors of neighbouring matches go together in real images
+// (calibration, stitching, rolling shutter): the sum of psi J varies over the cells of the sphere
+// more than independent errors would let it, and the covariance grows by that ratio.
+void set_uncertainty(const Matches& m, const RobustOptions& options, const LossModel& loss,
+                     double gate, RobustResult& out) {
+  using Vector5 = Eigen::Matrix<double, 5, 1>;
+  using Matrix5 = Eigen::Matrix<double, 5, 5>;
+  out.scale = inlier_scale(m, out, gate);
+  const double variance = out.scale * out.scale;
+
+  Linearisation at;
+  at.resize(m.padded);
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(out.pose.t);
-  compute_jacobians(m, options.residual, plain(out.pose), basis.data(), gate, w.residuals.data(),
-                    w.front.data(), w.jacobian.data());
-  // Near an epipole the first-order residual promises more than a bearing with noise can hold.
+  compute_jacobians(m, options.residual, plain(out.pose), basis.data(), gate, at.residuals.data(),
+                    at.front.data(), at.jacobian.data());
+  std::fill(at.weights.begin(), at.weights.end(), 0.0);
+  double slope = 0.0, square = 0.0, count = 0.0;
+  Matrix5 independent = Matrix5::Zero();
+  std::array<Vector5, kNumCells> sums;
+  sums.fill(Vector5::Zero());
   for (std::size_t i = 0; i < m.size; ++i) {
+    if (at.front[i] < 0.5) continue;
+    const double r = at.residuals[i];
+    const LossSlopes psi = mixture_slopes(r, loss);
+    slope += m.weight[i] * psi.second;
+    square += m.weight[i] * m.weight[i] * psi.first * psi.first;
+    // Near an epipole the first-order residual promises more than a bearing with noise can hold.
     const Eigen::Vector3d a = out.pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
     const Eigen::Vector3d b(m.x2[i], m.y2[i], m.z2[i]);
     const double squared = a.cross(out.pose.t).squaredNorm() + b.cross(out.pose.t).squaredNorm();
     const double trust = squared / (squared + 8.0 * variance);
-    inliers_only.weight[i] *= trust * trust;
+    if (out.inlier[i]) {
+      at.weights[i] = m.weight[i] * trust * trust;
+      count += m.weight[i];
+    }
+    Vector5 score;
+    for (std::size_t k = 0; k < 5; ++k)
+      score[static_cast<Eigen::Index>(k)] = at.jacobian[k * m.padded + i];
+    score *= m.weight[i] * trust * psi.first;
+    independent += score * score.transpose();
+    sums[cell_of(b)] += score;
   }
+  Matrix5 clustered = Matrix5::Zero();
+  for (const Vector5& sum : sums) clustered += sum * sum.transpose();
+  const double together = independent.ldlt().solve(clustered).trace() / 5.0;
+
   double upper[15], gradient[5];
-  accumulate_normal_equations(m.padded, w.jacobian.data(), w.residuals.data(),
-                              inliers_only.weight.data(), upper, gradient);
-  Eigen::Matrix<double, 5, 5> information;
-  int entry = 0;
-  for (int p = 0; p < 5; ++p) {
-    for (int q = p; q < 5; ++q) information(p, q) = information(q, p) = upper[entry++];
-  }
-  out.covariance = variance * information.inverse();
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  const double freedom = count / std::max(count - 5.0, 0.2 * count + 1e-9);
+  const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
+  out.covariance = std::max(efficiency * freedom, variance) * std::max(together, 1.0) *
+                   from_upper(upper).inverse();
 }
 
 // Whether two poses differ by more than the uncertainty of the first can explain.
@@ -253,7 +360,9 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   const int n = static_cast<int>(m.size);
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> rotation_residuals;
-  const int turned = best_rotation(m, gate, random, &R, &rotation_residuals);
+  const int turned = candidates.empty() || rotation_possible(m, out.inlier, support, gate, random)
+                         ? best_rotation(m, gate, random, &R, &rotation_residuals)
+                         : 0;
   out.rotation_share = static_cast<double>(turned) / std::max(support, 1);
   const ChanceDensity chance(m, options.residual, options.seed);
   if (turned >= kRotationShare * support &&
@@ -270,10 +379,11 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
     return;
   }
   out.status = Status::kOk;
-  set_uncertainty(m, options, gate, out);
+  set_uncertainty(m, options, candidates[0].loss, gate, out);
   out.parallax = median_parallax(m, out.pose, out.inlier.data());
   if (out.parallax < kSmallestParallax * out.scale) {
     // Too little translation to tell where to: the rotation alone is the better answer.
+    if (turned == 0) best_rotation(m, gate, random, &R, &rotation_residuals);
     set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
     return;
   }
@@ -281,42 +391,70 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
 }
 
-// A random part of the matches, large enough to find the pose in.
-Matches random_subset(const Matches& m, Random& random) {
-  std::vector<std::size_t> order(m.size);
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  for (std::size_t k = 0; k < kSearchSize; ++k) {  // the beginning of a Fisher-Yates shuffle
-    std::swap(order[k], order[k + random.below(static_cast<std::uint32_t>(m.size - k))]);
+// The matches that the search looks at: the best scored, or a random part.
+std::vector<std::size_t> searched(const Matches& m, const std::vector<std::uint32_t>& order,
+                                  Random& random) {
+  std::vector<std::size_t> chosen(m.size);
+  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
+  for (std::size_t k = 0; k < kSearchSize; ++k) {
+    if (!order.empty()) {
+      chosen[k] = order[k];
+      continue;
+    }  // the beginning of a Fisher-Yates shuffle
+    std::swap(chosen[k], chosen[k + random.below(static_cast<std::uint32_t>(m.size - k))]);
   }
-  order.resize(kSearchSize);
-  return chosen_matches(m, order);
+  chosen.resize(kSearchSize);
+  return chosen;
+}
+
+// Indices by descending score; empty without scores.
+std::vector<std::uint32_t> order_of(const std::vector<double>& scores) {
+  std::vector<std::uint32_t> order(scores.size());
+  std::iota(order.begin(), order.end(), 0u);
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return scores[a] > scores[b]; });
+  return order;
 }
 
 }  // namespace
 
-RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options) {
+RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
+                                    const MatchPriors& priors) {
   RobustResult out;
   out.inlier.assign(m.size, 0);
   out.residuals.assign(m.padded, std::nan(""));
   out.covariance.setConstant(std::nan(""));
   out.scale = out.parallax = std::nan("");
   out.threshold = options.threshold > 0.0 ? options.threshold : std::nan("");
-  if (m.size < static_cast<std::size_t>(options.sample_size)) return out;
+  if (m.size < static_cast<std::size_t>(std::max(options.sample_size, 5))) return out;
 
   Random random(options.seed);
-  const Matches subset = m.size > kSearchSize ? random_subset(m, random) : Matches{};
-  EssentialProblem search(m.size > kSearchSize ? subset : m, options.residual, options.sample_size,
-                          kTypicalDensity);
-  out.num_iterations = sample_poses(options, search, random);
-  search.polish_pool(25);
-  EssentialProblem everything(m, options.residual, options.sample_size, kTypicalDensity);
-  everything.set_gates({kAllScales.front()});
-  for (const Candidate& candidate : search.candidates()) {
-    if (candidate.evidence > search.candidates().front().evidence + kFinalistEvidence) {
-      everything.polish(candidate.pose, 50, 1e-8);
+  std::vector<std::uint32_t> order = order_of(priors.scores);
+  const bool partly = m.size > kSearchSize;
+  Matches subset;
+  if (partly) {
+    subset = chosen_matches(m, searched(m, order, random));
+    if (!order.empty()) {  // the subset is in order already
+      order.resize(kSearchSize);
+      std::iota(order.begin(), order.end(), 0u);
     }
   }
-  judge(m, options, everything, random, out);
+  EssentialProblem search(partly ? subset : m, options.residual, options.sample_size,
+                          kTypicalDensity);
+  if (priors.has_gravity) search.use_gravity(priors.gravity1, priors.gravity2);
+  Sampler sampler = order.empty() ? Sampler(search.num_matches(), search.sample_size())
+                                  : Sampler(std::move(order), search.sample_size());
+  out.num_iterations = sample_poses(options, search, sampler, random);
+  search.polish_pool(25);
+  search.anneal();
+  EssentialProblem everything(m, options.residual, options.sample_size, kTypicalDensity);
+  EssentialProblem& last = partly ? everything : search;
+  if (partly) everything.set_gates({kAllScales.front()});
+  last.finish(search.candidates(), kFinalistEvidence);
+  if (partly) last.anneal();
+  release_depths(m, options, last);
+  last.simplify();
+  judge(m, options, last, random, out);
   return out;
 }
 

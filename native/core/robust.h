@@ -23,8 +23,9 @@ enum class Status {
 
 struct RobustOptions {
   Residual residual = Residual::kSampson;
-  double threshold = 0.0;  // radians; 0: estimated from the data
-  int sample_size = 5;     // 5 or 8
+  double threshold = 0.0;            // radians; 0: estimated from the data
+  bool threshold_in_pixels = false;  // it is in pixels; for pairs with Jacobians
+  int sample_size = 5;               // 5 or 8
   int min_iterations = 30;
   int max_iterations = 5000;
   double confidence = 0.999;
@@ -50,6 +51,14 @@ struct RobustResult {
   double rival_evidence = -std::numeric_limits<double>::infinity();  // log-likelihood ratio
 };
 
-RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options);
+// What is known about the matches beyond their bearings.
+struct MatchPriors {
+  std::vector<double> scores;  // higher is better; empty if there are none
+  bool has_gravity = false;
+  Eigen::Vector3d gravity1 = Eigen::Vector3d::UnitY(), gravity2 = Eigen::Vector3d::UnitY();
+};
+
+RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
+                                    const MatchPriors& priors = {});
 
 }  // namespace epi360

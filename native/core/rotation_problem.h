@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "matches.h"
+#include "ransac.h"
 #include "residuals.h"
 #include "rotation.h"
 
@@ -53,10 +54,11 @@ class RotationProblem {
     }
   }
 
-  double inlier_ratio(const Model& R) {
+  int needed(const Model& R, const LoopOptions& options, const Sampler&) {
     double total = 0.0;
     for (std::size_t i = 0; i < m_.size; ++i) total += m_.weight[i];
-    return total > 0.0 ? count_within(R, gates_.back()) / total : 0.0;
+    const double ratio = total > 0.0 ? count_within(R, gates_.back()) / total : 0.0;
+    return iterations_needed(ratio, sample_size(), options);
   }
 
   // Weight of the matches within a gate; residuals() then holds every residual.

@@ -1,31 +1,33 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Types of the native module. Shapes and values are checked by the callers."""
 
-from typing import TypedDict
-
 import numpy as np
 from numpy.typing import NDArray
 
 _Array = NDArray[np.float64]
 
-class _RobustResult(TypedDict):
-    status: int
-    rotation: _Array
-    translation: _Array
-    scale: float
-    threshold: float
-    inlier: NDArray[np.uint8]
-    residuals: _Array
-    num_iterations: int
-    parallax: float
-    coverage: float
-    match_coverage: float
-    rotation_share: float
-    rival_share: float
-    rival_evidence: float
-    chance_log10: float
-    covariance: _Array
-    alternatives: list[tuple[_Array, _Array]]
+# status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
+# coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
+# spread_of_matches
+_PairResult = tuple[
+    int,
+    _Array,
+    _Array,
+    float,
+    float,
+    NDArray[np.uint8],
+    _Array,
+    int,
+    float,
+    float,
+    float,
+    _Array,
+    list[tuple[_Array, _Array]],
+    int,
+    int,
+    float,
+    float,
+]
 
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
 def eight_point(bearings1: _Array, bearings2: _Array, weights: _Array | None = None) -> _Array: ...
@@ -55,21 +57,29 @@ def refine(
     jacobians2: _Array | None,
     max_iterations: int,
 ) -> tuple[_Array, _Array, _Array, float, _Array, float, float, float, int, bool]: ...
-def estimate_relative_pose(
-    bearings1: _Array,
-    bearings2: _Array,
+def estimate_relative_poses(
+    bearings1: list[_Array],
+    bearings2: list[_Array],
     *,
     residual: str,
-    threshold_rad: float,
+    threshold: float,
+    threshold_in_pixels: bool,
     sample_size: int,
     min_iterations: int,
     max_iterations: int,
     confidence: float,
     seed: int,
-    weights: _Array | None,
-    jacobians1: _Array | None,
-    jacobians2: _Array | None,
-) -> _RobustResult: ...
+    num_threads: int,
+    weights: list[_Array],
+    scores: list[_Array],
+    jacobians1: list[_Array],
+    jacobians2: list[_Array],
+    gravity1: list[_Array],
+    gravity2: list[_Array],
+) -> list[_PairResult] | tuple[int, int, int, bool]: ...
+def upright_three_point(
+    bearings1: _Array, bearings2: _Array, gravity1: _Array, gravity2: _Array
+) -> list[tuple[_Array, _Array]]: ...
 def paper_pose(
     bearings1: _Array,
     bearings2: _Array,

@@ -6,7 +6,11 @@ from epi360.estimation.paper import paper_pose
 from epi360.estimation.paper_reference import PAPER_METHODS, paper_pose_reference
 from epi360.estimation.refinement import RefinementResult, refine_pose, refine_pose_reference
 from epi360.estimation.result import ImagePairResult, RelativePoseResult, Status
-from epi360.estimation.robust import RansacOptions, estimate_relative_pose
+from epi360.estimation.robust import (
+    RansacOptions,
+    estimate_relative_pose,
+    estimate_relative_poses,
+)
 from epi360.estimation.weights import residual_weights
 
 __all__ = [
@@ -18,6 +22,7 @@ __all__ = [
     "Status",
     "eight_point",
     "estimate_relative_pose",
+    "estimate_relative_poses",
     "paper_pose",
     "paper_pose_reference",
     "refine_pose",

@@ -3,53 +3,23 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from operator import index
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
-from epi360.epipolar.arguments import bearing_pair, jacobians_array, weights_array
-from epi360.epipolar.essential import essential_from_pose
-from epi360.epipolar.residuals import RESIDUALS, tangent_basis
-from epi360.estimation.result import RelativePoseResult, Status
-from epi360.poses import Pose
+from epi360.epipolar.arguments import jacobians_array, weights_array
+from epi360.epipolar.residuals import RESIDUALS
+from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.verdict import Found, result_of
 
 Array = NDArray[np.float64]
-
-_STATUSES: tuple[Status, ...] = (  # in the order of native/core/robust.h
-    "ok",
-    "too_few_matches",
-    "too_few_inliers",
-    "pure_rotation",
-    "planar_ambiguous",
-    "concentrated_inliers",
-)
-_MIN_MATCHES = 5
-# A wrong pose on real images rested on 5 of 48 cells while the matches covered 21; the poorest
-# right one covers 8 of 25. A lens that sees little covers little with all of its matches.
-_PATCH_CELLS, _PATCH_SHARE = 6 / 48, 0.35
-_PATCH_SPREAD = 0.03  # as of a cone of 28 degrees
-# Measured on real pairs: directions are wrong under about 3 times the noise, good from 6 to 7.
-_PARALLAX_PER_NOISE = 6.0
-# The one-sided residuals see the noise of both views at once.
-_NOISE_PER_RESIDUAL = {
-    "paper": 0.5**0.5,
-    "angular": 0.5**0.5,
-    "sampson": 1.0,
-    "tangent_sampson": 1.0,
-}
-
-
-@dataclass(frozen=True)
-class _Support:
-    """How many matches agree, and from how much of the sphere."""
-
-    num_distinct: int
-    spread: float
-    spread_of_matches: float
+Threshold = float | Literal["auto"]
 
 
 @dataclass(frozen=True)
@@ -104,11 +74,15 @@ def estimate_relative_pose(
     bearings1: ArrayLike,
     bearings2: ArrayLike,
     *,
-    inlier_threshold_deg: float | Literal["auto"] = "auto",
+    inlier_threshold_deg: Threshold = "auto",
+    inlier_threshold_px: float | None = None,
     residual: str = "sampson",
     jacobians1: ArrayLike | None = None,
     jacobians2: ArrayLike | None = None,
+    match_scores: ArrayLike | None = None,
     weights: ArrayLike | None = None,
+    gravity1: ArrayLike | None = None,
+    gravity2: ArrayLike | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int = 0,
 ) -> RelativePoseResult:
@@ -122,12 +96,20 @@ def estimate_relative_pose(
     inlier_threshold_deg : float or "auto"
         Gate on the residual's angle in degrees; "auto" estimates the noise and gates at the angle
         where a match is as likely right as wrong.
+    inlier_threshold_px : float, optional
+        The gate in pixels instead; needs residual "tangent_sampson".
     residual : str
         "sampson", "angular", "paper", or "tangent_sampson" with the Jacobians.
     jacobians1, jacobians2 : array_like, shape (M, 3, 2), optional
         Derivative of each bearing by its pixel: respects the pixel noise of any camera.
+    match_scores : array_like, shape (M,), optional
+        How good each match looks, higher is better (a ratio test's: minus the ratio): the best are
+        sampled first. Scores order the search; they do not weigh the answer.
     weights : array_like, shape (M,), optional
         Of the matches, relative to one another.
+    gravity1, gravity2 : array_like, shape (3,), optional
+        Direction of gravity (down) in both cameras, good to a few degrees: three matches make a
+        sample then. The answer is refined freely; gravity does not enter it.
     options : RansacOptions
         How the sampling runs.
     seed : int
@@ -145,50 +127,94 @@ def estimate_relative_pose(
 
     Notes
     -----
-    Five-point samples whose points lie in front of both cameras are scored by a truncated cost that
-    counts depths (MSAC, Torr & Zisserman 2000), over four scales while the noise is unknown. Good
-    hypotheses are refined over SO(3) x S^2 to the most likely pose under Gaussian inliers, near
-    misses and uniform outliers, whose scale and shares are estimated along; the most likely wins.
-    The verdict asks whether a rotation explains the matches as well, whether chance would, whether
-    another pose does, and whether the inliers are one patch among matches from everywhere.
+    Five-point samples (Nistér 2004), or upright three-point samples (Fraundorfer et al. 2010),
+    drawn in the order of the scores (PROSAC, Chum & Matas 2005), whose points lie in front of both
+    cameras are scored by a truncated cost that counts depths (MSAC, Torr & Zisserman 2000), over
+    four scales while the noise is unknown. Good hypotheses are refined over SO(3) x S^2 to the most
+    likely pose under Gaussian inliers, near misses and uniform outliers, whose scale and shares are
+    estimated along; the most likely wins. The verdict asks whether a rotation explains the matches
+    as well, whether chance would, whether another pose does, and whether the inliers are one patch
+    among matches from everywhere.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    if residual not in RESIDUALS:
-        raise ValueError(f"residual must be one of {', '.join(RESIDUALS)}, got {residual!r}")
-    w = weights_array(weights, len(b1))
-    J1, J2 = _unit_jacobians(jacobians1, jacobians2, len(b1), residual)
-    usable = np.asarray(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
-    if w is not None:
-        usable &= w > 0.0
-    if J1 is not None and J2 is not None:
-        usable &= np.isfinite(J1).all(axis=(1, 2)) & np.isfinite(J2).all(axis=(1, 2))
-    if w is not None and usable.any():
-        w = w / w[usable].mean()  # weights are relative to one another
-    threshold_rad = check_threshold(inlier_threshold_deg)
-    if int(usable.sum()) < _MIN_MATCHES:
-        return _failure("too_few_matches", len(b1), threshold_rad)
+    arrays = _Arrays()
+    arrays.append(
+        bearings1, bearings2, weights, match_scores, jacobians1, jacobians2, gravity1, gravity2
+    )
+    return _estimate(arrays, inlier_threshold_deg, inlier_threshold_px, residual, options, seed, 1)[
+        0
+    ]
 
-    found = _core.estimate_relative_pose(
-        b1[usable],
-        b2[usable],
-        residual=residual,
-        threshold_rad=threshold_rad,
-        sample_size=8 if options.minimal_solver == "eight_point" else 5,
-        min_iterations=options.min_iterations,
-        max_iterations=options.max_iterations,
-        confidence=options.confidence,
-        seed=index(seed) % 2**64,
-        weights=None if w is None else w[usable],
-        jacobians1=None if J1 is None else J1[usable],
-        jacobians2=None if J2 is None else J2[usable],
-    )
-    inliers = np.flatnonzero(usable)[found["inlier"].astype(bool)]
-    support = _Support(
-        _num_distinct(b1[inliers], b2[inliers]),
-        min(_spread(b1[inliers]), _spread(b2[inliers])),
-        min(_spread(b1[usable]), _spread(b2[usable])),
-    )
-    return _result(found, usable, support, residual, options)
+
+def estimate_relative_poses(
+    bearings1: ArrayLike | Iterable[tuple[ArrayLike, ArrayLike]],
+    bearings2: ArrayLike | None = None,
+    *,
+    offsets: ArrayLike | None = None,
+    num_threads: int | None = None,
+    inlier_threshold_deg: Threshold = "auto",
+    residual: str = "sampson",
+    match_scores: Sequence[ArrayLike] | ArrayLike | None = None,
+    weights: Sequence[ArrayLike] | ArrayLike | None = None,
+    options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
+    seed: int = 0,
+) -> list[RelativePoseResult]:
+    """Relative poses of many pairs of views, on native threads.
+
+    Parameters
+    ----------
+    bearings1 : iterable of (bearings1, bearings2), or array_like, shape (N, 3)
+        One pair of arrays (M, 3) for each pair of views; or the bearings of view 1 of all pairs,
+        one pair after the other, with `bearings2` and `offsets`.
+    bearings2 : array_like, shape (N, 3), optional
+        The bearings of view 2 of all pairs.
+    offsets : array_like, shape (P + 1,), int, optional
+        Pair k has the rows offsets[k] to offsets[k + 1]; the first is 0, the last N.
+    num_threads : int, optional
+        By default one per core; the results do not depend on it.
+    inlier_threshold_deg : float or "auto"
+        As in `estimate_relative_pose`, as are the other options.
+    residual : str
+        "sampson", "angular" or "paper".
+    match_scores, weights : sequence of array_like, or array_like, shape (N,), optional
+        One array for each pair; with `offsets` one array for all.
+    options : RansacOptions
+        How the sampling runs.
+    seed : int
+        Each pair's result is that of `estimate_relative_pose` with this seed.
+
+    Returns
+    -------
+    results : list of RelativePoseResult
+        One for each pair, in order.
+
+    Raises
+    ------
+    ValueError
+        If an array has a wrong shape, an infinite or a zero bearing (the message names the pair),
+        or an option is unknown.
+    """
+    if residual == "tangent_sampson":
+        raise ValueError(
+            "residual must be sampson, angular or paper, got 'tangent_sampson'; its Jacobians go "
+            "with estimate_relative_pose"
+        )
+    arrays = _Arrays()
+    if offsets is None:
+        if bearings2 is not None:
+            raise ValueError("bearings2 needs offsets; without them give pairs of arrays")
+        pairs = _listed(bearings1)
+        scores_of = _per_pair(match_scores, len(pairs), "match_scores")
+        weights_of = _per_pair(weights, len(pairs), "weights")
+    else:
+        pairs, scores_of, weights_of = _cut(bearings1, bearings2, offsets, match_scores, weights)
+    for k, pair in enumerate(pairs):
+        try:
+            b1, b2 = pair
+            arrays.append(b1, b2, weights_of[k], scores_of[k])
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"pair {k}: {error}") from None
+    threads = _num_threads(num_threads)
+    return _estimate(arrays, inlier_threshold_deg, None, residual, options, seed, threads)
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:
@@ -217,134 +243,200 @@ def check_threshold(inlier_threshold_deg: float | str) -> float:
     return float(np.radians(degrees))
 
 
-def _unit_jacobians(
-    jacobians1: ArrayLike | None, jacobians2: ArrayLike | None, num_matches: int, residual: str
-) -> tuple[Array | None, Array | None]:
-    """Jacobians scaled by one number to a mean of one radian a pixel, so residuals are radians."""
-    if residual != "tangent_sampson":
-        return None, None
-    J1 = jacobians_array(jacobians1, num_matches, "jacobians1")
-    J2 = jacobians_array(jacobians2, num_matches, "jacobians2")
-    if J1 is None or J2 is None:
-        raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
-    squares = np.concatenate([(J1**2).sum(axis=(1, 2)), (J2**2).sum(axis=(1, 2))])
-    squares = squares[np.isfinite(squares)]
-    scale = float(np.sqrt(squares.mean() / 2.0)) if len(squares) else 1.0
-    return J1 / scale, J2 / scale
+class _Arrays:
+    """Arrays of all pairs as the native core takes them; what nobody gave stays empty."""
+
+    def __init__(self) -> None:
+        self.bearings1: list[Array] = []
+        self.bearings2: list[Array] = []
+        self.weights: list[Array] = []
+        self.scores: list[Array] = []
+        self.jacobians1: list[Array] = []
+        self.jacobians2: list[Array] = []
+        self.gravity1: list[Array] = []
+        self.gravity2: list[Array] = []
+
+    def append(
+        self,
+        bearings1: ArrayLike,
+        bearings2: ArrayLike,
+        weights: ArrayLike | None = None,
+        scores: ArrayLike | None = None,
+        jacobians1: ArrayLike | None = None,
+        jacobians2: ArrayLike | None = None,
+        gravity1: ArrayLike | None = None,
+        gravity2: ArrayLike | None = None,
+    ) -> None:
+        b1 = _rows(bearings1, "bearings1")
+        b2 = _rows(bearings2, "bearings2")
+        if len(b1) != len(b2):
+            raise ValueError(
+                f"bearings1 and bearings2 must have the same length, got {len(b1)} and {len(b2)}"
+            )
+        if (gravity1 is None) != (gravity2 is None):
+            raise ValueError("gravity1 and gravity2 must be given together, got only one")
+        self.bearings1.append(b1)
+        self.bearings2.append(b2)
+        for kept, given in (
+            (self.weights, weights_array(weights, len(b1))),
+            (self.scores, _scores(scores, len(b1))),
+            (self.jacobians1, jacobians_array(jacobians1, len(b1), "jacobians1")),
+            (self.jacobians2, jacobians_array(jacobians2, len(b1), "jacobians2")),
+            (self.gravity1, _direction(gravity1, "gravity1")),
+            (self.gravity2, _direction(gravity2, "gravity2")),
+        ):
+            if given is not None:
+                kept.append(given)
 
 
-def _failure(status: Status, num_matches: int, threshold_rad: float) -> RelativePoseResult:
-    return RelativePoseResult(
-        cam2_from_cam1=Pose.nan(),
-        E=np.full((3, 3), np.nan),
-        inlier_mask=np.zeros(num_matches, dtype=bool),
-        residuals_rad=np.full(num_matches, np.nan),
-        noise_deg=np.nan,
-        inlier_threshold_deg=float(np.degrees(threshold_rad)) if threshold_rad else np.nan,
-        parallax_deg=np.nan,
-        sphere_coverage=0.0,
-        num_iterations=0,
-        status=status,
-        covariance=np.full((5, 5), np.nan),
-        translation_basis=np.full((3, 2), np.nan),
-    )
-
-
-def _result(
-    found: _core._RobustResult,
-    usable: NDArray[np.bool_],
-    support: _Support,
+def _estimate(
+    arrays: _Arrays,
+    inlier_threshold_deg: Threshold,
+    inlier_threshold_px: float | None,
     residual: str,
     options: RansacOptions,
-) -> RelativePoseResult:
-    inlier_mask = np.zeros(len(usable), dtype=bool)
-    inlier_mask[usable] = found["inlier"].astype(bool)
-    residuals = np.full(len(usable), np.nan)
-    residuals[usable] = found["residuals"]
-    status = _status(found, support, options)
-    share = 1.0 if status == "pure_rotation" else _NOISE_PER_RESIDUAL[residual]
-    pose = _pose(found, status)
-    determined = status in ("ok", "planar_ambiguous")
-    alternatives = tuple(Pose(R, t) for R, t in found["alternatives"])
-    if status == "too_few_inliers":
-        alternatives = ()
-    elif status == "concentrated_inliers":
-        alternatives = (_pose(found, _STATUSES[found["status"]]), *alternatives)
-    return RelativePoseResult(
-        cam2_from_cam1=pose,
-        E=essential_from_pose(pose) if determined else np.full((3, 3), np.nan),
-        inlier_mask=inlier_mask,
-        residuals_rad=residuals,
-        noise_deg=float(np.degrees(found["scale"])) * share,
-        inlier_threshold_deg=float(np.degrees(found["threshold"])),
-        parallax_deg=float(np.degrees(found["parallax"])),
-        sphere_coverage=found["coverage"],
-        num_iterations=found["num_iterations"],
-        status=status,
-        covariance=(
-            found["covariance"]
-            if determined or status == "pure_rotation"
-            else np.full((5, 5), np.nan)
-        ),
-        translation_basis=(
-            tangent_basis(pose.translation) if determined else np.full((3, 2), np.nan)
-        ),
-        alternatives=alternatives,
-        warnings=_warnings(found, usable, status),
+    seed: int,
+    num_threads: int,
+) -> list[RelativePoseResult]:
+    if residual not in RESIDUALS or residual == "solarte2021":
+        names = ", ".join(name for name in RESIDUALS if name != "solarte2021")
+        raise ValueError(f"residual must be one of {names}, got {residual!r}")
+    uses_pixels = residual == "tangent_sampson"
+    if uses_pixels and not (arrays.jacobians1 and arrays.jacobians2):
+        raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
+    threshold = check_threshold(inlier_threshold_deg)
+    if inlier_threshold_px is not None:
+        threshold = _checked_pixels(inlier_threshold_px, threshold, uses_pixels)
+    answers = _core.estimate_relative_poses(
+        arrays.bearings1,
+        arrays.bearings2,
+        residual=residual,
+        threshold=threshold,
+        threshold_in_pixels=inlier_threshold_px is not None,
+        sample_size=8 if options.minimal_solver == "eight_point" else 5,
+        min_iterations=options.min_iterations,
+        max_iterations=options.max_iterations,
+        confidence=options.confidence,
+        seed=index(seed) % 2**64,
+        num_threads=num_threads,
+        weights=arrays.weights,
+        scores=arrays.scores,
+        jacobians1=arrays.jacobians1 if uses_pixels else [],
+        jacobians2=arrays.jacobians2 if uses_pixels else [],
+        gravity1=arrays.gravity1,
+        gravity2=arrays.gravity2,
+    )
+    if isinstance(answers, tuple):
+        _raise_bad_row(*answers, num_pairs=len(arrays.bearings1))
+    return [result_of(Found(*answer), residual, options.min_num_inliers) for answer in answers]
+
+
+def _raise_bad_row(pair: int, view: int, row: int, infinite: bool, *, num_pairs: int) -> NoReturn:
+    must = "be finite" if infinite else "have non-zero length"
+    what = "infinite" if infinite else "zero"
+    where = f"pair {pair}: " if num_pairs > 1 else ""
+    raise ValueError(
+        f"{where}bearings{view} must {must} (NaN marks a missing row), row {row} is {what}"
     )
 
 
-def _num_distinct(b1: Array, b2: Array) -> int:
-    """Count inliers that are no copies of one another, told apart by one projection."""
-    projected = b1 @ [0.6180, 0.7549, 0.8192] + b2 @ [1.3247, 1.2207, 1.1673]
-    return len(np.unique(projected.round(12)))
+def _rows(bearings: ArrayLike, name: str) -> Array:
+    array = np.ascontiguousarray(bearings, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
+    return array
 
 
-def _spread(bearings: Array) -> float:
-    """One minus the length of the mean bearing: 0 for one direction, 0.06 for a cone of 40°."""
-    return 1.0 - float(np.linalg.norm(bearings.mean(axis=0))) if len(bearings) else 0.0
+def _scores(scores: ArrayLike | None, num_matches: int) -> Array | None:
+    if scores is None:
+        return None
+    array = np.ascontiguousarray(scores, dtype=np.float64)
+    if array.shape != (num_matches,):
+        raise ValueError(f"match_scores must have shape ({num_matches},), got {array.shape}")
+    return array
 
 
-def _status(found: _core._RobustResult, support: _Support, options: RansacOptions) -> Status:
-    status = _STATUSES[found["status"]]
-    if status not in ("ok", "planar_ambiguous", "pure_rotation"):
-        return status
-    if support.num_distinct < options.min_num_inliers:
-        return "too_few_inliers"
-    if support.spread < _PATCH_SPREAD and support.spread < 0.2 * support.spread_of_matches:
-        return "concentrated_inliers"  # also at a pole, which is a corner of many cells
-    patch = found["coverage"] <= _PATCH_CELLS
-    if patch and found["coverage"] < _PATCH_SHARE * found["match_coverage"]:
-        return "concentrated_inliers"
-    return status
+def _direction(vector: ArrayLike | None, name: str) -> Array | None:
+    if vector is None:
+        return None
+    array = np.ascontiguousarray(vector, dtype=np.float64)
+    if array.shape != (3,):
+        raise ValueError(f"{name} must have shape (3,), got {array.shape}")
+    norm = float(np.linalg.norm(array))
+    if not (np.isfinite(norm) and norm > 0.0):
+        raise ValueError(f"{name} must be a finite direction, got {array.tolist()}")
+    return array / norm
 
 
-def _pose(found: _core._RobustResult, status: Status) -> Pose:
-    if status in ("ok", "planar_ambiguous"):
-        return Pose(found["rotation"], found["translation"])
-    if status == "pure_rotation":
-        return Pose(found["rotation"], np.full(3, np.nan))
-    return Pose.nan()
-
-
-def _warnings(
-    found: _core._RobustResult, usable: NDArray[np.bool_], status: Status
-) -> tuple[str, ...]:
-    warnings = []
-    missing = len(usable) - int(usable.sum())
-    if missing:
-        warnings.append(f"{missing} of {len(usable)} matches are missing (NaN or weight 0)")
-    if status != "ok":
-        return tuple(warnings)
-    if found["parallax"] < _PARALLAX_PER_NOISE * found["scale"]:
-        ratio = found["parallax"] / found["scale"]
-        warnings.append(
-            f"the median parallax is only {ratio:.1f} times the noise: "
-            "the direction of the translation is uncertain, the rotation is not"
+def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> float:
+    if not uses_pixels:
+        raise ValueError(
+            'inlier_threshold_px needs residual="tangent_sampson" with jacobians1 and jacobians2'
         )
-    if found["coverage"] < 0.5 * found["match_coverage"]:
-        warnings.append(
-            f"inliers cover {found['coverage']:.0%} of the sphere, all matches "
-            f"{found['match_coverage']:.0%}: part of the scene may move or repeat itself"
+    if threshold_rad:
+        raise ValueError("give inlier_threshold_deg or inlier_threshold_px, not both")
+    if not (np.isfinite(pixels) and pixels > 0.0):
+        raise ValueError(f"inlier_threshold_px must be a positive number, got {pixels!r}")
+    return float(pixels)
+
+
+def _num_threads(num_threads: int | None) -> int:
+    if num_threads is None:
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else (os.cpu_count() or 1)
         )
-    return tuple(warnings)
+    if not isinstance(num_threads, (int, np.integer)) or num_threads < 1:
+        raise ValueError(f"num_threads must be a positive integer, got {num_threads!r}")
+    return int(num_threads)
+
+
+def _listed(pairs: object) -> list[tuple[ArrayLike, ArrayLike]]:
+    if not isinstance(pairs, Iterable):
+        raise ValueError(f"pairs must be a sequence of (bearings1, bearings2), got {pairs!r}")
+    return list(pairs)
+
+
+def _per_pair(
+    values: Sequence[ArrayLike] | ArrayLike | None, num_pairs: int, name: str
+) -> list[ArrayLike | None]:
+    if values is None:
+        return [None] * num_pairs
+    listed: list[ArrayLike | None] = list(values)  # type: ignore[arg-type]
+    if len(listed) != num_pairs:
+        raise ValueError(
+            f"{name} must have one array for each of {num_pairs} pairs, got {len(listed)}"
+        )
+    return listed
+
+
+def _cut(
+    bearings1: object,
+    bearings2: ArrayLike | None,
+    offsets: ArrayLike,
+    scores: object,
+    weights: object,
+) -> tuple[list[tuple[ArrayLike, ArrayLike]], list[ArrayLike | None], list[ArrayLike | None]]:
+    """Pairs, scores and weights out of concatenated arrays."""
+    if bearings2 is None:
+        raise ValueError("offsets need bearings1 and bearings2 as two arrays of shape (N, 3)")
+    b1, b2 = _rows(bearings1, "bearings1"), _rows(bearings2, "bearings2")  # type: ignore[arg-type]
+    cuts = np.asarray(offsets)
+    if cuts.ndim != 1 or not len(cuts) or not np.issubdtype(cuts.dtype, np.integer):
+        raise ValueError(
+            f"offsets must be integers of shape (P + 1,), got {cuts.dtype} {cuts.shape}"
+        )
+    if cuts[0] != 0 or cuts[-1] != len(b1) or (np.diff(cuts) < 0).any() or len(b2) != len(b1):
+        raise ValueError(
+            "offsets must rise from 0 to the length of bearings1 and bearings2, got "
+            f"{cuts[0]} to {cuts[-1]} for {len(b1)} and {len(b2)} rows"
+        )
+    all_scores = _scores(scores, len(b1))  # type: ignore[arg-type]
+    all_weights = weights_array(weights, len(b1))  # type: ignore[arg-type]
+    parts = [slice(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return (
+        [(b1[part], b2[part]) for part in parts],
+        [None if all_scores is None else all_scores[part] for part in parts],
+        [None if all_weights is None else all_weights[part] for part in parts],
+    )
