@@ -148,10 +148,12 @@ def test_swapping_the_sets_swaps_the_matches():
 
 
 @pytest.mark.parametrize("mutual", [True, False])
-def test_two_equal_candidates_are_no_match(mutual):
-    rows = unit_rows(np.abs(np.random.default_rng(9).normal(size=(200, 128))))
+@pytest.mark.parametrize("num_rows", [2, 7, 33, 200, 201, 203, 1000])
+def test_two_equal_candidates_are_no_match(num_rows, mutual):
+    rows = unit_rows(np.abs(np.random.default_rng(9).normal(size=(num_rows, 128))))
     doubled = features_of(np.concatenate([rows, rows]))
-    # Their products round to more or less than 1.
+    # Their products round to more or less than 1, not all alike: the blocks of a matrix product
+    # end elsewhere with another number of rows or threads.
     assert len(match_features(doubled, doubled, mutual=mutual)) == 0
     assert len(match_features(features_of(rows), doubled, mutual=False)) == 0
 

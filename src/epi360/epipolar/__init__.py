@@ -30,6 +30,7 @@ from epi360.epipolar.residuals import (
 )
 from epi360.epipolar.sk_search import SK_SEARCHES, SkCost, search_sk
 from epi360.epipolar.stability import Stability, stability
+from epi360.epipolar.upright import upright_three_point
 
 __all__ = [
     "NORMALIZATIONS",
@@ -60,4 +61,5 @@ __all__ = [
     "tangent_basis",
     "tangent_sampson_residuals",
     "triangulate",
+    "upright_three_point",
 ]

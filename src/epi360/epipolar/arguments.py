@@ -111,3 +111,28 @@ def jacobians_array(jacobians: ArrayLike | None, num_matches: int, name: str) ->
     if array.shape != (num_matches, 3, 2):
         raise ValueError(f"{name} must have shape ({num_matches}, 3, 2), got {array.shape}")
     return array
+
+
+def direction_array(vector: ArrayLike, name: str) -> Array:
+    """Return a unit vector as float64 (3,).
+
+    Parameters
+    ----------
+    vector : array_like, shape (3,)
+        A direction of any positive length.
+    name : str
+        Name of the argument for the message.
+
+    Raises
+    ------
+    ValueError
+        If the shape is wrong, or the vector is zero or not finite.
+    """
+    array = np.ascontiguousarray(vector, dtype=np.float64)
+    if array.shape != (3,):
+        raise ValueError(f"{name} must have shape (3,), got {array.shape}")
+    largest = float(np.abs(array).max())
+    if not (np.isfinite(largest) and largest > 0.0):
+        raise ValueError(f"{name} must be a finite direction, got {array.tolist()}")
+    array = array / largest  # so that squares neither overflow nor vanish
+    return np.asarray(array / np.linalg.norm(array))

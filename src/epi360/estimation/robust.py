@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
-from epi360.epipolar.arguments import jacobians_array, weights_array
+from epi360.epipolar.arguments import direction_array, jacobians_array, weights_array
 from epi360.epipolar.residuals import RESIDUALS
 from epi360.estimation.result import RelativePoseResult
 from epi360.estimation.verdict import Found, result_of
@@ -282,8 +282,8 @@ class _Arrays:
             (self.scores, _scores(scores, len(b1))),
             (self.jacobians1, jacobians_array(jacobians1, len(b1), "jacobians1")),
             (self.jacobians2, jacobians_array(jacobians2, len(b1), "jacobians2")),
-            (self.gravity1, _direction(gravity1, "gravity1")),
-            (self.gravity2, _direction(gravity2, "gravity2")),
+            (self.gravity1, None if gravity1 is None else direction_array(gravity1, "gravity1")),
+            (self.gravity2, None if gravity2 is None else direction_array(gravity2, "gravity2")),
         ):
             if given is not None:
                 kept.append(given)
@@ -350,22 +350,10 @@ def _rows(bearings: ArrayLike, name: str) -> Array:
 def _scores(scores: ArrayLike | None, num_matches: int) -> Array | None:
     if scores is None:
         return None
-    array = np.ascontiguousarray(scores, dtype=np.float64)
+    array = np.asarray(scores, dtype=np.float64, order="C")
     if array.shape != (num_matches,):
         raise ValueError(f"match_scores must have shape ({num_matches},), got {array.shape}")
     return array
-
-
-def _direction(vector: ArrayLike | None, name: str) -> Array | None:
-    if vector is None:
-        return None
-    array = np.ascontiguousarray(vector, dtype=np.float64)
-    if array.shape != (3,):
-        raise ValueError(f"{name} must have shape (3,), got {array.shape}")
-    norm = float(np.linalg.norm(array))
-    if not (np.isfinite(norm) and norm > 0.0):
-        raise ValueError(f"{name} must be a finite direction, got {array.tolist()}")
-    return array / norm
 
 
 def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> float:
@@ -375,9 +363,13 @@ def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> f
         )
     if threshold_rad:
         raise ValueError("give inlier_threshold_deg or inlier_threshold_px, not both")
-    if not (np.isfinite(pixels) and pixels > 0.0):
+    try:
+        threshold = float(pixels)
+    except (TypeError, ValueError):
+        threshold = np.nan
+    if not (np.isfinite(threshold) and threshold > 0.0):
         raise ValueError(f"inlier_threshold_px must be a positive number, got {pixels!r}")
-    return float(pixels)
+    return threshold
 
 
 def _num_threads(num_threads: int | None) -> int:
@@ -408,6 +400,9 @@ def _per_pair(
         raise ValueError(
             f"{name} must have one array for each of {num_pairs} pairs, got {len(listed)}"
         )
+    for k, array in enumerate(listed):
+        if array is None:
+            raise ValueError(f"{name} must have an array for every pair or none, pair {k} has none")
     return listed
 
 

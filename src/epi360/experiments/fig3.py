@@ -259,7 +259,7 @@ def _words(trials: Trials, surface: Surface) -> str:
     return (
         "Panel e is one problem: the one whose error over K/S is closest to the median of "
         "all. It depends on K/S alone: along lines of equal K/S it "
-        f"changes by {spread:.1e} deg at most, so that there is a ridge of equal solutions and no "
+        f"changes by {spread:.1e} deg at most, so that there is a line of equal solutions and no "
         f"single best (S, K). Lowest on the grid: {surface.translation_deg.min():.2f} deg at K/S = "
         f"{K[best] / S[best]:.3f}. Ends of the searches (S, K): {ends}. The median over the "
         f"problems is lowest, {curve.min():.2f} deg, at K/S = {RATIOS[curve.argmin()]:.3f}."

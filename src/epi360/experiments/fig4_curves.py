@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from epi360.experiments.parts import Trials, write_file
@@ -140,9 +141,12 @@ def _draw_panel(axes: Axes, curves: Curves, kind: str, titles: Mapping[str, str]
     methods = [method for each, method in curves.quartiles if each == kind]
     for method, colour, marker in zip(methods, COLOURS, MARKERS, strict=False):
         low, middle, high = curves.quartiles[kind, method]
-        axes.fill_between(places, low, high, color=colour, alpha=0.12, linewidth=0)
+        axes.fill_between(places, low, high, color=colour, alpha=0.10, linewidth=0)
         axes.plot(places, middle, color=colour, marker=marker, markersize=4, label=titles[method])
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xticks(places, curves.levels, fontsize=8)
     axes.tick_params(axis="x", labelrotation=20 if len(" ".join(curves.levels)) > 50 else 0)
     axes.set_xlabel(curves.axis)

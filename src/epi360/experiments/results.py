@@ -136,6 +136,7 @@ def save_page(
     *,
     num_trials: int,
     trials: Trials | None = None,
+    unit: str = "trials",
 ) -> tuple[Path, str]:
     """Write ``table.md``: what was run, then the sections.
 
@@ -153,6 +154,8 @@ def save_page(
         Trials a cell.
     trials : Trials, optional
         For the computing time.
+    unit : str
+        What a trial is, in the plural.
 
     Returns
     -------
@@ -163,7 +166,7 @@ def save_page(
     """
     spent = f", {trials.seconds:.0f} s of processor time" if trials is not None else ""
     run = (
-        f"Protocol `{options.protocol}`, {num_trials:,} trials a cell, seed {options.seed}{spent}."
+        f"Protocol `{options.protocol}`, {num_trials:,} {unit} a cell, seed {options.seed}{spent}."
     )
     text = "\n\n".join([f"## {title}", run, *sections]) + "\n"
     folder.mkdir(parents=True, exist_ok=True)

@@ -69,13 +69,15 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     trials = run_pairs(name, evaluate, options, progress)
     folder = options.folder(name)
     where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
+    unit = "scenes" if options.landmarks else "rendered sequences"
     page, text = save_page(
         folder,
         f"Table 2: weights of the gold standard method, {where}",
-        _sections(trials, "scenes" if options.landmarks else "rendered sequences"),
+        _sections(trials, unit),
         options,
         num_trials=int(trials["trial"].max()) + 1,
         trials=trials,
+        unit=unit,
     )
     return Outcome(name, (*save_trials(folder, trials), page), text)
 

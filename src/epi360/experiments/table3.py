@@ -100,6 +100,7 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
         options,
         num_trials=num_sequences(options),
         trials=parts["table3"],
+        unit="rendered sequences",
     )
     return Outcome("table3", (*files, page), text)
 

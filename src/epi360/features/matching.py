@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from epi360.features.detection import Features
 
 _BLOCK_BYTES = 8 * 2**20  # of similarities: stays in the cache, and memory stays bounded
+# Products of equal unit descriptors differ from 1 by up to 5e-7, and from one another by where in
+# the matrix they stand and how many threads multiply it: below this, nothing is nearer.
+_ROUNDING = 2e-6
 
 
 def match_features(
@@ -58,9 +61,8 @@ def match_features(
 def _passes(
     best: NDArray[np.float32], second: NDArray[np.float32], ratio: float
 ) -> NDArray[np.bool_]:
-    # |a - b|^2 = 2 - 2 a.b for unit descriptors; rounding may exceed 1
-    nearest, runner_up = np.maximum(1.0 - best, 0.0), np.maximum(1.0 - second, 0.0)
-    return np.asarray(nearest < ratio**2 * runner_up)
+    # |a - b|^2 = 2 - 2 a.b for unit descriptors
+    return np.asarray(np.maximum(1.0 - best, _ROUNDING) < ratio**2 * (1.0 - second))
 
 
 def _two_nearest(
