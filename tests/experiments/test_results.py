@@ -92,6 +92,13 @@ def test_pages_are_collected_in_the_papers_order_and_put_between_the_marks(tmp_p
         assert document.read_text(encoding="utf-8") == f"before\n{BEGIN}\n\n{text}\n{END}\nafter\n"
 
 
+def test_collected_pages_of_another_protocol_say_so_in_their_titles(tmp_path):
+    page(tmp_path, "fig4a")
+    page(tmp_path, "fig4a", protocol="corrected")
+    titles = [line for line in collect_tables(tmp_path).splitlines() if line.startswith("###")]
+    assert titles == ["### About fig4a", "### About fig4a (`corrected`)"]
+
+
 def test_the_projects_document_has_the_marks_and_the_protocols_concentrations():
     text = (Path(__file__).parents[2] / "docs" / "reproduction.md").read_text(encoding="utf-8")
     assert 0 < text.index(BEGIN) < text.index(END)

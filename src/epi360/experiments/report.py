@@ -7,8 +7,10 @@ import os
 import platform
 import re
 from pathlib import Path
+from typing import get_args
 
 from epi360.experiments import EXPERIMENTS
+from epi360.experiments.options import ProtocolName
 from epi360.experiments.parts import write_file
 
 BEGIN = "<!-- begin: epi360 reproduce report -->"
@@ -38,8 +40,7 @@ def collect_tables(out: Path) -> str:
         raise ValueError(f"{out} must hold tables, found none; run epi360 reproduce all first")
     system = f"{platform.system()} on {platform.machine()}"
     machine = f"Collected on {system}, {os.cpu_count()} cores, Python {platform.python_version()}."
-    texts = [re.sub(r"^#", "##", page.read_text(encoding="utf-8"), flags=re.M) for page in pages]
-    return "\n\n".join([machine, *(text.strip() for text in texts)]) + "\n"
+    return "\n\n".join([machine, *(_section(page) for page in pages)]) + "\n"
 
 
 def insert_tables(document: Path, tables: str) -> None:
@@ -63,6 +64,16 @@ def insert_tables(document: Path, tables: str) -> None:
     if not begin or not end:
         raise ValueError(f"{document} must hold the lines {BEGIN} and {END}")
     write_file(document, f"{head}{BEGIN}\n\n{tables}\n{END}{tail}".encode())
+
+
+def _section(page: Path) -> str:
+    """Page one heading level lower; its title tells the protocol unless that is "printed"."""
+    text = re.sub(r"^#", "##", page.read_text(encoding="utf-8"), flags=re.M).strip()
+    protocol = page.parent.name.rpartition("-")[2]
+    if protocol in get_args(ProtocolName):
+        title, _, rest = text.partition("\n")
+        text = f"{title} (`{protocol}`)\n{rest}"
+    return text
 
 
 def _place(name: str) -> tuple[int, str]:
