@@ -31,8 +31,9 @@ from epi360.synthetic import demo_pair
 
 ROOT = Path(__file__).resolve().parents[1]
 README, CONVENTIONS = ROOT / "README.md", ROOT / "docs" / "conventions.md"
+ESTIMATOR = ROOT / "docs" / "estimator.md"
 HOW_IT_WORKS = ROOT / "docs" / "how_it_works.md"
-DOCUMENTS = (README, CONVENTIONS, HOW_IT_WORKS)
+DOCUMENTS = (README, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
 EXAMPLE = ROOT / "examples" / "01_two_images.py"
 BLOCK = re.compile(
     r"(?:<!-- file: (?P<file>\S+) -->\n)?^```(?P<language>\w+)\n(?P<body>.*?)^```$", re.M | re.S

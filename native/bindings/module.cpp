@@ -141,7 +141,7 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
 
 // status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
 // coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
-// spread_of_matches: in the order of _PairResult in _core.pyi.
+// spread_of_matches, translation_basis: in the order of _PairResult in _core.pyi.
 nb::tuple pair_tuple(PairResult&& pair) {
   RobustResult& r = pair.robust;
   const std::size_t n = r.inlier.size();
@@ -149,11 +149,12 @@ nb::tuple pair_tuple(PairResult&& pair) {
   for (const RelativePose& pose : r.alternatives) {
     alternatives.append(nb::make_tuple(matrix(pose.R), vector(pose.t)));
   }
-  return nb::make_tuple(
-      static_cast<int>(r.status), matrix(r.pose.R), vector(r.pose.t), r.scale, r.threshold,
-      array_of(std::move(r.inlier), {n}), array_of(std::move(r.residuals), {n}), r.num_iterations,
-      r.parallax, r.coverage, r.match_coverage, matrix(r.covariance), alternatives, pair.num_usable,
-      pair.support.num_distinct, pair.support.spread, pair.support.spread_of_matches);
+  return nb::make_tuple(static_cast<int>(r.status), matrix(r.pose.R), vector(r.pose.t), r.scale,
+                        r.threshold, array_of(std::move(r.inlier), {n}),
+                        array_of(std::move(r.residuals), {n}), r.num_iterations, r.parallax,
+                        r.coverage, r.match_coverage, matrix(r.covariance), alternatives,
+                        pair.num_usable, pair.support.num_distinct, pair.support.spread,
+                        pair.support.spread_of_matches, matrix(tangent_basis(r.pose.t)));
 }
 
 // One view's arrays of each pair; those that nobody gave are empty lists.

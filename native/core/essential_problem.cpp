@@ -100,7 +100,11 @@ void EssentialProblem::use_gravity(const Eigen::Vector3d& gravity1,
 
 void EssentialProblem::set_gates(std::vector<double> gates) {
   gates_ = std::move(gates);
-  for (Hypothesis& h : pool_) h.score = score(h.pose, std::numeric_limits<double>::infinity());
+  for (Hypothesis& h : pool_) {  // not by score(), which changes the pool
+    h.score =
+        truncated_score(m_, residual_, plain(h.pose), gates_.data(),
+                        static_cast<int>(gates_.size()), std::numeric_limits<double>::infinity());
+  }
   std::sort(pool_.begin(), pool_.end(),
             [](const Hypothesis& a, const Hypothesis& b) { return a.score < b.score; });
 }
@@ -141,7 +145,7 @@ double EssentialProblem::score(const RelativePose& pose, double limit) {
   return value;
 }
 
-void EssentialProblem::keep(const RelativePose& pose, double score) {
+void EssentialProblem::keep(RelativePose pose, double score) {
   for (std::size_t k = 0; k < pool_.size(); ++k) {
     if (!same_pose(pool_[k].pose, pose, kSameRotation, kSameDirection)) continue;
     if (pool_[k].score <= score) return;
@@ -178,8 +182,8 @@ Candidate EssentialProblem::polish(const RelativePose& pose, int max_iterations,
                                    double sigma_tolerance, const LossModel* start) {
   const RefineResult refined =
       local(pose, start ? *start : mixture_at(pose), max_iterations, sigma_tolerance);
-  const Candidate candidate{refined.pose, refined.loss,
-                            scale_evidence(refined.loss) - workspace_.current.objective};
+  const double evidence = scale_evidence(refined.loss) - workspace_.current.objective;
+  const Candidate candidate{refined.pose, refined.loss, evidence, evidence, true};
   keep(candidate);
   return candidate;
 }
@@ -235,9 +239,9 @@ void EssentialProblem::simplify() {
   LossModel simple = best.loss;
   simple.share[0] = std::min(simple.share[0] + simple.share[1], 0.999);
   for (int k = 1; k < LossModel::kGaussians; ++k) simple.share[k] = 0.0;  // they stay at zero
-  const RefineResult refined = local(best.pose, simple, 50, kFinal);
+  const RefineResult refined = local(best.pose, simple, 50, kFinal, best.uses_depths);
   const double log_likelihood = -workspace_.current.objective;
-  if (log_likelihood < best.evidence - scale_evidence(best.loss) - kSimpler) return;
+  if (log_likelihood < best.own_evidence - scale_evidence(best.loss) - kSimpler) return;
   best.pose = refined.pose;
   best.loss = refined.loss;
 }
@@ -273,20 +277,26 @@ void EssentialProblem::refine(RelativePose& pose, double& best) {
 
 int EssentialProblem::needed(const RelativePose& pose, const LoopOptions& options,
                              const Sampler& sampler) {
-  const LossModel mixture = mixture_at(pose);
+  // The pose comes from a local optimisation, which knows its mixture.
+  const auto known = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return c.pose.R == pose.R && c.pose.t == pose.t;
+  });
+  if (known != candidates_.end()) {
+    compute_residuals(m_, residual_, plain(pose), sample_tolerance(),
+                      workspace_.current.residuals.data(), workspace_.current.front.data());
+  }
+  const LossModel mixture = known != candidates_.end() ? known->loss : mixture_at(pose);
   const double gate = gates_.size() == 1 ? gates_.front() : gate_of(mixture);
-  const std::vector<std::uint32_t>& order = sampler.order();
   double inliers = 0.0, total = 0.0, best = 0.0;
-  for (std::size_t k = 0; k < m_.size; ++k) {
-    const std::size_t i = order.empty() ? k : order[k];
+  for (std::size_t i = 0; i < m_.size; ++i) {
     if (m_.weight[i] > 0.0) {
       total += 1.0;
       inliers +=
           workspace_.current.front[i] > 0.5 && std::abs(workspace_.current.residuals[i]) < gate;
     }
     // Progressive samples came from the first matches only: they may stop as soon as those say so.
-    const bool considered = !order.empty() && k + 1 >= sampler.reached() && total >= kFewestOrdered;
-    if (considered) best = std::max(best, inliers / total);
+    const bool considered = sampler.progressive() && i + 1 >= sampler.reached();
+    if (considered && total >= kFewestOrdered) best = std::max(best, inliers / total);
   }
   if (total > 0.0) best = std::max(best, inliers / total);
   return iterations_needed(best, sample_size_, options);

@@ -23,6 +23,9 @@ struct Candidate {
   RelativePose pose;
   LossModel loss;
   double evidence = -std::numeric_limits<double>::infinity();
+  // Of this very pose, with or without depths; `evidence` ranks it among the others.
+  double own_evidence = -std::numeric_limits<double>::infinity();
+  bool uses_depths = true;
 };
 
 class EssentialProblem {
@@ -73,7 +76,7 @@ class EssentialProblem {
   RefineResult local(const RelativePose& pose, const LossModel& start, int max_iterations,
                      double sigma_tolerance = 1e-2, bool use_depths = true);
   bool is_known(const RelativePose& pose, double reach) const;
-  void keep(const RelativePose& pose, double score);
+  void keep(RelativePose pose, double score);
   void keep(const Candidate& candidate);
 
   const Matches& m_;

@@ -35,21 +35,15 @@ ChanceDensity::ChanceDensity(const Matches& m, Residual residual, std::uint64_t 
     : residual_(residual) {
   Random random(seed ^ 0x5bf03635f0a5b5d7ULL);
   const auto n = static_cast<std::uint32_t>(m.size);
-  std::vector<double> b1, b2, j1, j2;
-  b1.reserve(3 * kChancePairs);
-  b2.reserve(3 * kChancePairs);
+  std::vector<std::size_t> rows1(kChancePairs), rows2(kChancePairs);
   for (std::size_t k = 0; k < kChancePairs; ++k) {
     const std::uint32_t i = random.below(n);
     std::uint32_t j = random.below(n);
     if (j == i) j = (j + 1) % n;
-    b1.insert(b1.end(), {m.x1[i], m.y1[i], m.z1[i]});
-    b2.insert(b2.end(), {m.x2[j], m.y2[j], m.z2[j]});
-    if (!m.has_jacobians()) continue;
-    j1.insert(j1.end(), {m.u1x[i], m.v1x[i], m.u1y[i], m.v1y[i], m.u1z[i], m.v1z[i]});
-    j2.insert(j2.end(), {m.u2x[j], m.v2x[j], m.u2y[j], m.v2y[j], m.u2z[j], m.v2z[j]});
+    rows1[k] = i;
+    rows2[k] = j;
   }
-  shuffled_ = make_matches(b1.data(), b2.data(), kChancePairs, nullptr,
-                           j1.empty() ? nullptr : j1.data(), j2.empty() ? nullptr : j2.data());
+  shuffled_ = paired_matches(m, rows1, rows2);
   residuals_.resize(shuffled_.padded);
   front_.resize(shuffled_.padded);
 }
@@ -96,16 +90,17 @@ double sphere_coverage(const Matches& m, const unsigned char* chosen) {
 }
 
 double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen) {
-  std::vector<double> angles;
+  std::vector<double> squares;  // of chords, which order as the angles do
+  squares.reserve(m.size);
   for (std::size_t i = 0; i < m.size; ++i) {
     if (!chosen[i]) continue;
     const Eigen::Vector3d a = pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
-    angles.push_back(direction_angle(a, Eigen::Vector3d(m.x2[i], m.y2[i], m.z2[i])));
+    squares.push_back((a - Eigen::Vector3d(m.x2[i], m.y2[i], m.z2[i])).squaredNorm());
   }
-  if (angles.empty()) return std::nan("");
-  const auto middle = angles.begin() + static_cast<std::ptrdiff_t>(angles.size() / 2);
-  std::nth_element(angles.begin(), middle, angles.end());
-  return *middle;
+  if (squares.empty()) return std::nan("");
+  const auto middle = squares.begin() + static_cast<std::ptrdiff_t>(squares.size() / 2);
+  std::nth_element(squares.begin(), middle, squares.end());
+  return 2.0 * std::asin(std::min(0.5 * std::sqrt(*middle), 1.0));
 }
 
 }  // namespace epi360

@@ -10,13 +10,17 @@ void fill(std::vector<double>& out, std::size_t padded, const double* rows, std:
   for (std::size_t i = 0; i < n; ++i) out[i] = rows[stride * i + column];
 }
 
+std::size_t padded_size(std::size_t n) {
+  return (n + Matches::kBlock - 1) / Matches::kBlock * Matches::kBlock;
+}
+
 }  // namespace
 
 Matches make_matches(const double* bearings1, const double* bearings2, std::size_t n,
                      const double* weights, const double* jacobians1, const double* jacobians2) {
   Matches m;
   m.size = n;
-  m.padded = (n + Matches::kBlock - 1) / Matches::kBlock * Matches::kBlock;
+  m.padded = padded_size(n);
   // The padding match counts nothing; residuals.cpp keeps all denominators above zero.
   fill(m.x1, m.padded, bearings1, n, 3, 0, 1.0);
   fill(m.y1, m.padded, bearings1, n, 3, 1, 0.0);
@@ -40,18 +44,38 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
   return m;
 }
 
-Matches chosen_matches(const Matches& m, const std::vector<std::size_t>& indices) {
-  std::vector<double> b1, b2, weights, j1, j2;
-  for (const std::size_t i : indices) {
-    b1.insert(b1.end(), {m.x1[i], m.y1[i], m.z1[i]});
-    b2.insert(b2.end(), {m.x2[i], m.y2[i], m.z2[i]});
-    weights.push_back(m.weight[i]);
-    if (!m.has_jacobians()) continue;
-    j1.insert(j1.end(), {m.u1x[i], m.v1x[i], m.u1y[i], m.v1y[i], m.u1z[i], m.v1z[i]});
-    j2.insert(j2.end(), {m.u2x[i], m.v2x[i], m.u2y[i], m.v2y[i], m.u2z[i], m.v2z[i]});
+Matches paired_matches(const Matches& m, const std::vector<std::size_t>& rows1,
+                       const std::vector<std::size_t>& rows2) {
+  Matches out = make_matches(nullptr, nullptr, 0);
+  out.size = rows1.size();
+  out.padded = padded_size(out.size);
+  const auto take = [&](const std::vector<double>& from, const std::vector<std::size_t>& rows,
+                        double padding, std::vector<double>& to) {
+    if (from.empty()) return;
+    to.assign(out.padded, padding);
+    for (std::size_t k = 0; k < rows.size(); ++k) to[k] = from[rows[k]];
+  };
+  take(m.x1, rows1, 1.0, out.x1);
+  take(m.y1, rows1, 0.0, out.y1);
+  take(m.z1, rows1, 0.0, out.z1);
+  take(m.x2, rows2, 0.0, out.x2);
+  take(m.y2, rows2, 1.0, out.y2);
+  take(m.z2, rows2, 0.0, out.z2);
+  take(m.weight, rows1, 0.0, out.weight);
+  for (const std::size_t row : rows1) out.unit_weights = out.unit_weights && m.weight[row] == 1.0;
+  for (auto column :
+       {&Matches::u1x, &Matches::u1y, &Matches::u1z, &Matches::v1x, &Matches::v1y, &Matches::v1z}) {
+    take(m.*column, rows1, 1.0, out.*column);
   }
-  return make_matches(b1.data(), b2.data(), indices.size(), weights.data(),
-                      j1.empty() ? nullptr : j1.data(), j2.empty() ? nullptr : j2.data());
+  for (auto column :
+       {&Matches::u2x, &Matches::u2y, &Matches::u2z, &Matches::v2x, &Matches::v2y, &Matches::v2z}) {
+    take(m.*column, rows2, 1.0, out.*column);
+  }
+  return out;
+}
+
+Matches chosen_matches(const Matches& m, const std::vector<std::size_t>& indices) {
+  return paired_matches(m, indices, indices);
 }
 
 }  // namespace epi360

@@ -28,6 +28,10 @@ Matches make_matches(const double* bearings1, const double* bearings2, std::size
                      const double* weights = nullptr, const double* jacobians1 = nullptr,
                      const double* jacobians2 = nullptr);
 
+// View 1 of some rows with view 2 of others, in the given order; the weights are those of view 1.
+Matches paired_matches(const Matches& m, const std::vector<std::size_t>& rows1,
+                       const std::vector<std::size_t>& rows2);
+
 // Some of the matches, in the given order.
 Matches chosen_matches(const Matches& m, const std::vector<std::size_t>& indices);
 

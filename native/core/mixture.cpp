@@ -125,46 +125,61 @@ EPI360_INLINE double precision_of(const Parts& p) {
 
 EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
+constexpr std::size_t kLanes = 8;
+
+// Sums of all matches in eight lanes: see accumulate_normal_equations.
+struct LaneSum {
+  double lane[kLanes] = {};
+};
+
+EPI360_INLINE double total_of(const LaneSum& s) {
+  const double* l = s.lane;
+  return ((l[0] + l[4]) + (l[1] + l[5])) + ((l[2] + l[6]) + (l[3] + l[7]));
+}
+
 template <bool unit>
 EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
                                     double* weights) {
   const Model m = prepared(model);
-  MixtureSums sums = {{0.0, 0.0, 0.0, 0.0}, 0.0, 0.0, 0.0, 0.0};
-  double part[LossModel::kGaussians][kBlock], squares[kBlock], weight[kBlock], total[kBlock];
+  LaneSum part0, part1, part2, part3, squares, weight_sum, count, log_density;
+  double weight[kBlock], total[kBlock];
   for (std::size_t start = 0; start < pass.padded; start += kBlock) {
-    for (std::size_t j = 0; j < kBlock; ++j) {
-      const std::size_t i = start + j;
-      const double r = pass.residuals[i], own = pass.weight[i];
-      const Parts p = parts_at(r, pass.front[i], m);
-      const double all = total_of(p), share = own / all;
-      part[0][j] = share * p.g0;
-      part[1][j] = share * p.g1;
-      part[2][j] = share * p.g2;
-      part[3][j] = share * p.g3;
-      weight[j] = share * precision_of(p);
-      squares[j] = weight[j] * r * r;
-      total[j] = unit && own == 0.0 ? 1.0 : all;
+    for (std::size_t group = 0; group < kBlock; group += kLanes) {
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        const std::size_t j = group + lane, i = start + j;
+        const double r = pass.residuals[i], own = pass.weight[i];
+        const Parts p = parts_at(r, pass.front[i], m);
+        const double all = total_of(p), share = own / all;
+        part0.lane[lane] += share * p.g0;
+        part1.lane[lane] += share * p.g1;
+        part2.lane[lane] += share * p.g2;
+        part3.lane[lane] += share * p.g3;
+        weight[j] = share * precision_of(p);
+        squares.lane[lane] += weight[j] * r * r;
+        weight_sum.lane[lane] += weight[j];
+        count.lane[lane] += own;
+        total[j] = unit && own == 0.0 ? 1.0 : all;
+      }
     }
-    for (int k = 0; k < LossModel::kGaussians; ++k) sums.part[k] += block_sum(part[k]);
-    sums.squares += block_sum(squares);
-    sums.weight += block_sum(weight);
-    sums.count += block_sum(pass.weight + start);
     std::copy(weight, weight + kBlock, weights + start);
-    double log_density[kBlock];
     if (unit) {  // densities are between 1e-4 and 1e6: products of four stay in range
-      for (std::size_t j = 0; j < kBlock; ++j) log_density[j] = 0.0;
-      for (std::size_t j = 0; j < kBlock / 4; ++j) {
-        log_density[j] = log_of(total[j] * total[j + kBlock / 4] * total[j + kBlock / 2] *
-                                total[j + 3 * kBlock / 4]);
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        log_density.lane[lane] += log_of(total[lane] * total[lane + kLanes] *
+                                         total[lane + 2 * kLanes] * total[lane + 3 * kLanes]);
       }
     } else {
-      for (std::size_t j = 0; j < kBlock; ++j) {
-        log_density[j] = pass.weight[start + j] * log_of(total[j]);
+      for (std::size_t group = 0; group < kBlock; group += kLanes) {
+        for (std::size_t lane = 0; lane < kLanes; ++lane) {
+          log_density.lane[lane] += pass.weight[start + group + lane] * log_of(total[group + lane]);
+        }
       }
     }
-    sums.log_likelihood += block_sum(log_density);
   }
-  return sums;
+  return {{total_of(part0), total_of(part1), total_of(part2), total_of(part3)},
+          total_of(squares),
+          total_of(count),
+          total_of(weight_sum),
+          total_of(log_density)};
 }
 
 }  // namespace
@@ -173,6 +188,23 @@ EPI360_MULTIVERSION
 MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights) {
   return pass.unit_weights ? pass_loop<true>(pass, model, weights)
                            : pass_loop<false>(pass, model, weights);
+}
+
+EPI360_MULTIVERSION
+double geman_mcclure_pass(const MixturePass& pass, double scale, bool use_depths, double* weights) {
+  const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;
+  LaneSum cost;
+  for (std::size_t start = 0; start < pass.padded; start += kLanes) {
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const std::size_t i = start + lane;
+      const double s = pass.residuals[i] * pass.residuals[i], own = pass.weight[i];
+      const double d = 1.0 / (1.0 + s * inverse);
+      const double front = use_depths ? pass.front[i] : 1.0;
+      weights[i] = own * d * d * front;
+      cost.lane[lane] += own * (s * d * front + squared_scale * (1.0 - front));
+    }
+  }
+  return total_of(cost);
 }
 
 }  // namespace epi360

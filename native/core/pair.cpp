@@ -4,10 +4,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <exception>
+#include <mutex>
+#include <system_error>
 #include <thread>
 
 namespace epi360 {
 namespace {
+
+constexpr double kWidest = 0.7853981633974483;  // radians: the widest gate
 
 enum class Row { kUsable, kMissing, kInfinite, kZero };
 
@@ -80,8 +85,9 @@ bool pack(const RawPair& raw, Packed& packed, PairResult& out) {
 // Weights are relative to one another; Jacobians are divided by their root mean square, so that
 // residuals in pixels become angles. Returns that number.
 double normalise(Packed& packed) {
-  double sum = 0.0;
-  for (const double w : packed.weights) sum += w;
+  double largest = 0.0, sum = 0.0;
+  for (const double w : packed.weights) largest = std::max(largest, w);
+  for (double& w : packed.weights) sum += w /= largest;
   for (double& w : packed.weights) w *= static_cast<double>(packed.rows.size()) / sum;
   if (packed.jacobians1.empty()) return 1.0;
   double squares = 0.0;
@@ -137,7 +143,7 @@ PairResult estimate_pair(const RawPair& raw, const RobustOptions& options) {
   out.num_usable = packed.rows.size();
   RobustOptions scaled = options;
   const double unit = packed.rows.empty() ? 1.0 : normalise(packed);
-  if (options.threshold_in_pixels) scaled.threshold *= unit;
+  if (options.threshold_in_pixels) scaled.threshold = std::min(unit * options.threshold, kWidest);
   const Matches m =
       make_matches(packed.bearings1.data(), packed.bearings2.data(), packed.rows.size(),
                    or_null(packed.weights), or_null(packed.jacobians1), or_null(packed.jacobians2));
@@ -170,16 +176,28 @@ std::vector<PairResult> estimate_pairs(const std::vector<RawPair>& pairs,
                                        const RobustOptions& options, int num_threads) {
   std::vector<PairResult> results(pairs.size());
   std::atomic<std::size_t> next{0};
+  std::mutex mutex;
+  std::exception_ptr failure;
   const auto work = [&] {
-    for (std::size_t i = next++; i < pairs.size(); i = next++) {
-      results[i] = estimate_pair(pairs[i], options);
+    try {
+      for (std::size_t i = next++; i < pairs.size(); i = next++) {
+        results[i] = estimate_pair(pairs[i], options);
+      }
+    } catch (...) {  // out of memory: the caller hears of it once all threads have stopped
+      const std::lock_guard<std::mutex> lock(mutex);
+      failure = std::current_exception();
+      next = pairs.size();
     }
   };
   std::vector<std::thread> helpers;
   const std::size_t wanted = std::min(pairs.size(), static_cast<std::size_t>(num_threads));
-  for (std::size_t k = 1; k < wanted; ++k) helpers.emplace_back(work);
+  try {
+    for (std::size_t k = 1; k < wanted; ++k) helpers.emplace_back(work);
+  } catch (const std::system_error&) {  // the system gives no more threads: those at hand do it all
+  }
   work();
   for (std::thread& helper : helpers) helper.join();
+  if (failure) std::rethrow_exception(failure);
   return results;
 }
 

@@ -10,6 +10,8 @@
 namespace epi360 {
 namespace {
 
+constexpr int kFewRounds = 5;  // of twelve: those before a gate of four times the final one
+
 // Along the epipolar plane, b2 is off by (|b2 x t| (n . b1) + u . (b2 x a)) / |a + t (n . b1)| for
 // a point of the plane, with a = R b1 and u = b2 x t / |b2 x t|: linear in n but for the length.
 struct PlaneTerm {
@@ -30,14 +32,18 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
                           const std::vector<unsigned char>& chosen, double gate, double* share) {
   Eigen::Vector3d n = Eigen::Vector3d::Zero();
   double total = 0.0, inside = 0.0;
+  const auto count = std::count(chosen.begin(), chosen.end(), 1);
   for (int round = 0; round < 12; ++round) {  // Cauchy weights, narrowing to the gate
+    // About a hundred points tell whether there may be a plane at all.
+    const auto stride = round < kFewRounds ? std::max<std::ptrdiff_t>(count / 100, 1) : 1;
+    std::ptrdiff_t seen = 0;
     const double scale = gate * std::max(1.0, std::exp2(6 - round));
     Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     total = inside = 0.0;
     double near = 0.0;
     for (std::size_t i = 0; i < m.size; ++i) {
-      if (!chosen[i]) continue;
+      if (!chosen[i] || seen++ % stride != 0) continue;
       const Eigen::Vector3d b1(m.x1[i], m.y1[i], m.z1[i]), b2(m.x2[i], m.y2[i], m.z2[i]);
       const PlaneTerm term = plane_term(pose, b1, b2, n);
       const double error = (term.lever * n.dot(b1) + term.constant) / term.length;
@@ -49,7 +55,7 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
       inside += std::abs(error) < gate;
       near += std::abs(error) < scale;
     }
-    if (round == 4 && near < 0.5 * total) break;  // at 4 gates: no plane
+    if (round == kFewRounds - 1 && near < 0.5 * total) break;  // at 4 gates: no plane
     normal.diagonal().array() += 1e-12 * (1.0 + normal.trace());
     n = normal.ldlt().solve(right);
   }

@@ -20,9 +20,9 @@
 namespace epi360 {
 
 struct LoopOptions {
-  int min_iterations = 30;
+  int min_iterations = 20;
   int max_iterations = 10000;
-  double confidence = 0.999;
+  double confidence = 0.99;
 };
 
 // Iterations after which one all-inlier sample was drawn with the given confidence.

@@ -13,6 +13,8 @@ namespace {
 using Vector5 = Eigen::Matrix<double, 5, 1>;
 using Matrix5 = Eigen::Matrix<double, 5, 5>;
 
+constexpr double kSettled = 3e-3;  // change of scale (relative) and shares that counts as none
+
 RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& basis,
                    const Vector5& step) {
   RelativePose next;
@@ -30,6 +32,10 @@ void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
     at.sums = mixture_pass(pass_over(m, at), loss, at.weights.data());
     at.objective = -at.sums.log_likelihood;
+    return;
+  }
+  if (loss.loss == Loss::kGemanMcClure) {
+    at.objective = geman_mcclure_pass(pass_over(m, at), loss.scale, true, at.weights.data());
     return;
   }
   const double behind = outlier_cost(loss);
@@ -72,6 +78,15 @@ void update_mixture(const MixtureSums& sums, const RefineOptions& options, LossM
   loss.scale = std::min(std::max(std::sqrt(sums.squares / freedom), options.smallest_scale),
                         options.largest_scale);
   set_shares(sums.part, sums.count, loss);
+}
+
+// Whether a mixture still moves.
+bool changed(const LossModel& before, const LossModel& after) {
+  bool any = std::abs(after.scale - before.scale) > kSettled * before.scale;
+  for (int k = 0; k < LossModel::kGaussians; ++k) {
+    any = any || std::abs(after.share[k] - before.share[k]) > kSettled;
+  }
+  return any;
 }
 
 void linearise(const Matches& m, const RefineOptions& options, const LossModel& loss,
@@ -125,7 +140,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   // A long chain of products would drift away from orthonormality.
   result.pose.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
   result.loss = options.loss;
-  const bool adaptive = options.loss.loss == Loss::kMixture && options.estimate_mixture;
+  bool adaptive = options.loss.loss == Loss::kMixture && options.estimate_mixture;
   linearise(m, options, result.loss, result.pose, w.current);
   if (adaptive) {  // the start's mixture may come from other residuals
     update_mixture(w.current.sums, options, result.loss);
@@ -141,11 +156,18 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.pose.t);
     // Pose and mixture step from one set of posterior probabilities (expectation conditional
     // maximisation); together they may only become more likely.
-    if (adaptive) update_mixture(w.current.sums, options, result.loss);
+    const bool updated = adaptive;
+    if (adaptive) {
+      const LossModel before = result.loss;
+      update_mixture(w.current.sums, options, result.loss);
+      // Expectation-maximisation creeps at the end; what it would still change hardly moves the
+      // pose, which then converges fast.
+      adaptive = changed(before, result.loss);
+    }
     result.num_iterations = iteration + 1;
 
     const double sigma = options.sigma_tolerance * result.loss.scale;
-    bool accepted = false, fresh = !adaptive;
+    bool accepted = false, fresh = !updated;
     Vector5 step = Vector5::Zero();
     while (!accepted && damping < 1e8) {
       Matrix5 damped = hessian;
@@ -175,7 +197,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     result.converged = !accepted || step.norm() < options.step_tolerance;
     if (result.converged) break;
   }
-  if (adaptive) weigh(m, result.loss, w.current);
+  if (options.loss.loss == Loss::kMixture) weigh(m, result.loss, w.current);
   result.cost = w.current.objective;
   if (options.loss.loss == Loss::kMixture)
     result.cost *= 2.0 * result.loss.scale * result.loss.scale;

@@ -28,15 +28,25 @@ const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * k
 constexpr int kScaleRounds = 3;          // re-sampling rounds while the gate still moves
 constexpr double kGateSettled = 1.25;    // ratio of successive gates that counts as settled
 constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
+constexpr double kRotationMostly = 0.5;  // of the inliers, where there is hardly any parallax
 constexpr double kRotationNear = 0.4;    // of the inliers, near a rotation: worth a search
 constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.8;
 constexpr double kReleasedEvidence = 60.0;
+constexpr double kWrongGravity = 15.0 * kDegree;
+constexpr double kLargestLeverage = 0.25;    // the mean is 5 over the number of inliers
+constexpr double kUnusualParallax = 4.0;     // times the median
+constexpr double kEnoughForLeverage = 80.0;  // inliers
+constexpr int kLeverageRounds = 4;
 constexpr double kLargestChance = 0.6;  // of a wrong match inside the gate: then it tells nothing
 constexpr double kFalseAlarms = -3.0;   // log10; accepted below
 constexpr double kPlaneShare = 0.9;     // of the inliers on one plane
 constexpr double kPlaneSpread = 3.0;    // standard deviations of the log-likelihood ratio
-constexpr double kSmallestParallax = 2.5;  // in noise; on real pairs directions are wrong below 3
-constexpr double kRivalEvidence = -6.0;    // a second pose this likely (log) makes a pair ambiguous
+// Of the median parallax, in noise. A pure rotation shows 1.7 (the median of two components of
+// noise, 1.18 sigma, where the residual sees one of both views). Directions of real pairs are wrong
+// below 3; noise above half a degree is that of no key point, and independent.
+constexpr double kSmallestParallax = 2.5, kSmallestNoisyParallax = 2.0;
+constexpr double kNoisy = 0.5 * kDegree;
+constexpr double kRivalEvidence = -6.0;   // a second pose this likely (log) makes a pair ambiguous
 constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
 constexpr double kFinalistEvidence = 30.0;  // candidates of the search that all matches refine
 constexpr double kTypicalDensity = 0.35;    // of wrong matches in front of both cameras, per radian
@@ -126,6 +136,7 @@ int sample_poses(const RobustOptions& options, EssentialProblem& problem, Sample
   double gate = kAllScales.back();
   for (int round = 0; round < kScaleRounds; ++round) {
     problem.polish_pool(12);
+    if (problem.candidates().empty()) break;
     const Candidate best = problem.candidates().front();
     const double next = std::max(gate_of(best.loss), kSmallestGate);
     const double change = std::max(next / gate, gate / next);
@@ -253,7 +264,7 @@ Eigen::Matrix<double, 5, 5> from_upper(const double* upper) {
 // (calibration, stitching, rolling shutter): the sum of psi J varies over the cells of the sphere
 // more than independent errors would let it, and the covariance grows by that ratio.
 void set_uncertainty(const Matches& m, const RobustOptions& options, const LossModel& loss,
-                     double gate, RobustResult& out) {
+                     const std::vector<unsigned char>& dropped, double gate, RobustResult& out) {
   using Vector5 = Eigen::Matrix<double, 5, 1>;
   using Matrix5 = Eigen::Matrix<double, 5, 5>;
   out.scale = inlier_scale(m, out, gate);
@@ -270,7 +281,7 @@ void set_uncertainty(const Matches& m, const RobustOptions& options, const LossM
   std::array<Vector5, kNumCells> sums;
   sums.fill(Vector5::Zero());
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (at.front[i] < 0.5) continue;
+    if (at.front[i] < 0.5 || dropped[i]) continue;
     const double r = at.residuals[i];
     const LossSlopes psi = mixture_slopes(r, loss);
     slope += m.weight[i] * psi.second;
@@ -341,7 +352,7 @@ void find_rival(const Matches& m, const RobustOptions& options, EssentialProblem
 
 // Inliers, uncertainty and status of the best candidate.
 void judge(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
-           Random& random, RobustResult& out) {
+           const std::vector<unsigned char>& dropped, Random& random, RobustResult& out) {
   const std::vector<Candidate>& candidates = problem.candidates();
   double gate = options.threshold;
   int support = 0;
@@ -351,6 +362,10 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
     mark_inliers(m, options, out.pose, gate, false, out.inlier, out.residuals);
     decide_cheirality(m, out.inlier, out.pose);
     support = mark_inliers(m, options, out.pose, gate, true, out.inlier, out.residuals);
+    for (std::size_t i = 0; i < m.size; ++i) {
+      support -= out.inlier[i] && dropped[i];
+      out.inlier[i] = out.inlier[i] && !dropped[i];
+    }
   }
   if (!(gate > 0.0)) gate = kAllScales.front();
   out.threshold = gate;
@@ -379,41 +394,107 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
     return;
   }
   out.status = Status::kOk;
-  set_uncertainty(m, options, candidates[0].loss, gate, out);
+  set_uncertainty(m, options, candidates[0].loss, dropped, gate, out);
   out.parallax = median_parallax(m, out.pose, out.inlier.data());
-  if (out.parallax < kSmallestParallax * out.scale) {
+  const double least = out.scale > kNoisy ? kSmallestNoisyParallax : kSmallestParallax;
+  if (out.parallax < least * out.scale) {
     // Too little translation to tell where to: the rotation alone is the better answer.
-    if (turned == 0) best_rotation(m, gate, random, &R, &rotation_residuals);
-    set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
-    return;
+    const int explained = turned ? turned : best_rotation(m, gate, random, &R, &rotation_residuals);
+    if (explained >= kRotationMostly * support) {
+      set_pure_rotation(m, R, gate, std::move(rotation_residuals), out);
+      return;
+    }
   }
   find_rival(m, options, problem, support, gate, out);
   if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
 }
 
-// The matches that the search looks at: the best scored, or a random part.
-std::vector<std::size_t> searched(const Matches& m, const std::vector<std::uint32_t>& order,
-                                  Random& random) {
-  std::vector<std::size_t> chosen(m.size);
-  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
-  for (std::size_t k = 0; k < kSearchSize; ++k) {
-    if (!order.empty()) {
-      chosen[k] = order[k];
-      continue;
-    }  // the beginning of a Fisher-Yates shuffle
-    std::swap(chosen[k], chosen[k + random.below(static_cast<std::uint32_t>(m.size - k))]);
+// The matches that the search looks at, of all in the order of their scores: half of them the best,
+// the others from everywhere, because scores may mislead.
+std::vector<std::size_t> searched(std::vector<std::size_t> order, bool scored, Random& random) {
+  const std::size_t best = scored ? kSearchSize / 2 : 0;
+  for (std::size_t k = best; k < kSearchSize; ++k) {  // the beginning of a Fisher-Yates shuffle
+    const auto left = static_cast<std::uint32_t>(order.size() - k);
+    std::swap(order[k], order[k + random.below(left)]);
   }
-  chosen.resize(kSearchSize);
-  return chosen;
+  order.resize(kSearchSize);
+  return order;
 }
 
-// Indices by descending score; empty without scores.
-std::vector<std::uint32_t> order_of(const std::vector<double>& scores) {
-  std::vector<std::uint32_t> order(scores.size());
-  std::iota(order.begin(), order.end(), 0u);
+// Indices by descending score; equal scores in random order.
+std::vector<std::size_t> order_of(const std::vector<double>& scores, Random& random) {
+  std::vector<std::size_t> order(scores.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  for (std::size_t k = order.size(); k > 1; --k) {
+    std::swap(order[k - 1], order[random.below(static_cast<std::uint32_t>(k))]);
+  }
   std::stable_sort(order.begin(), order.end(),
-                   [&](std::uint32_t a, std::uint32_t b) { return scores[a] > scores[b]; });
+                   [&](std::size_t a, std::size_t b) { return scores[a] > scores[b]; });
   return order;
+}
+
+// A wrong match that agrees by chance may hold a thousand times the information of the right ones:
+// one with 100 degrees of parallax among far points. No such match may fix the pose alone: those
+// whose leverage and parallax are beyond the limits are left out, and the pose is refined again.
+// Flags them. (With few inliers, right ones have such leverage too.)
+std::vector<unsigned char> drop_leverage(const Matches& m, const RobustOptions& options,
+                                         EssentialProblem& problem) {
+  std::vector<unsigned char> dropped(m.size, 0);
+  if (problem.candidates().empty()) return dropped;
+  Matches trusted;
+  RefineWorkspace workspace;
+  RefineOptions refinement;
+  refinement.residual = options.residual;
+  refinement.max_iterations = 30;
+  refinement.step_tolerance = 1e-12;
+  refinement.sigma_tolerance = 1e-4;
+  for (int round = 0; round < kLeverageRounds; ++round) {
+    Candidate best = problem.candidates().front();
+    refinement.loss = best.loss;
+    refinement.use_depths = best.uses_depths;
+    const Matches& used = round == 0 ? m : trusted;
+    // In the first round only to linearise: the pose is an optimum already.
+    refinement.max_iterations = round == 0 ? 1 : 30;
+    RefineResult refined = refine(used, best.pose, refinement, workspace);
+    if (round > 0) {
+      best.pose = refined.pose;
+      best.loss = refined.loss;
+      problem.replace_best(best);
+    }
+    set_statistics(used, workspace, refined);
+    if (!(refined.effective_matches >= kEnoughForLeverage)) break;
+    std::vector<unsigned char> believed(m.size);
+    for (std::size_t i = 0; i < m.size; ++i) believed[i] = workspace.current.weights[i] > 0.0;
+    const double usual = median_parallax(m, best.pose, believed.data());
+    const Eigen::Matrix<double, 5, 5> inverse = refined.information.inverse();
+    bool any = false;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      const double weight = workspace.current.weights[i];
+      if (!(weight > 0.0)) continue;
+      Eigen::Matrix<double, 5, 1> J;
+      for (std::size_t k = 0; k < 5; ++k) {
+        J[static_cast<Eigen::Index>(k)] = workspace.current.jacobian[k * m.padded + i];
+      }
+      if (weight * J.dot(inverse * J) <= kLargestLeverage) continue;
+      const Eigen::Vector3d a = best.pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
+      const Eigen::Vector3d b(m.x2[i], m.y2[i], m.z2[i]);
+      if (!(direction_angle(a, b) > kUnusualParallax * usual)) continue;
+      if (!any && round == 0) trusted = m;
+      any = true;
+      dropped[i] = 1;
+    }
+    if (!any) break;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (dropped[i]) trusted.weight[i] = 0.0;
+    }
+  }
+  return dropped;
+}
+
+// Whether a pose was found and turns gravity as it should; otherwise it is searched without.
+bool agrees_with_gravity(const RobustResult& out, const MatchPriors& priors) {
+  if (out.status != Status::kOk && out.status != Status::kPureRotation) return false;
+  return direction_angle(out.pose.R * priors.gravity1, priors.gravity2) < kWrongGravity;
 }
 
 }  // namespace
@@ -429,32 +510,40 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   if (m.size < static_cast<std::size_t>(std::max(options.sample_size, 5))) return out;
 
   Random random(options.seed);
-  std::vector<std::uint32_t> order = order_of(priors.scores);
-  const bool partly = m.size > kSearchSize;
-  Matches subset;
-  if (partly) {
-    subset = chosen_matches(m, searched(m, order, random));
-    if (!order.empty()) {  // the subset is in order already
-      order.resize(kSearchSize);
-      std::iota(order.begin(), order.end(), 0u);
-    }
+  const bool scored = !priors.scores.empty(), partly = m.size > kSearchSize;
+  std::vector<std::size_t> chosen(m.size);
+  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
+  if (scored) chosen = order_of(priors.scores, random);
+  if (partly) chosen = searched(std::move(chosen), scored, random);
+  if (scored) {
+    std::stable_sort(chosen.begin(), chosen.end(), [&](std::size_t a, std::size_t b) {
+      return priors.scores[a] > priors.scores[b];
+    });
   }
-  EssentialProblem search(partly ? subset : m, options.residual, options.sample_size,
+  const Matches subset = partly || scored ? chosen_matches(m, chosen) : Matches{};
+  EssentialProblem search(partly || scored ? subset : m, options.residual, options.sample_size,
                           kTypicalDensity);
   if (priors.has_gravity) search.use_gravity(priors.gravity1, priors.gravity2);
-  Sampler sampler = order.empty() ? Sampler(search.num_matches(), search.sample_size())
-                                  : Sampler(std::move(order), search.sample_size());
+  Sampler sampler(search.num_matches(), search.sample_size(), scored);
   out.num_iterations = sample_poses(options, search, sampler, random);
   search.polish_pool(25);
   search.anneal();
   EssentialProblem everything(m, options.residual, options.sample_size, kTypicalDensity);
-  EssentialProblem& last = partly ? everything : search;
-  if (partly) everything.set_gates({kAllScales.front()});
+  EssentialProblem& last = partly || scored ? everything : search;
+  if (partly || scored) everything.set_gates({kAllScales.front()});
   last.finish(search.candidates(), kFinalistEvidence);
-  if (partly) last.anneal();
+  if (partly || scored) last.anneal();
   release_depths(m, options, last);
   last.simplify();
-  judge(m, options, last, random, out);
+  const std::vector<unsigned char> dropped = drop_leverage(m, options, last);
+  judge(m, options, last, dropped, random, out);
+  if (priors.has_gravity && !agrees_with_gravity(out, priors)) {
+    MatchPriors free = priors;
+    free.has_gravity = false;
+    RobustResult again = estimate_relative_pose(m, options, free);
+    again.num_iterations += out.num_iterations;
+    return again;
+  }
   return out;
 }
 

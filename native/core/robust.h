@@ -26,9 +26,9 @@ struct RobustOptions {
   double threshold = 0.0;            // radians; 0: estimated from the data
   bool threshold_in_pixels = false;  // it is in pixels; for pairs with Jacobians
   int sample_size = 5;               // 5 or 8
-  int min_iterations = 30;
-  int max_iterations = 5000;
-  double confidence = 0.999;
+  int min_iterations = 20;
+  int max_iterations = 10000;
+  double confidence = 0.99;
   std::uint64_t seed = 0;
 };
 

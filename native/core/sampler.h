@@ -3,35 +3,28 @@
 #pragma once
 
 #include <cstdint>
-#include <utility>
-#include <vector>
 
 #include "random.h"
 
 namespace epi360 {
 
 // Progressive sampling (PROSAC; Chum & Matas, "Matching with PROSAC", CVPR 2005): the t-th sample
-// comes from a growing part of the matches in the order of their scores. Without an order, from
-// all of them.
+// comes from a growing part of the matches, which are in the order of their scores. Without an
+// order, from all of them.
 class Sampler {
  public:
-  Sampler(std::uint32_t num_matches, int sample_size) : num_(num_matches), size_(sample_size) {
-    reached_ = num_matches;
-  }
-  // order: all matches, best first.
-  Sampler(std::vector<std::uint32_t> order, int sample_size)
-      : order_(std::move(order)),
-        num_(static_cast<std::uint32_t>(order_.size())),
-        size_(sample_size),
-        reached_(static_cast<std::uint32_t>(sample_size)) {
+  Sampler(std::uint32_t num_matches, int sample_size, bool progressive = false)
+      : num_(num_matches), size_(sample_size), progressive_(progressive) {
+    reached_ = progressive ? static_cast<std::uint32_t>(sample_size) : num_matches;
     // Samples that uniform sampling would draw from the first `size_` matches alone.
     expected_ = kUniformSamples;
     for (int i = 0; i < size_; ++i) expected_ *= static_cast<double>(size_ - i) / (num_ - i);
-    due_ = 1.0;
   }
 
   void draw(Random& random, std::uint32_t* sample) {
-    if (order_.empty()) {
+    // Every second sample comes from all matches: scores may mislead.
+    uniform_ = !uniform_;
+    if (uniform_) {
       random.distinct(num_, size_, sample);
       return;
     }
@@ -48,21 +41,19 @@ class Sampler {
     } else {
       random.distinct(num_, size_, sample);
     }
-    for (int i = 0; i < size_; ++i) sample[i] = order_[sample[i]];
   }
 
-  // How many matches the samples so far could come from, and their order (empty: as they are).
+  bool progressive() const { return progressive_; }
+  // How many matches the samples so far could come from.
   std::uint32_t reached() const { return reached_; }
-  const std::vector<std::uint32_t>& order() const { return order_; }
 
  private:
   static constexpr double kUniformSamples = 20000.0;  // after so many both draw alike
 
-  std::vector<std::uint32_t> order_;
-  std::uint32_t num_ = 0;
-  int size_ = 5;
-  std::uint32_t reached_ = 0;
-  double drawn_ = 0.0, due_ = 0.0, expected_ = 0.0;
+  std::uint32_t num_, reached_;
+  int size_;
+  bool progressive_, uniform_ = true;
+  double drawn_ = 0.0, due_ = 1.0, expected_ = 0.0;
 };
 
 }  // namespace epi360

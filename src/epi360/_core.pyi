@@ -8,7 +8,7 @@ _Array = NDArray[np.float64]
 
 # status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
 # coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
-# spread_of_matches
+# spread_of_matches, translation_basis
 _PairResult = tuple[
     int,
     _Array,
@@ -27,6 +27,7 @@ _PairResult = tuple[
     int,
     float,
     float,
+    _Array,
 ]
 
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...

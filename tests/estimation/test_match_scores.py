@@ -67,13 +67,11 @@ def test_scores_that_are_upside_down_cost_samples_but_no_answers():
     assert (right, wrong) == (1.0, 0.0)
 
 
-@pytest.mark.xfail(reason="the first thirty samples are of wrong matches only", strict=True)
 def test_a_few_matches_with_scores_upside_down_are_no_reason_to_stop_early():
     right, wrong, _ = outcomes("reversed", 100, 0.3, range(60))
     assert (right, wrong) == (1.0, 0.0)
 
 
-@pytest.mark.xfail(reason="the search looks at the best scored matches only", strict=True)
 def test_many_matches_with_scores_upside_down_are_searched_as_well():
     right, wrong, _ = outcomes("reversed", 1200, 0.7, range(6))
     assert (right, wrong) == (1.0, 0.0)

@@ -19,8 +19,8 @@ def with_row(bearings, row, value):
     ("options", "message"),
     [
         ({"minimal_solver": "seven_point"}, "five_point or eight_point, got 'seven_point'"),
-        ({"min_iterations": 0}, "1 <= min_iterations <= max_iterations .* got 0 and 5000"),
-        ({"max_iterations": 10}, "1 <= min_iterations <= max_iterations .* got 30 and 10"),
+        ({"min_iterations": 0}, "1 <= min_iterations <= max_iterations .* got 0 and 10000"),
+        ({"max_iterations": 10}, "1 <= min_iterations <= max_iterations .* got 20 and 10"),
         ({"confidence": 0.0}, "confidence must be between 0 and 1, got 0.0"),
         ({"confidence": 1.0}, "confidence must be between 0 and 1, got 1.0"),
         ({"confidence": float("nan")}, "confidence must be between 0 and 1, got nan"),

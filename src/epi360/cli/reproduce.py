@@ -35,7 +35,7 @@ def reproduce(
     options: Annotated[ReproduceOptions, Parameter(name="*", negative=())] = DEFAULTS,
     into: Path | None = None,
 ) -> int:
-    """Make a figure or a table of Robust 360-8PA (CVPR 2021) again: paper's number | ours.
+    """Make a figure or a table of Robust 360-8PA (2021) again: paper's number | ours.
 
     Writes raw trials (CSV, Parquet where pyarrow is installed), the table as Markdown and the
     figure as PNG into a folder of its own. Interrupted, it keeps what is finished and goes on from

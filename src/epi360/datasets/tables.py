@@ -40,8 +40,8 @@ class Table:
         """Whole numbers of a column; ``ValueError`` where a cell is none."""
         try:
             return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
-        except ValueError:
-            bad = next(i for i, row in enumerate(self.cells) if not row[column].isdecimal())
+        except (ValueError, OverflowError):
+            bad = next(i for i, row in enumerate(self.cells) if not _is_int64(row[column]))
             raise self.error(bad, f"a whole number as {self.columns[column]}") from None
 
     def floats(self, start: int, stop: int) -> NDArray[np.float64]:
@@ -115,3 +115,10 @@ def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> T
         if len(row) != len(columns):
             raise table.error(index, f"{len(columns)} values {names}")
     return table
+
+
+def _is_int64(cell: str) -> bool:
+    try:
+        return -(2**63) <= int(cell) < 2**63
+    except ValueError:
+        return False

@@ -92,7 +92,7 @@ def refine_pose(
     Parameters
     ----------
     bearings1, bearings2 : array_like, shape (N, 3)
-        Matches; rows with NaN are left out.
+        Matches; rows with NaN (also in the Jacobians) are left out.
     cam2_from_cam1 : Pose
         Where the search starts; its translation needs a direction, not a length.
     residual : str
@@ -127,8 +127,9 @@ def refine_pose(
     Raises
     ------
     ValueError
-        If an array has a wrong shape, a name is unknown, fewer than five matches are usable, the
-        starting pose has no direction or two options exclude each other.
+        If an array has a wrong shape, a name is unknown, fewer than five matches are usable (with a
+        positive weight), the starting pose has no direction, a number is out of range or two
+        options exclude each other.
 
     Notes
     -----
@@ -136,13 +137,18 @@ def refine_pose(
     """
     _check_names(residual, loss, reweight, parameterization)
     b1, b2 = bearing_pair(bearings1, bearings2)
-    usable = np.asarray(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
-    start = _checked_start(cam2_from_cam1, int(usable.sum()))
     w = weights_array(weights, len(b1))
     J1 = jacobians_array(jacobians1, len(b1), "jacobians1")
     J2 = jacobians_array(jacobians2, len(b1), "jacobians2")
     if residual == "tangent_sampson" and (J1 is None or J2 is None):
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
+    usable = np.asarray(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
+    for J in (J1, J2):
+        if J is not None and residual == "tangent_sampson":
+            usable &= np.isfinite(J).all(axis=(1, 2))
+    counted = usable if w is None else usable & (w > 0.0)
+    start = _checked_start(cam2_from_cam1, int(counted.sum()))
+    _check_numbers(scale, max_iterations)
     matches = _Matches(
         b1[usable], b2[usable], _of(w, usable), _of(J1, usable), _of(J2, usable), residual
     )
@@ -265,6 +271,13 @@ def _check_names(residual: str, loss: str, reweight: str | None, parameterizatio
             "loss mixture goes with parameterization='manifold' and without residual solarte2021; "
             "use reweight='mixture'"
         )
+
+
+def _check_numbers(scale: float | None, max_iterations: int) -> None:
+    if scale is not None and not (np.isfinite(scale) and scale > 0.0):
+        raise ValueError(f"scale must be a positive number, got {scale!r}")
+    if not isinstance(max_iterations, (int, np.integer)) or max_iterations < 0:
+        raise ValueError(f"max_iterations must be an integer, 0 or more, got {max_iterations!r}")
 
 
 def _checked_start(pose: Pose, num_usable: int) -> Pose:

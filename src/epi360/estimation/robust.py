@@ -31,17 +31,18 @@ class RansacOptions:
     minimal_solver : str
         "five_point" (Nistér 2004) or "eight_point".
     min_iterations, max_iterations : int
-        Limits on the minimal samples of one round; an automatic threshold takes one to four.
+        Limits on the minimal samples of all rounds together.
     confidence : float
-        Probability that at least one sample without outliers was drawn when sampling stops.
+        Probability that at least one sample without outliers was drawn when sampling stops. Local
+        optimisation makes use of samples with an outlier too, so that more succeed.
     min_num_inliers : int
         Support under which a pose is not believed, whatever its odds.
     """
 
     minimal_solver: Literal["five_point", "eight_point"] = "five_point"
-    min_iterations: int = 30
-    max_iterations: int = 5000
-    confidence: float = 0.999
+    min_iterations: int = 20
+    max_iterations: int = 10000
+    confidence: float = 0.99
     min_num_inliers: int = 6
 
     def __post_init__(self) -> None:
@@ -109,7 +110,8 @@ def estimate_relative_pose(
         Of the matches, relative to one another.
     gravity1, gravity2 : array_like, shape (3,), optional
         Direction of gravity (down) in both cameras, good to a few degrees: three matches make a
-        sample then. The answer is refined freely; gravity does not enter it.
+        sample then. The answer is refined freely; where it contradicts gravity by more than
+        15 degrees, the search is done again without.
     options : RansacOptions
         How the sampling runs.
     seed : int

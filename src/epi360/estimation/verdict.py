@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar.essential import essential_from_pose
-from epi360.epipolar.residuals import tangent_basis
 from epi360.estimation.result import RelativePoseResult, Status
 from epi360.poses import Pose
 
@@ -58,6 +57,7 @@ class Found(NamedTuple):
     num_distinct: int
     spread: float
     spread_of_matches: float
+    translation_basis: Array
 
 
 def result_of(found: Found, residual: str, min_num_inliers: int) -> RelativePoseResult:
@@ -90,9 +90,7 @@ def result_of(found: Found, residual: str, min_num_inliers: int) -> RelativePose
         covariance=(
             found.covariance if determined or status == "pure_rotation" else np.full((5, 5), np.nan)
         ),
-        translation_basis=(
-            tangent_basis(pose.translation) if determined else np.full((3, 2), np.nan)
-        ),
+        translation_basis=(found.translation_basis if determined else np.full((3, 2), np.nan)),
         alternatives=_alternatives(found, status),
         warnings=_warnings(found, status),
     )
@@ -134,7 +132,7 @@ def _warnings(found: Found, status: Status) -> tuple[str, ...]:
     missing = len(found.inlier) - found.num_usable
     if missing and status != "too_few_matches":
         warnings.append(f"{missing} of {len(found.inlier)} matches are missing (NaN or weight 0)")
-    if status != "ok":
+    if status not in ("ok", "planar_ambiguous"):
         return tuple(warnings)
     if found.parallax < _PARALLAX_PER_NOISE * found.scale:
         ratio = found.parallax / found.scale

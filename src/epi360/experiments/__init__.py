@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The figures and tables of Robust 360-8PA (CVPR 2021), one module each.
+"""The figures and tables of Robust 360-8PA (2021), one module each.
 
 An experiment is a function ``run(options, progress) -> Outcome``; its module loads when it is
 asked for.
