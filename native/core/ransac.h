@@ -6,8 +6,7 @@
 //   int generate(const uint32_t* sample, Model* models);   // models of a minimal sample
 //   double score(const Model&, double limit);              // truncated cost; may stop above limit
 //   void refine(Model&, double& score);                    // local optimisation, if it is better
-//   int needed(const Model&, const LoopOptions&, const Sampler&);  // samples, for the stopping
-//   rule
+//   int needed(const Model&, const LoopOptions&, const Sampler&);  // samples, to know when to stop
 #pragma once
 
 #include <cmath>

@@ -26,7 +26,7 @@ class PairInput:
     """What is known about the images of a pair."""
 
     camera: str | None = None
-    """Calibration file of both images (Kalibr, COLMAP or own YAML);
+    """Calibration file of both images (Kalibr, basalt, COLMAP, OpenSfM or own YAML);
     FILE:NAME where it holds several cameras. Without one, an image is a full panorama."""
     camera1: str | None = None
     """Calibration file of the first image."""

@@ -186,7 +186,7 @@ def usable_matches(
 
 def _least_algebraic_error(b1: Array, b2: Array, N1: Array, N2: Array, w: Array | None) -> Array:
     A = _weighted_rows(b1 @ N1.T, b2 @ N2.T, w)  # eq. 6 and 4
-    E_hat = _rank_two(np.linalg.svd(A, full_matrices=True)[2][8])
+    E_hat = _rank_two(np.linalg.svd(A, full_matrices=len(A) < 9)[2][8])
     return _scaled(N2.T @ E_hat @ N1)  # eq. 9, with an N for each view
 
 
@@ -204,7 +204,8 @@ def _taubin(b1: Array, b2: Array, w: Array | None) -> Array:
             "constraint taubin needs bearings in three dimensions; use constraint='unit'"
         ) from None
     # With e = L^-T y and D = L L^T the constraint is |y| = 1.
-    y = np.linalg.svd(_weighted_rows(b1, b2, w) @ np.linalg.inv(L).T, full_matrices=True)[2][8]
+    A = _weighted_rows(b1, b2, w) @ np.linalg.inv(L).T
+    y = np.linalg.svd(A, full_matrices=len(A) < 9)[2][8]
     return _scaled(_rank_two(np.linalg.solve(L.T, y)))
 
 

@@ -46,9 +46,9 @@ class Stability:
     singular_values: Array
     normalizer1: Array
     normalizer2: Array
-    alpha_rad: Array
-    parallax_rad: Array
-    normalized_parallax_rad: Array
+    alpha_rad: Array = field(repr=False)
+    parallax_rad: Array = field(repr=False)
+    normalized_parallax_rad: Array = field(repr=False)
     _q1: Array = field(repr=False)  # normalised, without missing rows
     _q2: Array = field(repr=False)
     _usable: NDArray[np.bool_] = field(repr=False)

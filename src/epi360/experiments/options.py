@@ -77,6 +77,8 @@ class ReproduceOptions:
             value = getattr(self, name)
             if value is not None and value < least:
                 raise ValueError(f"{name} must be {least} or more, got {value}")
+        if self.image_width % 2:
+            raise ValueError(f"image_width must be even, got {self.image_width}")
 
     @property
     def num_workers(self) -> int:
