@@ -66,6 +66,7 @@ def _comparisons(seed: int) -> list[tuple[str, int, Kernel, dict[str, Kernel]]]:
     spread = {size: _clean(f"room-{size}-0-0.1", seed) for size in SIZES}
     five1, five2 = (b[:5].copy() for b in spread[100])
     three1, three2 = (b[:3].copy() for b in spread[100])
+    down = np.array([0.0, 1.0, 0.0])  # both cameras of PoseLib's solver are upright
     comparisons: list[tuple[str, int, Kernel, dict[str, Kernel]]] = [
         (
             "five-point",
@@ -79,7 +80,7 @@ def _comparisons(seed: int) -> list[tuple[str, int, Kernel, dict[str, Kernel]]]:
         (
             "upright three-point",
             3,
-            lambda: _core.upright_three_point(three1, three2),  # type: ignore[attr-defined]
+            lambda: _core.upright_three_point(three1, three2, down, down),
             {"poselib.relpose_upright_3pt": lambda: poselib.relpose_upright_3pt(three1, three2)},
         ),
     ]
