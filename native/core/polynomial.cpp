@@ -229,7 +229,6 @@ EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
   cuts[num_cuts++] = bound;
   for (int j = 0; j < kLanes; ++j) x[j] = cuts[std::min(j + 1, num_cuts - 1)];
   count_changes(chain, x, changes);
-  // At minus infinity the signs alternate as the leading coefficients of the chain do.
   Bracket stack[64];
   int depth = 0;
   double first[kLanes];
@@ -266,6 +265,7 @@ EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
       above = below;
     }
   }
+  if (found == 0) return 0;
   for (int j = found; j < found + kTogether; ++j) {  // lanes that nobody reads
     low[j] = low[0];
     high[j] = high[0];

@@ -8,7 +8,7 @@
 
 namespace epi360 {
 
-// e^x for x in [-700, 0], to 2 units in the last place, in plain arithmetic that compilers turn
+// e^x for x in [-600, 0], to 2 units in the last place, in plain arithmetic that compilers turn
 // into vectors: 2^k e^r with |r| <= ln 2 / 2 by its Taylor series.
 EPI360_INLINE double vector_exp(double x) {
   constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
