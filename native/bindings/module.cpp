@@ -11,9 +11,9 @@
 #include <vector>
 
 #include "core/eight_point.h"
-#include "core/essential.h"
 #include "core/five_point.h"
 #include "core/pair.h"
+#include "core/paper_pose.h"
 #include "core/refine.h"
 #include "core/robust.h"
 #include "core/upright.h"
@@ -80,7 +80,6 @@ Loss loss_named(const std::string& name) {
   if (name == "huber") return Loss::kHuber;
   if (name == "cauchy") return Loss::kCauchy;
   if (name == "geman_mcclure") return Loss::kGemanMcClure;
-  if (name == "truncated") return Loss::kTruncated;
   if (name == "mixture") return Loss::kMixture;
   throw nb::value_error(("unknown loss " + name).c_str());
 }

@@ -48,26 +48,4 @@ Eigen::Matrix3d project_to_essential(const Eigen::Matrix3d& E) {
   return svd.matrixU() * singular.asDiagonal() * svd.matrixV().transpose();
 }
 
-double count_in_front(const Matches& m, const RelativePose& pose) {
-  double count = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    const Eigen::Vector3d b1(m.x1[i], m.y1[i], m.z1[i]), b2(m.x2[i], m.y2[i], m.z2[i]);
-    if (in_front(pose, b1, b2, 0.0)) count += m.weight[i];
-  }
-  return count;
-}
-
-RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E) {
-  RelativePose best;
-  double best_count = -1.0;
-  for (const RelativePose& pose : decompose_essential(project_to_essential(E))) {
-    const double count = count_in_front(m, pose);
-    if (count > best_count) {
-      best_count = count;
-      best = pose;
-    }
-  }
-  return best;
-}
-
 }  // namespace epi360

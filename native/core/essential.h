@@ -45,10 +45,4 @@ inline bool in_front(const RelativePose& pose, const Eigen::Vector3d& b1, const 
   return d.first > -tolerance && d.second > -tolerance;
 }
 
-// Number (weights summed) of matches in front of both cameras.
-double count_in_front(const Matches& m, const RelativePose& pose);
-
-// The pose of E with most matches in front of both cameras.
-RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E);
-
 }  // namespace epi360

@@ -55,8 +55,7 @@ EPI360_INLINE void accumulate_products(const Products& p1, const Products& p2, L
 EPI360_INLINE GramSums sum_of(const Lanes& lanes) {
   GramSums g;
   for (int k = 0; k < 36; ++k) {
-    const double* s = lanes.of[k];
-    g.sums[k] = ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
+    g.sums[k] = lane_sum(lanes.of[k]);
   }
   return g;
 }

@@ -7,7 +7,7 @@
 
 namespace epi360 {
 
-enum class Loss { kSquared, kHuber, kCauchy, kGemanMcClure, kTruncated, kMixture };
+enum class Loss { kSquared, kHuber, kCauchy, kGemanMcClure, kMixture };
 
 // Parameters of a loss. The mixture is a Gaussian of standard deviation `scale` (the inliers),
 // wider ones of 4, 16 and 64 times that (the near misses of real matches, at whatever scale they
@@ -82,28 +82,11 @@ inline LossValue evaluate_loss(double s, const LossModel& m) {
     }
     case Loss::kCauchy:
       return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
-    case Loss::kGemanMcClure: {
-      const double d = 1.0 / (1.0 + s / c2);
-      return {s * d, d * d};
-    }
-    case Loss::kTruncated:
-      return s < c2 ? LossValue{s, 1.0} : LossValue{c2, 0.0};
+    case Loss::kGemanMcClure:
     case Loss::kMixture:
       break;  // whole passes at once: mixture.h
   }
   return {s, 1.0};
-}
-
-// What a match costs that no residual can make good (both depths must be positive); the losses
-// that grow without bound have no such value and ignore depths.
-inline double outlier_cost(const LossModel& m) {
-  switch (m.loss) {
-    case Loss::kGemanMcClure:
-    case Loss::kTruncated:
-      return m.scale * m.scale;
-    default:
-      return -1.0;
-  }
 }
 
 }  // namespace epi360

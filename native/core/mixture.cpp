@@ -8,6 +8,7 @@
 #include "block_sum.h"
 #include "matches.h"
 #include "multiversion.h"
+#include "vector_exp.h"
 
 namespace epi360 {
 namespace {
@@ -24,29 +25,6 @@ EPI360_INLINE double double_of(std::uint64_t b) {
   double x;
   std::memcpy(&x, &b, sizeof x);
   return x;
-}
-
-// e^x for x in [-700, 0], to 2 units in the last place: 2^k e^r with |r| <= ln 2 / 2.
-EPI360_INLINE double exp_of(double x) {
-  constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer
-  x = x < -700.0 ? -700.0 : x;
-  const double shifted = x * 1.4426950408889634 + kRound;
-  const double k = shifted - kRound;
-  const double r = (x - k * 0.6931471803691238) - k * 1.9082149292705877e-10;
-  double p = 1.0 / 479001600.0;  // Taylor series
-  p = p * r + 1.0 / 39916800.0;
-  p = p * r + 1.0 / 3628800.0;
-  p = p * r + 1.0 / 362880.0;
-  p = p * r + 1.0 / 40320.0;
-  p = p * r + 1.0 / 5040.0;
-  p = p * r + 1.0 / 720.0;
-  p = p * r + 1.0 / 120.0;
-  p = p * r + 1.0 / 24.0;
-  p = p * r + 1.0 / 6.0;
-  p = p * r + 0.5;
-  p = p * r + 1.0;
-  p = p * r + 1.0;
-  return p * double_of((bits_of(shifted) << 52) + (std::uint64_t{1023} << 52));
 }
 
 // Natural logarithm of a positive normal number: e ln 2 + 2 artanh((m - 1) / (m + 1)).
@@ -98,7 +76,7 @@ EPI360_INLINE Model prepared(const LossModel& m) {
 
 EPI360_INLINE Parts parts_at(double residual, double front, const Model& m) {
   Parts p;
-  double e = exp_of(residual * residual * m.factor) * front;
+  double e = vector_exp(residual * residual * m.factor) * front;
   p.g3 = m.height[3] * e;
   e *= e;
   e *= e;
@@ -132,10 +110,7 @@ struct LaneSum {
   double lane[kLanes] = {};
 };
 
-EPI360_INLINE double total_of(const LaneSum& s) {
-  const double* l = s.lane;
-  return ((l[0] + l[4]) + (l[1] + l[5])) + ((l[2] + l[6]) + (l[3] + l[7]));
-}
+EPI360_INLINE double total_of(const LaneSum& s) { return lane_sum(s.lane); }
 
 template <bool unit>
 EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
@@ -191,7 +166,7 @@ MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double
 }
 
 EPI360_MULTIVERSION
-double geman_mcclure_pass(const MixturePass& pass, double scale, bool use_depths, double* weights) {
+double geman_mcclure_pass(const MixturePass& pass, double scale, double* weights) {
   const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;
   LaneSum cost;
   for (std::size_t start = 0; start < pass.padded; start += kLanes) {
@@ -199,7 +174,7 @@ double geman_mcclure_pass(const MixturePass& pass, double scale, bool use_depths
       const std::size_t i = start + lane;
       const double s = pass.residuals[i] * pass.residuals[i], own = pass.weight[i];
       const double d = 1.0 / (1.0 + s * inverse);
-      const double front = use_depths ? pass.front[i] : 1.0;
+      const double front = pass.front[i];
       weights[i] = own * d * d * front;
       cost.lane[lane] += own * (s * d * front + squared_scale * (1.0 - front));
     }

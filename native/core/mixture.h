@@ -28,7 +28,7 @@ struct MixtureSums {
 };
 MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights);
 
-// Weights and cost of the Geman-McClure loss, also as one pass; without depths `front` is ignored.
-double geman_mcclure_pass(const MixturePass& pass, double scale, bool use_depths, double* weights);
+// Weights and cost of the Geman-McClure loss, also as one pass.
+double geman_mcclure_pass(const MixturePass& pass, double scale, double* weights);
 
 }  // namespace epi360

@@ -106,14 +106,9 @@ class Linearisation {
   void set_normal_equations(const typename Chart::Lift& lift) {
     double upper[15];
     Vector5 gradient;
-    normal_sums(m_.padded, jacobian_.data(), residuals_.data(), weights_.data(), upper,
-                gradient.data());
-    Matrix5 hessian;
-    int entry = 0;
-    for (int p = 0; p < 5; ++p) {
-      for (int q = p; q < 5; ++q) hessian(p, q) = hessian(q, p) = upper[entry++];
-    }
-    hessian_ = lift.transpose() * hessian * lift;
+    accumulate_normal_equations(m_.padded, jacobian_.data(), residuals_.data(), weights_.data(),
+                                upper, gradient.data());
+    hessian_ = lift.transpose() * symmetric(upper) * lift;
     gradient_ = lift.transpose() * gradient;
   }
 

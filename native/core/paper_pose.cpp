@@ -76,7 +76,7 @@ bool paper_method_named(const std::string& name, PaperMethod* method) {
   return false;
 }
 
-RelativePose pose_in_front(const Matches& m, const Eigen::Matrix3d& E) {
+RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E) {
   Eigen::Matrix3d essential = nearest_essential(E);
   if (!essential.allFinite()) essential = project_to_essential(E);
   const std::array<RelativePose, 4> poses = decompose_essential(essential);
@@ -93,7 +93,7 @@ PaperPose paper_pose(const Matches& m, const PaperMethod& method, SkSearch searc
                      Parameterization parameterization) {
   PaperPose result;
   const Eigen::Matrix3d E = linear_part(m, method, search, result);
-  result.pose = pose_in_front(m, E);
+  result.pose = pose_from_essential(m, E);
   if (!method.gold_standard) return result;
   std::vector<double> weights = constant_weights(m, method, E, result.pose);
   GsmOptions options;

@@ -39,7 +39,8 @@ struct PaperPose {
 PaperPose paper_pose(const Matches& m, const PaperMethod& method, SkSearch search,
                      Parameterization parameterization);
 
-// As pose_from_essential, with one pass over the matches for all four poses.
-RelativePose pose_in_front(const Matches& m, const Eigen::Matrix3d& E);
+// The pose of E with most matches (weights summed) in front of both cameras: one pass over the
+// matches for all four, and the first of equals.
+RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E);
 
 }  // namespace epi360

@@ -96,34 +96,4 @@ double weighted_squares(const Matches& m, const double* residuals, const double*
   return sum;
 }
 
-EPI360_MULTIVERSION
-void normal_sums(std::size_t padded, const double* jacobian, const double* residuals,
-                 const double* weights, double* hessian, double* gradient) {
-  // The residual is one more column. Lanes run over the blocks and are added in a fixed order.
-  constexpr int kColumns = 6, kLanes = 8;
-  double lanes[15 + 5][kLanes] = {}, scaled[kBlock];
-  for (std::size_t start = 0; start < padded; start += kBlock) {
-    int entry = 0;
-    for (int p = 0; p < kColumns - 1; ++p) {
-      const double* row = jacobian + p * padded + start;
-      for (std::size_t j = 0; j < kBlock; ++j) scaled[j] = weights[start + j] * row[j];
-      for (int q = p; q < kColumns; ++q, ++entry) {
-        const double* column = (q < 5 ? jacobian + q * padded : residuals) + start;
-        for (int i = 0; i < kLanes; ++i) {
-          lanes[entry][i] += (scaled[i] * column[i] + scaled[i + 8] * column[i + 8]) +
-                             (scaled[i + 16] * column[i + 16] + scaled[i + 24] * column[i + 24]);
-        }
-      }
-    }
-  }
-  int entry = 0;
-  for (int p = 0; p < 5; ++p) {
-    for (int q = p; q < kColumns; ++q, ++entry) {
-      const double* s = lanes[entry];
-      *(q < 5 ? hessian++ : gradient++) =
-          ((s[0] + s[4]) + (s[1] + s[5])) + ((s[2] + s[6]) + (s[3] + s[7]));
-    }
-  }
-}
-
 }  // namespace epi360

@@ -17,8 +17,4 @@ void residual_weights(const Matches& m, const double* residuals, Weighting kind,
 // Sum of weight * residual^2.
 double weighted_squares(const Matches& m, const double* residuals, const double* weights);
 
-// As accumulate_normal_equations, in a third of its time: J^T W J and J^T W r.
-void normal_sums(std::size_t padded, const double* jacobian, const double* residuals,
-                 const double* weights, double* hessian, double* gradient);
-
 }  // namespace epi360

@@ -35,16 +35,14 @@ void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
     return;
   }
   if (loss.loss == Loss::kGemanMcClure) {
-    at.objective = geman_mcclure_pass(pass_over(m, at), loss.scale, true, at.weights.data());
+    at.objective = geman_mcclure_pass(pass_over(m, at), loss.scale, at.weights.data());
     return;
   }
-  const double behind = outlier_cost(loss);
   at.objective = 0.0;
   for (std::size_t i = 0; i < m.padded; ++i) {
-    const bool wrong = behind >= 0.0 && at.front[i] < 0.5;
     const LossValue value = evaluate_loss(at.residuals[i] * at.residuals[i], loss);
-    at.weights[i] = wrong ? 0.0 : m.weight[i] * value.weight;
-    at.objective += m.weight[i] * (wrong ? behind : value.cost);
+    at.weights[i] = m.weight[i] * value.weight;
+    at.objective += m.weight[i] * value.cost;
   }
 }
 
@@ -98,15 +96,6 @@ void linearise(const Matches& m, const RefineOptions& options, const LossModel& 
   weigh(m, loss, at);
 }
 
-Matrix5 symmetric(const double* upper) {
-  Matrix5 h;
-  int entry = 0;
-  for (int p = 0; p < 5; ++p) {
-    for (int q = p; q < 5; ++q) h(p, q) = h(q, p) = upper[entry++];
-  }
-  return h;
-}
-
 }  // namespace
 
 double depth_tolerance(double scale) { return std::min(3.0 * scale, 0.07); }
@@ -140,7 +129,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   // A long chain of products would drift away from orthonormality.
   result.pose.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
   result.loss = options.loss;
-  bool adaptive = options.loss.loss == Loss::kMixture && options.estimate_mixture;
+  bool adaptive = options.loss.loss == Loss::kMixture;
   linearise(m, options, result.loss, result.pose, w.current);
   if (adaptive) {  // the start's mixture may come from other residuals
     update_mixture(w.current.sums, options, result.loss);

@@ -17,10 +17,19 @@ double depth_tolerance(double scale);
 
 PlainPose plain(const RelativePose& pose);
 
+// A symmetric matrix of the 15 numbers of its upper triangle, by rows, as
+// accumulate_normal_equations writes them.
+inline Eigen::Matrix<double, 5, 5> symmetric(const double* upper) {
+  Eigen::Matrix<double, 5, 5> matrix;
+  for (int p = 0; p < 5; ++p) {
+    for (int q = p; q < 5; ++q) matrix(p, q) = matrix(q, p) = *upper++;
+  }
+  return matrix;
+}
+
 struct RefineOptions {
   Residual residual = Residual::kSampson;
   LossModel loss;
-  bool estimate_mixture = true;  // re-estimate scale and shares of a mixture after each step
   bool use_depths = false;       // a match behind a camera is an outlier (bounded losses only)
   double smallest_scale = 1e-6;  // radians: exact data must not drive the mixture to zero
   double largest_scale = 0.06;   // radians: with more noise than that nothing is an outlier

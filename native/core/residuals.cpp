@@ -358,10 +358,9 @@ void accumulate_normal_equations(std::size_t padded, const double* jacobian,
       for (std::size_t q = p; q <= 5; ++q) {  // the sixth column is the residual
         const double* column = q < 5 ? jacobian + q * padded + start : residuals + start;
         double* sum = sums[entry++];
-        for (std::size_t j = 0; j < kBlock; j += kLanes) {
-          for (std::size_t lane = 0; lane < kLanes; ++lane) {
-            sum[lane] += scaled[j + lane] * column[j + lane];
-          }
+        for (std::size_t j = 0; j < kLanes; ++j) {
+          sum[j] += (scaled[j] * column[j] + scaled[j + 8] * column[j + 8]) +
+                    (scaled[j + 16] * column[j + 16] + scaled[j + 24] * column[j + 24]);
         }
       }
     }
@@ -369,8 +368,7 @@ void accumulate_normal_equations(std::size_t padded, const double* jacobian,
   int entry = 0;
   for (int p = 0; p < 5; ++p) {
     for (int q = p; q <= 5; ++q) {
-      const double* l = sums[entry++];
-      const double sum = ((l[0] + l[4]) + (l[1] + l[5])) + ((l[2] + l[6]) + (l[3] + l[7]));
+      const double sum = lane_sum(sums[entry++]);
       if (q < 5) {
         *hessian++ = sum;
       } else {

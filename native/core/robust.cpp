@@ -8,6 +8,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 
 #include "essential.h"
 #include "essential_problem.h"
@@ -250,12 +251,12 @@ double inlier_scale(const Matches& m, const RobustResult& out, double gate) {
   return std::sqrt(variance);
 }
 
-Eigen::Matrix<double, 5, 5> from_upper(const double* upper) {
-  Eigen::Matrix<double, 5, 5> matrix;
-  for (int p = 0; p < 5; ++p) {
-    for (int q = p; q < 5; ++q) matrix(p, q) = matrix(q, p) = *upper++;
-  }
-  return matrix;
+// Derivative of one residual by the five parameters of the pose.
+Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t padded,
+                                        std::size_t i) {
+  Eigen::Matrix<double, 5, 1> J;
+  for (std::size_t k = 0; k < 5; ++k) J[static_cast<Eigen::Index>(k)] = at.jacobian[k * padded + i];
+  return J;
 }
 
 // Covariance of an M-estimator (Huber 1981): (mean psi^2 / (mean psi')^2) (J^T J)^-1, with the
@@ -295,10 +296,7 @@ void set_uncertainty(const Matches& m, const RobustOptions& options, const LossM
       at.weights[i] = m.weight[i] * trust * trust;
       count += m.weight[i];
     }
-    Vector5 score;
-    for (std::size_t k = 0; k < 5; ++k)
-      score[static_cast<Eigen::Index>(k)] = at.jacobian[k * m.padded + i];
-    score *= m.weight[i] * trust * psi.first;
+    const Vector5 score = m.weight[i] * trust * psi.first * jacobian_of(at, m.padded, i);
     independent += score * score.transpose();
     sums[cell_of(b)] += score;
   }
@@ -312,7 +310,7 @@ void set_uncertainty(const Matches& m, const RobustOptions& options, const LossM
   const double freedom = count / std::max(count - 5.0, 0.2 * count + 1e-9);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   out.covariance = std::max(efficiency * freedom, variance) * std::max(together, 1.0) *
-                   from_upper(upper).inverse();
+                   symmetric(upper).inverse();
 }
 
 // Whether two poses differ by more than the uncertainty of the first can explain.
@@ -324,11 +322,11 @@ bool distinct(const RelativePose& a, const RelativePose& b,
                     std::max(8.0 * kDegree, 6.0 * sigma_direction));
 }
 
-// The most likely pose that is truly different, and its support relative to the best pose. On a
+// The most likely pose that is truly different, where it is likely enough to matter. On a
 // plane both poses are right but for noise, whose log-likelihoods differ by about the root of the
 // number of matches; elsewhere a rival must be nearly as likely.
-void find_rival(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
-                int support, double gate, RobustResult& out) {
+void find_rival(const Matches& m, EssentialProblem& problem, int support, double gate,
+                RobustResult& out) {
   const double evidence = problem.candidates().front().evidence;
   double needed = kRivalEvidence, share = 0.0;
   const Eigen::Vector3d plane = fit_plane(m, out.pose, out.inlier, 1.5 * gate, &share);
@@ -340,12 +338,7 @@ void find_rival(const Matches& m, const RobustOptions& options, EssentialProblem
   const std::vector<Candidate> candidates = problem.candidates();
   for (const Candidate& c : candidates) {  // descending evidence
     if (!distinct(out.pose, c.pose, out.covariance)) continue;
-    std::vector<unsigned char> inlier;
-    std::vector<double> residuals;
-    const int count = mark_inliers(m, options, c.pose, gate, true, inlier, residuals);
-    out.rival_share = static_cast<double>(count) / std::max(support, 1);
-    out.rival_evidence = c.evidence - evidence;
-    if (out.rival_evidence > needed) out.alternatives.assign(1, c.pose);
+    if (c.evidence - evidence > needed) out.alternatives.assign(1, c.pose);
     return;
   }
 }
@@ -378,7 +371,6 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   const int turned = candidates.empty() || rotation_possible(m, out.inlier, support, gate, random)
                          ? best_rotation(m, gate, random, &R, &rotation_residuals)
                          : 0;
-  out.rotation_share = static_cast<double>(turned) / std::max(support, 1);
   const ChanceDensity chance(m, options.residual, options.seed);
   if (turned >= kRotationShare * support &&
       log10_false_alarms(n, turned, chance.rotation_share(R, gate), 2) < kFalseAlarms) {
@@ -388,8 +380,8 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
   const double density =
       candidates.empty() ? kTypicalDensity : chance.at(out.pose, std::max(kDegree, gate));
   const double passing = 2.0 * gate * density;
-  out.chance_log10 = log10_false_alarms(n, support, passing, options.sample_size);
-  if (out.chance_log10 > kFalseAlarms || passing > kLargestChance) {
+  if (log10_false_alarms(n, support, passing, options.sample_size) > kFalseAlarms ||
+      passing > kLargestChance) {
     out.status = Status::kTooFewInliers;
     return;
   }
@@ -405,7 +397,7 @@ void judge(const Matches& m, const RobustOptions& options, EssentialProblem& pro
       return;
     }
   }
-  find_rival(m, options, problem, support, gate, out);
+  find_rival(m, problem, support, gate, out);
   if (!out.alternatives.empty()) out.status = Status::kPlanarAmbiguous;
 }
 
@@ -445,7 +437,6 @@ std::vector<unsigned char> drop_leverage(const Matches& m, const RobustOptions& 
   RefineWorkspace workspace;
   RefineOptions refinement;
   refinement.residual = options.residual;
-  refinement.max_iterations = 30;
   refinement.step_tolerance = 1e-12;
   refinement.sigma_tolerance = 1e-4;
   for (int round = 0; round < kLeverageRounds; ++round) {
@@ -471,10 +462,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, const RobustOptions& 
     for (std::size_t i = 0; i < m.size; ++i) {
       const double weight = workspace.current.weights[i];
       if (!(weight > 0.0)) continue;
-      Eigen::Matrix<double, 5, 1> J;
-      for (std::size_t k = 0; k < 5; ++k) {
-        J[static_cast<Eigen::Index>(k)] = workspace.current.jacobian[k * m.padded + i];
-      }
+      const Eigen::Matrix<double, 5, 1> J = jacobian_of(workspace.current, m.padded, i);
       if (weight * J.dot(inverse * J) <= kLargestLeverage) continue;
       const Eigen::Vector3d a = best.pose.R * Eigen::Vector3d(m.x1[i], m.y1[i], m.z1[i]);
       const Eigen::Vector3d b(m.x2[i], m.y2[i], m.z2[i]);
@@ -511,28 +499,32 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
 
   Random random(options.seed);
   const bool scored = !priors.scores.empty(), partly = m.size > kSearchSize;
+  const bool apart = scored || partly;  // the search has matches of its own
   std::vector<std::size_t> chosen(m.size);
   std::iota(chosen.begin(), chosen.end(), std::size_t{0});
   if (scored) chosen = order_of(priors.scores, random);
   if (partly) chosen = searched(std::move(chosen), scored, random);
-  if (scored) {
+  if (scored && partly) {
     std::stable_sort(chosen.begin(), chosen.end(), [&](std::size_t a, std::size_t b) {
       return priors.scores[a] > priors.scores[b];
     });
   }
-  const Matches subset = partly || scored ? chosen_matches(m, chosen) : Matches{};
-  EssentialProblem search(partly || scored ? subset : m, options.residual, options.sample_size,
+  const Matches subset = apart ? chosen_matches(m, chosen) : Matches{};
+  EssentialProblem search(apart ? subset : m, options.residual, options.sample_size,
                           kTypicalDensity);
   if (priors.has_gravity) search.use_gravity(priors.gravity1, priors.gravity2);
   Sampler sampler(search.num_matches(), search.sample_size(), scored);
   out.num_iterations = sample_poses(options, search, sampler, random);
   search.polish_pool(25);
   search.anneal();
-  EssentialProblem everything(m, options.residual, options.sample_size, kTypicalDensity);
-  EssentialProblem& last = partly || scored ? everything : search;
-  if (partly || scored) everything.set_gates({kAllScales.front()});
+  std::optional<EssentialProblem> everything;
+  if (apart) {
+    everything.emplace(m, options.residual, options.sample_size, kTypicalDensity);
+    everything->set_gates({kAllScales.front()});
+  }
+  EssentialProblem& last = apart ? *everything : search;
   last.finish(search.candidates(), kFinalistEvidence);
-  if (partly || scored) last.anneal();
+  if (apart) last.anneal();
   release_depths(m, options, last);
   last.simplify();
   const std::vector<unsigned char> dropped = drop_leverage(m, options, last);

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include "matches.h"
@@ -43,12 +42,8 @@ struct RobustResult {
   double parallax = 0.0;        // radians, median over inliers
   double coverage = 0.0;        // share of the sphere's cells with an inlier
   double match_coverage = 0.0;  // ... with a match
-  double rotation_share = 0.0;  // inliers of the best rotation over those of the pose
-  double chance_log10 = 0.0;    // log10 of the number of poses with this support by chance
   Eigen::Matrix<double, 5, 5> covariance = Eigen::Matrix<double, 5, 5>::Zero();
   std::vector<RelativePose> alternatives;
-  double rival_share = 0.0;  // support of the best rival pose over that of the pose
-  double rival_evidence = -std::numeric_limits<double>::infinity();  // log-likelihood ratio
 };
 
 // What is known about the matches beyond their bearings.

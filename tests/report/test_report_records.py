@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
+from epi360.files import write_file
 from epi360.poses import Pose
-from epi360.report.files import check_figure_name, check_writable, write_file
+from epi360.report.files import check_figure_name, check_writable
 from epi360.report.records import pair_record, truth_record, write_json
 
 CAMERA = Equirectangular(width=1024, height=512)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from epi360.epipolar import EightPointSolution, eight_point, pose_from_essential, stability
 from epi360.experiments.options import Outcome, Progress, ReproduceOptions
 from epi360.experiments.ovoid_plots import draw_ovoid
-from epi360.experiments.parts import Trials, write_file
+from epi360.experiments.parts import Trials
 from epi360.experiments.plots import (
     SOFT,
     add_axes,
@@ -25,6 +25,7 @@ from epi360.experiments.plots import (
 )
 from epi360.experiments.results import markdown_table, save_trials
 from epi360.experiments.tracked_pair import TrackedPair, save_pair_page, track_pair
+from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.synthetic import scene
 

@@ -21,7 +21,7 @@ from epi360.epipolar import (
 )
 from epi360.experiments.options import Outcome, Progress, ReproduceOptions
 from epi360.experiments.ovoid_plots import Eye, draw_ovoid
-from epi360.experiments.parts import Trials, write_file
+from epi360.experiments.parts import Trials
 from epi360.experiments.plots import (
     BLUE,
     DARK_STROKE,
@@ -41,6 +41,7 @@ from epi360.experiments.plots import (
 )
 from epi360.experiments.results import markdown_table, save_trials
 from epi360.experiments.tracked_pair import TrackedPair, save_pair_page, track_pair
+from epi360.files import write_file
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.synthetic import furnished_room
 

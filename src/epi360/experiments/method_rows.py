@@ -8,15 +8,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from epi360.experiments.methods import estimate_pose, pose_errors
-from epi360.experiments.options import Progress, ProtocolName, ReproduceOptions
+from epi360.experiments.options import Outcome, Progress, ProtocolName, ReproduceOptions
 from epi360.experiments.parts import Row, Trials
 from epi360.experiments.protocols import PROTOCOLS
 from epi360.experiments.rendered import PAIRS_PER_SEQUENCE, Lens, RenderedTracks
+from epi360.experiments.results import (
+    Compared,
+    comparison_table,
+    in_thousandths,
+    save_page,
+    save_trials,
+)
 from epi360.experiments.sources import LandmarkPairs, PairSource, pair_rule
 from epi360.experiments.tracks import BearingPair
 from epi360.experiments.trials import Trial, run_trials
@@ -27,6 +34,22 @@ Measure = Callable[[BearingPair, str], Mapping[str, float]]
 PAPERS_PAIRS = 2000  # section 5.2: "over 2K different environments"
 FAR_OFF_DEG = 1.0  # about three pixels of the rendered panoramas
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a normal variable of standard deviation one
+
+
+class PrintedRow(Protocol):
+    """A method's row of the paper's table: its title, errors in 1e-3 and more."""
+
+    @property
+    def title(self) -> str:
+        """The method, as the page names it."""
+
+    @property
+    def rotation(self) -> float:
+        """Median rotation error."""
+
+    @property
+    def translation(self) -> float:
+        """Median translation error."""
 
 
 @dataclass(frozen=True)
@@ -227,6 +250,108 @@ def agreement_line(quantity: str, paper: Mapping[str, float], ours: Mapping[str,
         f"{quantity}: {len(agree)} of {len(pairs)} pairs of methods are ordered as in the paper; "
         f"ours from the smallest: {order}."
     )
+
+
+def comparison_outcome(
+    table: str,
+    subject: str,
+    trials: Trials,
+    sections: Sequence[str],
+    options: ReproduceOptions,
+) -> Outcome:
+    """Files and page of Table 1 or 2.
+
+    Parameters
+    ----------
+    table : str
+        "table1" or "table2".
+    subject : str
+        Of the page's title, which also says where the pairs come from.
+    trials : Trials
+        Of `run_pairs`.
+    sections : sequence of str
+        Of the page.
+    options : ReproduceOptions
+
+    Returns
+    -------
+    outcome : Outcome
+        Raw trials and the page.
+    """
+    name = experiment_name(table, options)
+    folder = options.folder(name)
+    where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
+    page, text = save_page(
+        folder,
+        f"{subject}, {where}",
+        sections,
+        options,
+        num_trials=int(trials["trial"].max()) + 1,
+        trials=trials,
+        unit=unit_of(options),
+    )
+    return Outcome(name, (*save_trials(folder, trials), page), text)
+
+
+def experiment_name(table: str, options: ReproduceOptions) -> str:
+    """Name of Table 1 or 2, by where its pairs come from."""
+    return f"{table}-landmarks" if options.landmarks else table
+
+
+def unit_of(options: ReproduceOptions) -> str:
+    """What a trial of Table 1 or 2 is, in the plural."""
+    return "scenes" if options.landmarks else "rendered sequences"
+
+
+def comparison_sections(
+    trials: Trials,
+    printed: Mapping[str, PrintedRow],
+    columns: Mapping[str, str],
+    measured: Sequence[str],
+    options: ReproduceOptions,
+) -> list[str]:
+    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree.
+
+    Parameters
+    ----------
+    trials : Trials
+        Of `run_pairs`.
+    printed : mapping of str to PrintedRow
+        The paper's row of each method; a column that it lacks is ours alone.
+    columns : mapping of str to str
+        Titles of the columns by the names in `printed`.
+    measured : sequence of str
+        Columns beside errors and time: medians over the trials that have a number.
+    options : ReproduceOptions
+
+    Returns
+    -------
+    sections : list of str
+    """
+    ours = {method: _medians(trials.where(method=method), measured) for method in printed}
+    rows = {
+        row.title: [Compared(getattr(row, name, None), ours[method][name]) for name in columns]
+        for method, row in printed.items()
+    }
+    orders = [
+        agreement_line(
+            quantity.capitalize(),
+            {row.title: getattr(row, quantity) for row in printed.values()},
+            {row.title: ours[method][quantity] for method, row in printed.items()},
+        )
+        for quantity in ("rotation", "translation")
+    ]
+    table = comparison_table("method", list(columns.values()), rows)
+    return [table, pairs_line(trials, unit_of(options)), " ".join(orders)]
+
+
+def _medians(trials: Trials, measured: Sequence[str]) -> dict[str, float]:
+    return {
+        **{name: float(np.nanmedian(trials[name])) for name in measured},
+        "rotation": in_thousandths(trials["rotation_error"]),
+        "translation": in_thousandths(trials["translation_error"]),
+        "time_ms": float(np.median(trials["time_ms"])),
+    }
 
 
 def _errors(pair: BearingPair, method: str, protocol: ProtocolName) -> dict[str, float]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -14,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from epi360.files import write_file
 
 Row = Mapping[str, float | int | str]
 
@@ -206,24 +207,6 @@ def join_parts(parts: Sequence[tuple[Path, Fingerprint]]) -> Trials:
         for name, values in columns.items():
             pieces.setdefault(name, []).append(values)
     return Trials({name: np.concatenate(values) for name, values in pieces.items()}, seconds)
-
-
-def write_file(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name and rename it: readers never see half of it.
-
-    Parameters
-    ----------
-    path : Path
-        Written or replaced.
-    data : bytes
-        Content.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _read_columns(path: Path, kinds: Mapping[str, str]) -> dict[str, NDArray[Any]]:

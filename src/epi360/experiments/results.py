@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epi360.experiments.options import ReproduceOptions
-from epi360.experiments.parts import TIMING_PREFIX, Trials, write_file
+from epi360.experiments.parts import TIMING_PREFIX, Trials
+from epi360.files import write_file
 
 # What a Markdown table shows where the paper has no number.
 NO_NUMBER = "–"

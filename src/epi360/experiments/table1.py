@@ -5,21 +5,18 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from epi360.epipolar.sk_search import search_sk
 from epi360.epipolar.stability import stability
-from epi360.experiments.method_rows import Cell, agreement_line, pair_rows, pairs_line, run_pairs
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
-from epi360.experiments.parts import Trials
-from epi360.experiments.protocols import PROTOCOLS
-from epi360.experiments.results import (
-    Compared,
-    comparison_table,
-    in_thousandths,
-    save_page,
-    save_trials,
+from epi360.experiments.method_rows import (
+    Cell,
+    comparison_outcome,
+    comparison_sections,
+    experiment_name,
+    pair_rows,
+    run_pairs,
 )
+from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+from epi360.experiments.protocols import PROTOCOLS
 from epi360.experiments.tracks import BearingPair
 from epi360.experiments.trials import Trial
 
@@ -84,21 +81,11 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     ValueError
         If the folder holds trials of another run, or no sequence has a pair.
     """
-    name = "table1-landmarks" if options.landmarks else "table1"
-    trials = run_pairs(name, evaluate, options, progress)
-    folder = options.folder(name)
-    where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
-    unit = "scenes" if options.landmarks else "rendered sequences"
-    page, text = save_page(
-        folder,
-        f"Table 1: eight-point methods, {where}",
-        _sections(trials, unit),
-        options,
-        num_trials=int(trials["trial"].max()) + 1,
-        trials=trials,
-        unit=unit,
+    trials = run_pairs(experiment_name("table1", options), evaluate, options, progress)
+    sections = comparison_sections(trials, PRINTED, ROW, MEASURED, options)
+    return comparison_outcome(
+        "table1", "Table 1: eight-point methods", trials, [*sections, SCALE], options
     )
-    return Outcome(name, (*save_trials(folder, trials), page), text)
 
 
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
@@ -129,30 +116,3 @@ def _stability(pair: BearingPair, normalization: str, search: str) -> dict[str, 
     measures = stability(b1, b2, domain)
     values = measures.sigma_8, measures.sigma_8_over_sigma_1, measures.mean_alpha_rad
     return dict(zip(MEASURED, values, strict=True))
-
-
-def _sections(trials: Trials, what: str) -> list[str]:
-    ours = {method: _medians(trials.where(method=method)) for method in PRINTED}
-    rows = {
-        printed.title: [Compared(getattr(printed, name, None), ours[method][name]) for name in ROW]
-        for method, printed in PRINTED.items()
-    }
-    orders = [
-        agreement_line(
-            quantity.capitalize(),
-            {printed.title: getattr(printed, quantity) for printed in PRINTED.values()},
-            {printed.title: ours[method][quantity] for method, printed in PRINTED.items()},
-        )
-        for quantity in ("rotation", "translation")
-    ]
-    table = comparison_table("method", list(ROW.values()), rows)
-    return [table, pairs_line(trials, what), " ".join(orders), SCALE]
-
-
-def _medians(trials: Trials) -> dict[str, float]:
-    return {
-        **{name: float(np.nanmedian(trials[name])) for name in MEASURED},
-        "rotation": in_thousandths(trials["rotation_error"]),
-        "translation": in_thousandths(trials["translation_error"]),
-        "time_ms": float(np.median(trials["time_ms"])),
-    }

@@ -5,18 +5,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from epi360.experiments.method_rows import Cell, agreement_line, pair_rows, pairs_line, run_pairs
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
-from epi360.experiments.parts import Trials
-from epi360.experiments.results import (
-    Compared,
-    comparison_table,
-    in_thousandths,
-    save_page,
-    save_trials,
+from epi360.experiments.method_rows import (
+    Cell,
+    comparison_outcome,
+    comparison_sections,
+    experiment_name,
+    pair_rows,
+    run_pairs,
 )
+from epi360.experiments.options import Outcome, Progress, ReproduceOptions
 from epi360.experiments.trials import Trial
 
 
@@ -65,21 +62,11 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     ValueError
         If the folder holds trials of another run, or no sequence has a pair.
     """
-    name = "table2-landmarks" if options.landmarks else "table2"
-    trials = run_pairs(name, evaluate, options, progress)
-    folder = options.folder(name)
-    where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
-    unit = "scenes" if options.landmarks else "rendered sequences"
-    page, text = save_page(
-        folder,
-        f"Table 2: weights of the gold standard method, {where}",
-        _sections(trials, unit),
-        options,
-        num_trials=int(trials["trial"].max()) + 1,
-        trials=trials,
-        unit=unit,
+    trials = run_pairs(experiment_name("table2", options), evaluate, options, progress)
+    sections = comparison_sections(trials, PRINTED, ROW, (), options)
+    return comparison_outcome(
+        "table2", "Table 2: weights of the gold standard method", trials, sections, options
     )
-    return Outcome(name, (*save_trials(folder, trials), page), text)
 
 
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
@@ -95,29 +82,3 @@ def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
     rows : list of dict
     """
     return pair_rows(cell.source.pairs(trial), tuple(PRINTED), cell.protocol)
-
-
-def _sections(trials: Trials, what: str) -> list[str]:
-    ours = {method: _medians(trials.where(method=method)) for method in PRINTED}
-    rows = {
-        printed.title: [Compared(getattr(printed, name), ours[method][name]) for name in ROW]
-        for method, printed in PRINTED.items()
-    }
-    orders = [
-        agreement_line(
-            quantity.capitalize(),
-            {printed.title: getattr(printed, quantity) for printed in PRINTED.values()},
-            {printed.title: ours[method][quantity] for method, printed in PRINTED.items()},
-        )
-        for quantity in ("rotation", "translation")
-    ]
-    table = comparison_table("method", list(ROW.values()), rows)
-    return [table, pairs_line(trials, what), " ".join(orders)]
-
-
-def _medians(trials: Trials) -> dict[str, float]:
-    return {
-        "rotation": in_thousandths(trials["rotation_error"]),
-        "translation": in_thousandths(trials["translation_error"]),
-        "time_ms": float(np.median(trials["time_ms"])),
-    }

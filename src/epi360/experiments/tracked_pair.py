@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular
 from epi360.experiments.options import ReproduceOptions
-from epi360.experiments.parts import write_file
 from epi360.features import track_features
+from epi360.files import write_file
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import Room
 

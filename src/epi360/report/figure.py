@@ -25,12 +25,13 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult
+from epi360.files import write_file
 from epi360.report.curves import (
     epipolar_curve,
     match_residuals_deg,
     spread_matches,
 )
-from epi360.report.files import check_figure_name, check_writable, write_file
+from epi360.report.files import check_figure_name, check_writable
 from epi360.report.text import (
     CONVENTION,
     STATUS_SENTENCES,

@@ -76,30 +76,3 @@ def check_figure_name(path: str | os.PathLike[str], *, name: str = "path") -> No
     if Path(path).suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         known = ", ".join(f".{suffix}" for suffix in FIGURE_FORMATS)
         raise ValueError(f"{name} must end in one of {known}, got {os.fspath(path)!r}")
-
-
-def write_file(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a file under a temporary name beside it and rename: readers never see half of it.
-
-    Parameters
-    ----------
-    path : str or path
-        Written or replaced; a symbolic link is followed, a device or pipe is written to.
-    data : bytes
-        Content.
-
-    Raises
-    ------
-    OSError
-        If the folder is missing or not writable.
-    """
-    path = Path(os.path.realpath(path))
-    if path.exists() and not path.is_file():  # renaming onto /dev/null would replace the device
-        path.write_bytes(data)
-        return
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -5,13 +5,13 @@
 ``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of world_from_cam. Files count from 1, rows from 0.
 """
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from epi360.files import write_file
 from epi360.poses import Pose
 from epi360.synthetic.rendering import Rendering
 
@@ -92,9 +92,4 @@ def write_whole(path: Path, data: bytes) -> None:
         If the file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_file(path, data)
