@@ -104,6 +104,29 @@ class Pose:
         return _quaternion_from_rotation(self.rotation)
 
 
+def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Pose:
+    """Pose with the rotation of a unit quaternion.
+
+    Parameters
+    ----------
+    translation : ndarray, shape (3,)
+        In the frame that the pose maps to.
+    wxyz : ndarray, shape (4,)
+        Unit quaternion, the scalar first.
+
+    Returns
+    -------
+    Pose
+    """
+    w, x, y, z = wxyz
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return Pose(np.array(rotation), translation)
+
+
 def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
     """Rotation about the direction of a vector by its length.
 

@@ -9,9 +9,10 @@ import pytest
 
 from epi360.experiments import load_experiment
 from epi360.experiments.methods import METHODS, estimate_pose, pose_errors
-from epi360.experiments.options import ReproduceOptions, no_progress
+from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.protocols import PROTOCOLS
 from epi360.poses import Pose, rotation_from_vector
+from epi360.progress import no_progress
 from epi360.synthetic import two_view_scene
 
 pytestmark = pytest.mark.usefixtures("tiny_landmarks")

@@ -7,12 +7,13 @@ import pytest
 
 from epi360.epipolar import angular_residuals, eight_point, essential_from_pose, pose_from_essential
 from epi360.experiments import fig1, fig2, fig3
-from epi360.experiments.options import ReproduceOptions, no_progress
+from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.ovoid_plots import Eye, draw_ovoid, great_circle
 from epi360.experiments.plots import draw_top_view, new_figure, png_of, spread_indices
 from epi360.experiments.tracked_pair import MIN_BASELINE_M, track_pair
 from epi360.experiments.trials import Trial
 from epi360.poses import rotation_error_deg, translation_error_deg
+from epi360.progress import no_progress
 from epi360.synthetic import furnished_room, two_view_scene
 
 WIDTH = 192

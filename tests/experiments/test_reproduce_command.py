@@ -117,7 +117,7 @@ def test_parts_of_another_run_are_wrong_use_in_one_line(capsys, tmp_path, tiny_l
 
 
 def test_the_bar_shows_the_rate_of_this_run(monkeypatch):
-    from epi360.cli.reproduce import _BarPerStage
+    from epi360.cli.command import _BarPerStage
 
     shown = {}
     bars = SimpleNamespace(
@@ -125,7 +125,7 @@ def test_the_bar_shows_the_rate_of_this_run(monkeypatch):
         update=lambda task, **fields: shown.update(fields),
     )
     clock = iter((100.0, 102.0))
-    monkeypatch.setattr("epi360.cli.reproduce.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("epi360.cli.command.time.monotonic", lambda: next(clock))
     bar = _BarPerStage(bars)
     bar("fig4a", 500, 1000)  # left by an earlier run
     bar("fig4a", 600, 1000)

@@ -11,12 +11,13 @@ import pytest
 from epi360.experiments import load_experiment, table1, table2, table3
 from epi360.experiments.method_rows import agreement_line, pair_rows, rendered_cell, with_pairs
 from epi360.experiments.methods import METHODS
-from epi360.experiments.options import ReproduceOptions, no_progress
+from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.parts import Trials
 from epi360.experiments.rendered import PAIRS_PER_SEQUENCE, RenderedTracks
 from epi360.experiments.results import is_timing
 from epi360.experiments.tracks import BearingPair
 from epi360.experiments.trials import Trial
+from epi360.progress import no_progress
 from epi360.synthetic import two_view_scene
 
 NUM_SEQUENCES = 2

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from epi360.experiments import options as options_module
 from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.parts import Trials
 from epi360.experiments.results import is_timing
 from epi360.experiments.trials import Trial, run_trials
+from epi360.progress import no_progress
 
 CELLS = {"low": 1.0, "high": 10.0}
 
@@ -60,7 +60,7 @@ class InterruptAt:
         return draw(scale, trial)
 
 
-def run(folder, function=draw, num_trials=25, *, progress=options_module.no_progress, **options):
+def run(folder, function=draw, num_trials=25, *, progress=no_progress, **options):
     given = ReproduceOptions(out=folder, **{"jobs": 1, **options})
     return run_trials("demo", CELLS, function, num_trials, given, progress, chunk_size=10)
 

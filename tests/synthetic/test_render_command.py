@@ -23,7 +23,7 @@ def test_the_command_writes_a_sequence_and_resumes_it(tmp_path, capsys):
     words = (out, "--scene", "studio", "--num-frames", 2, "--width", 64)
     code, text, errors = run(capsys, *words)
     assert code == 0 and "2 frames of 64x32 pixels in" in text
-    assert "frame 2 of 2" in errors and "frames/s" in errors
+    assert "frames: 2 of 2" in errors and "/s" in errors
     assert tree(out) == [
         "camera.json", "depth/tiff/1.tiff", "depth/tiff/2.tiff", "frm_ref.txt",
         "render.json", "rgb/1.png", "rgb/2.png",

@@ -149,7 +149,7 @@ def test_an_interrupted_sequence_goes_on_where_it_stopped(tmp_path):
         flat, CAMERA, still_poses(5), tmp_path, OPTIONS, progress=lambda *n: seen.append(n)
     )
     assert num == flat.num_rendered == 4
-    assert seen == [(1, 5, 1), (2, 5, 1), (3, 5, 1), (4, 5, 1), (5, 5, 1)]
+    assert seen == [("frames", done, 5) for done in (1, 2, 3, 4, 5)]
     for index in range(5):
         depth = cv2.imread(str(frame_files(tmp_path, index)[1]), cv2.IMREAD_UNCHANGED)
         assert (depth == 1.5 + index).all()

@@ -4,14 +4,22 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
+from epi360.progress import Progress
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
 SUCCESS, FAILURE, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
-Progress = Callable[[str], None]
+Say = Callable[[str], None]
+SECONDS_BETWEEN_LINES = 30.0
 Flag = Annotated[bool, Parameter(negative=())]
 
 
@@ -30,7 +38,7 @@ app = App(
 
 
 @contextmanager
-def show_progress() -> Iterator[Progress]:
+def show_progress() -> Iterator[Say]:
     """Show what is being done on stderr while that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda message: None
@@ -40,3 +48,71 @@ def show_progress() -> Iterator[Progress]:
 
     with Console(stderr=True).status("starting") as status:
         yield lambda message: status.update(Text(message))
+
+
+@contextmanager
+def show_bars() -> Iterator[Progress]:
+    """Show rate and remaining time on stderr: bars on a terminal, now and then a line elsewhere."""
+    if not sys.stderr.isatty():
+        yield _LinePerStage()
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Bars(*columns, console=Console(stderr=True)) as bars:
+        yield _BarPerStage(bars)
+
+
+class _BarPerStage:
+    """A `Progress` that shows one bar for each stage."""
+
+    def __init__(self, bars: Bars) -> None:
+        self._bars = bars
+        self._begun: dict[str, tuple[TaskID, float, int]] = {}
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage not in self._begun:
+            # What an earlier run has left is no measure of the rate: it is there from the start.
+            task = self._bars.add_task(stage, total=total, completed=done, rate="")
+            self._begun[stage] = task, now, done
+        task, since, before = self._begun[stage]
+        rate = f"{(done - before) / (now - since):,.1f}/s" if done > before else ""
+        self._bars.update(task, completed=done, total=total, rate=rate)
+
+
+class _LinePerStage:
+    """A `Progress` that prints a line when a stage ends, and every half minute until then."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[float, int]] = {}
+        self._said = time.monotonic()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        since, before = self._begun.setdefault(stage, (now, done))
+        ends = before < done == total
+        if not ends and now - self._said < SECONDS_BETWEEN_LINES:
+            return
+        self._said = now
+        print(f"epi360: {_line(stage, done, total, before, now - since)}", file=sys.stderr)
+
+
+def _line(stage: str, done: int, total: int, before: int, seconds: float) -> str:
+    """How far a stage is, its rate and the time that the rest will take."""
+    line = f"{stage}: {done} of {total}"
+    if before:
+        line += f" ({before} were there)"
+    if done > before and seconds > 0:
+        rate = (done - before) / seconds
+        minutes, rest = divmod(round((total - done) / rate), 60)
+        line += f", {rate:,.2f}/s" + (f", {minutes}:{rest:02d} min left" if done < total else "")
+    return line

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, Progress, app, show_progress
+from epi360.cli.command import FAILURE, SUCCESS, Flag, Say, app, show_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -169,7 +169,7 @@ def _check_outputs(output: PairOutput, files_read: dict[str, Path]) -> None:
         output.save_images.mkdir(exist_ok=True)
 
 
-def _demo_pair(progress: Progress) -> _Pair:
+def _demo_pair(progress: Say) -> _Pair:
     from epi360.synthetic.room import demo_pair
 
     progress("rendering two panoramas of a room")
@@ -182,7 +182,7 @@ def _demo_pair(progress: Progress) -> _Pair:
     )
 
 
-def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Progress) -> _Pair:
+def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _Pair:
     from epi360.features.images import read_image
 
     progress("reading the images")
@@ -214,7 +214,7 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
     return cameras[wanted] if wanted else next(iter(cameras.values()))
 
 
-def _estimate(images: _Pair, options: PairOptions, progress: Progress) -> ImagePairResult:
+def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairResult:
     from epi360.two_view import relative_pose_of_images
 
     return relative_pose_of_images(
@@ -232,7 +232,7 @@ def _estimate(images: _Pair, options: PairOptions, progress: Progress) -> ImageP
 
 
 def _write_outputs(
-    images: _Pair, result: ImagePairResult, output: PairOutput, progress: Progress
+    images: _Pair, result: ImagePairResult, output: PairOutput, progress: Say
 ) -> None:
     if output.save_images is not None:
         _write_images(images, output.save_images)

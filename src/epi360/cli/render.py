@@ -4,26 +4,18 @@
 from __future__ import annotations
 
 import hashlib
-import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import SUCCESS, app, show_progress
+from epi360.cli.command import SUCCESS, app, show_bars, show_progress
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
     from epi360.synthetic.meshes import MeshScene
     from epi360.synthetic.room import Room
-    from epi360.synthetic.sequence import FrameProgress
-
-# Where stderr is a file, a line every so often is enough.
-SECONDS_BETWEEN_LINES = 30.0
 
 
 @Parameter(name="*", group=Group("Scene", sort_key=1))
@@ -106,12 +98,13 @@ def render(
     camera, options = _camera(picture), _options(what, path, picture)
     check_folder(out, options)
     out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work
-    with _frame_progress() as (say, progress):
+    with show_progress() as say:
         say("building the scene")
         scene = _scene(what)
         say("planning the path")
         poses = handheld_path(scene, seed=what.seed, **asdict(path))
-        supersample = picture.supersample
+    supersample = picture.supersample
+    with show_bars() as progress:
         render_sequence(
             scene, camera, poses, out, options, supersample=supersample, progress=progress
         )
@@ -164,35 +157,3 @@ def _scene(what: SceneChoice) -> Room | MeshScene:
     from epi360.synthetic.meshes import load_mesh_scene
 
     return load_mesh_scene(what.mesh, up=what.up)
-
-
-@contextmanager
-def _frame_progress() -> Iterator[tuple[Callable[[str], None], FrameProgress]]:
-    """How to say what is done and how far the frames are: on stderr, as lines in a file."""
-    with show_progress() as say:
-        start = last = time.monotonic()
-
-        def report(done: int, total: int, there: int) -> None:
-            nonlocal start, last
-            now = time.monotonic()
-            if done == there:
-                start = now
-            line = _progress_line(done, total, there, now - start)
-            say(line)
-            if not sys.stderr.isatty() and (now - last > SECONDS_BETWEEN_LINES or done == total):
-                last = now
-                print(f"epi360: {line}", file=sys.stderr, flush=True)
-
-        yield say, report
-
-
-def _progress_line(done: int, total: int, there: int, seconds: float) -> str:
-    """Frames so far, their rate and the time that the others will take."""
-    line = f"frame {done} of {total}"
-    if there:
-        line += f" ({there} were there)"
-    if done > there and seconds > 0:
-        rate = (done - there) / seconds
-        minutes, rest = divmod(round((total - done) / rate), 60)
-        line += f", {rate:.2f} frames/s, {minutes}:{rest:02d} min left"
-    return line

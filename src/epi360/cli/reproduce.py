@@ -5,20 +5,13 @@ from __future__ import annotations
 
 import os
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, app
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions, no_progress
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as Bars
-    from rich.progress import TaskID
+from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.experiments.options import Outcome, ReproduceOptions
 
 Name = Literal[
     "fig1", "fig2", "fig3", "fig4a", "fig4b", "fig4c",
@@ -91,7 +84,7 @@ def _failed(name: str, error: Exception) -> int:
 def _run(name: str, options: ReproduceOptions) -> Outcome:
     from epi360.experiments import load_experiment
 
-    with _bars() as progress:
+    with show_bars() as progress:
         return load_experiment(name)(options, progress)
 
 
@@ -113,42 +106,3 @@ def _report(out: Path, into: Path | None) -> int:
         insert_tables(into, tables)
         print(f"wrote {into}")
     return SUCCESS
-
-
-@contextmanager
-def _bars() -> Iterator[Progress]:
-    """Bars on stderr with rate and remaining time, while that is a terminal."""
-    if not sys.stderr.isatty():
-        yield no_progress
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-    from rich.progress import Progress as Bars
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    with Bars(*columns, console=Console(stderr=True)) as bars:
-        yield _BarPerStage(bars)
-
-
-class _BarPerStage:
-    """A `Progress` that shows one bar for each stage."""
-
-    def __init__(self, bars: Bars) -> None:
-        self._bars = bars
-        self._begun: dict[str, tuple[TaskID, float, int]] = {}
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if stage not in self._begun:
-            # What an earlier run has left is no measure of the rate: it is there from the start.
-            task = self._bars.add_task(stage, total=total, completed=done, rate="")
-            self._begun[stage] = task, now, done
-        task, since, before = self._begun[stage]
-        rate = f"{(done - before) / (now - since):,.1f}/s" if done > before else ""
-        self._bars.update(task, completed=done, total=total, rate=rate)

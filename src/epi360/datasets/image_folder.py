@@ -50,7 +50,7 @@ def load_image_folder(
     paths = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     if not paths:
         raise FileNotFoundError(f"image folder {folder} has no JPEG, PNG, TIFF, WebP or BMP files")
-    paths.sort(key=_natural_order)
+    paths.sort(key=natural_order)
     return ImageSequence(
         name=folder.name,
         camera=camera or panorama_camera(paths[0]),
@@ -78,8 +78,8 @@ def panorama_camera(path: Path) -> Equirectangular:
     return Equirectangular.for_image(image.shape[1], image.shape[0])
 
 
-def _natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
-    """Sort key: digits as numbers, the rest as text."""
+def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
+    """Sort key of a path by its name: digits as numbers, the rest as text."""
     parts: list[str] = []
     for character in path.stem:
         if parts and parts[-1][-1].isdecimal() == character.isdecimal():

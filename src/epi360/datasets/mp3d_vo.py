@@ -10,7 +10,7 @@ from epi360.datasets.image_folder import existing_folder, panorama_camera
 from epi360.datasets.intensities import intensity_levels
 from epi360.datasets.sequence import ImageSequence
 from epi360.datasets.tables import read_table
-from epi360.datasets.trajectories import pose_from_quaternion
+from epi360.poses import pose_from_quaternion
 
 COLUMNS = ("t", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 POSES_FILE = "frm_ref.txt"

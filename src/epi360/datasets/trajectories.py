@@ -9,29 +9,6 @@ from numpy.typing import NDArray
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
 
 
-def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Pose:
-    """Pose with the rotation of a unit quaternion.
-
-    Parameters
-    ----------
-    translation : ndarray, shape (3,)
-        In the frame that the pose maps to.
-    wxyz : ndarray, shape (4,)
-        Unit quaternion, the scalar first.
-
-    Returns
-    -------
-    Pose
-    """
-    w, x, y, z = wxyz
-    rotation = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return Pose(np.array(rotation), translation)
-
-
 def interpolate_pose(before: Pose, after: Pose, share: float) -> Pose:
     """Pose between two: linear in the translation, at constant turning speed in the rotation.
 

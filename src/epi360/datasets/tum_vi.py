@@ -15,8 +15,8 @@ from epi360.datasets.image_folder import existing_folder
 from epi360.datasets.intensities import intensity_levels, lens_circle_mask
 from epi360.datasets.sequence import ImageSequence
 from epi360.datasets.tables import Table, read_table
-from epi360.datasets.trajectories import pose_from_quaternion, poses_at_times
-from epi360.poses import Pose
+from epi360.datasets.trajectories import poses_at_times
+from epi360.poses import Pose, pose_from_quaternion
 
 IMAGE_COLUMNS = ("timestamp", "filename")
 POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")

@@ -12,7 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+    from epi360.experiments.options import Outcome, ReproduceOptions
+    from epi360.progress import Progress
 
     Experiment = Callable[[ReproduceOptions, Progress], Outcome]
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from epi360.epipolar import EightPointSolution, eight_point, pose_from_essential, stability
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+from epi360.experiments.options import Outcome, ReproduceOptions
 from epi360.experiments.ovoid_plots import draw_ovoid
 from epi360.experiments.parts import Trials
 from epi360.experiments.plots import (
@@ -27,6 +27,7 @@ from epi360.experiments.results import markdown_table, save_trials
 from epi360.experiments.tracked_pair import TrackedPair, save_pair_page, track_pair
 from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
+from epi360.progress import Progress
 from epi360.synthetic import scene
 
 Array = NDArray[np.float64]

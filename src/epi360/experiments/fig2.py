@@ -19,7 +19,7 @@ from epi360.epipolar import (
     pose_from_essential,
     triangulate,
 )
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+from epi360.experiments.options import Outcome, ReproduceOptions
 from epi360.experiments.ovoid_plots import Eye, draw_ovoid
 from epi360.experiments.parts import Trials
 from epi360.experiments.plots import (
@@ -43,6 +43,7 @@ from epi360.experiments.results import markdown_table, save_trials
 from epi360.experiments.tracked_pair import TrackedPair, save_pair_page, track_pair
 from epi360.files import write_file
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.progress import Progress
 from epi360.synthetic import furnished_room
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 
 from epi360.experiments.fig4_curves import Curves, draw_curves, save_curves
 from epi360.experiments.methods import LEGENDS, METHODS, TITLES, method_errors
-from epi360.experiments.options import Outcome, Progress, ProtocolName, ReproduceOptions
+from epi360.experiments.options import Outcome, ProtocolName, ReproduceOptions
 from epi360.experiments.parts import Row, Trials
 from epi360.experiments.protocols import PROTOCOLS, draw_scene
 from epi360.experiments.results import (
@@ -21,6 +21,7 @@ from epi360.experiments.results import (
     save_trials,
 )
 from epi360.experiments.trials import Trial, run_trials
+from epi360.progress import Progress
 from epi360.synthetic import mean_angle_deg_from_kappa
 
 # Section 5.1: "the results of 15K evaluations".

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from epi360.experiments.methods import estimate_pose, pose_errors
-from epi360.experiments.options import Outcome, Progress, ProtocolName, ReproduceOptions
+from epi360.experiments.options import Outcome, ProtocolName, ReproduceOptions
 from epi360.experiments.parts import Row, Trials
 from epi360.experiments.protocols import PROTOCOLS
 from epi360.experiments.rendered import PAIRS_PER_SEQUENCE, Lens, RenderedTracks
@@ -28,6 +28,7 @@ from epi360.experiments.sources import LandmarkPairs, PairSource, pair_rule
 from epi360.experiments.tracks import BearingPair
 from epi360.experiments.trials import Trial, run_trials
 from epi360.poses import rotation_error_deg
+from epi360.progress import Progress
 
 Measure = Callable[[BearingPair, str], Mapping[str, float]]
 

@@ -4,27 +4,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
 ProtocolName = Literal["printed", "authors", "corrected"]
-
-# Called with (what is running, pieces done, pieces in all), from the process that was started.
-Progress = Callable[[str, int, int], None]
-
-
-def no_progress(stage: str, done: int, total: int) -> None:
-    """Nothing: the progress of a run that nobody watches.
-
-    Parameters
-    ----------
-    stage : str
-        What is running.
-    done, total : int
-        Pieces done and in all.
-    """
 
 
 @dataclass(frozen=True)

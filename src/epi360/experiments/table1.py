@@ -15,10 +15,11 @@ from epi360.experiments.method_rows import (
     pair_rows,
     run_pairs,
 )
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+from epi360.experiments.options import Outcome, ReproduceOptions
 from epi360.experiments.protocols import PROTOCOLS
 from epi360.experiments.tracks import BearingPair
 from epi360.experiments.trials import Trial
+from epi360.progress import Progress
 
 
 class Printed(NamedTuple):

@@ -18,7 +18,7 @@ from epi360.experiments.method_rows import (
     with_pairs,
 )
 from epi360.experiments.methods import METHODS, TITLES
-from epi360.experiments.options import Outcome, Progress, ReproduceOptions
+from epi360.experiments.options import Outcome, ReproduceOptions
 from epi360.experiments.parts import Trials
 from epi360.experiments.results import (
     Compared,
@@ -34,6 +34,7 @@ from epi360.experiments.sources import (
     pair_rule,
 )
 from epi360.experiments.trials import Trial, run_trials
+from epi360.progress import Progress
 
 # Quartile: rotation errors of the five methods in 1e-3, then translation errors.
 MP3D_VO = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from epi360.epipolar import essential_from_pose
 from epi360.estimation import estimate_relative_pose, refine_pose
 from epi360.experiments.methods import METHODS, TITLES, estimate_pose, pose_errors
-from epi360.experiments.options import Outcome, Progress, ProtocolName, ReproduceOptions
+from epi360.experiments.options import Outcome, ProtocolName, ReproduceOptions
 from epi360.experiments.paper_ransac import essential_residuals, paper_ransac
 from epi360.experiments.parts import Row, Trials
 from epi360.experiments.protocols import PROTOCOLS, Protocol, draw_scene
@@ -27,6 +27,7 @@ from epi360.experiments.results import (
 )
 from epi360.experiments.trials import Trial, run_trials
 from epi360.poses import Pose
+from epi360.progress import Progress
 from epi360.synthetic import TwoViewScene
 
 Array = NDArray[np.float64]

@@ -24,8 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from epi360.experiments.options import Progress, ReproduceOptions, no_progress
+from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.parts import Fingerprint, Row, Trials, join_parts, read_part, write_part
+from epi360.progress import Progress, no_progress
 
 # Libraries that NumPy and OpenCV may be built on read these when they load: each worker is one
 # thread, so that J workers use J cores.

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.extras import extra_library
 from epi360.poses import Pose
 from epi360.synthetic.mesh_looks import MeshLooks, looks_of_parts
 from epi360.synthetic.rendering import Rays, Rendering, render_view
@@ -207,14 +207,7 @@ def load_mesh_scene(path: str | os.PathLike[str], *, up: UpAxis = "+y") -> MeshS
 
 
 def _library(name: str) -> Any:
-    """Import a module of the extra ``render``."""
-    try:
-        return import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise ImportError(
-            f"scenes of meshes need {package}: pip install 'epi360[render]'", name=package
-        ) from None
+    return extra_library(name, extra="render", purpose="scenes of meshes")
 
 
 def _read_parts(path: Path) -> list[Any]:

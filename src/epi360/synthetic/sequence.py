@@ -3,12 +3,13 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
 from epi360.cameras import Camera
 from epi360.poses import Pose
+from epi360.progress import Progress, no_progress
 from epi360.synthetic.mp3d_layout import (
     POSES_FILE,
     frame_files,
@@ -19,8 +20,6 @@ from epi360.synthetic.mp3d_layout import (
 from epi360.synthetic.rendering import Rendering
 
 OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
-# Frames finished, frames in all, frames that were there before.
-FrameProgress = Callable[[int, int, int], None]
 
 
 class RenderableScene(Protocol):
@@ -82,7 +81,7 @@ def render_sequence(
     options: Mapping[str, Any],
     *,
     supersample: int = 2,
-    progress: FrameProgress | None = None,
+    progress: Progress = no_progress,
 ) -> int:
     """Render the frames of a sequence that are not there yet, in the layout of 360-MP3D-VO.
 
@@ -96,9 +95,8 @@ def render_sequence(
         See `prepare_sequence`, which is called first.
     supersample : int
         Rays per axis in pixels that hold an edge.
-    progress : callable, optional
-        Called before the first and after each frame with the numbers of finished frames, of all
-        frames, and of those that were there before.
+    progress : callable
+        Called with "frames", before the first of them and after each.
 
     Returns
     -------
@@ -119,12 +117,11 @@ def render_sequence(
         if not all(path.is_file() for path in frame_files(folder, index))
     ]
     there, total = len(world_from_cam) - len(missing), len(world_from_cam)
-    report = progress or (lambda done, total, there: None)
-    report(there, total, there)
+    progress("frames", there, total)
     for count, index in enumerate(missing, start=1):
         rendering = scene.render(camera, world_from_cam[index], supersample=supersample)
         write_frame(folder, index, rendering)
-        report(there + count, total, there)
+        progress("frames", there + count, total)
     return len(missing)
 
 

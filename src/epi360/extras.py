@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Libraries that are installed only where they are wanted: the extras of the package."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+
+def extra_library(name: str, *, extra: str, purpose: str) -> Any:
+    """Module of a library that belongs to an extra.
+
+    Parameters
+    ----------
+    name : str
+        Of the module, such as ``"pycolmap"`` or ``"pyarrow.parquet"``.
+    extra : str
+        Of the package that brings it, such as ``"colmap"``.
+    purpose : str
+        What needs it, in the plural: "COLMAP databases".
+
+    Returns
+    -------
+    module : module
+
+    Raises
+    ------
+    ImportError
+        If it is missing; the message holds the command that installs it.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        raise ImportError(
+            f"{purpose} need {package}: pip install 'epi360[{extra}]'", name=package
+        ) from None
