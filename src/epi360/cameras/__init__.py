@@ -8,6 +8,7 @@ from epi360.cameras.equirectangular import Equirectangular
 from epi360.cameras.extended_unified import ExtendedUnified
 from epi360.cameras.kannala_brandt import KannalaBrandt
 from epi360.cameras.pinhole import Pinhole
+from epi360.cameras.rigs import Rig, load_rig
 from epi360.cameras.unified import UnifiedCamera
 
 __all__ = [
@@ -18,8 +19,10 @@ __all__ = [
     "KalibrCamera",
     "KannalaBrandt",
     "Pinhole",
+    "Rig",
     "UnifiedCamera",
     "load_camera",
     "load_cameras",
     "load_kalibr_rig",
+    "load_rig",
 ]

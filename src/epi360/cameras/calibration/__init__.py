@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from epi360.cameras.base import Camera
-from epi360.cameras.calibration import basalt, colmap, fields, kalibr, opensfm, own
+from epi360.cameras.calibration import basalt, colmap, colmap_rig, fields, kalibr, opensfm, own
 from epi360.cameras.calibration.document import read_document
 from epi360.cameras.calibration.kalibr import KalibrCamera, load_kalibr_rig
 
@@ -17,7 +17,7 @@ __all__ = ["KalibrCamera", "load_camera", "load_cameras", "load_kalibr_rig"]
 
 Format = tuple[Callable[[Any], bool], Callable[[Any], dict[str, Camera]]]
 FORMATS: tuple[Format, ...] = tuple(
-    (module.fits, module.read) for module in (own, kalibr, basalt, colmap, opensfm)
+    (module.fits, module.read) for module in (own, kalibr, basalt, colmap, colmap_rig, opensfm)
 )
 
 
@@ -36,6 +36,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
         - a calibration of basalt (JSON): pinhole, kb4, ucm, eucm, ds;
         - COLMAP's ``cameras.txt``: panoramas, pinhole, radial, fisheye, ``OPENCV``,
           ``OPENCV_FISHEYE``, ``EUCM``;
+        - COLMAP's ``rig_config.json`` of one rig, as `load_rig` reads it;
         - OpenSfM's ``camera_models.json``: perspective, radial, brown without k3, fisheye,
           fisheye_opencv, spherical.
 
@@ -45,7 +46,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
     -------
     cameras : dict of str to Camera
         In the order of the file. A single unnamed camera is called "camera"; COLMAP's are called
-        by their id, basalt's "cam0", "cam1" and so on.
+        by their id, in a rig by the folder of their images, basalt's "cam0", "cam1" and so on.
 
     Raises
     ------
@@ -65,8 +66,8 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
                 raise fields.in_file(path, error) from None
     raise ValueError(
         f"calibration file {path} has no cameras that epi360 can read; it reads mappings with "
-        "'model' or 'cameras', Kalibr camchains, basalt's JSON, COLMAP's cameras.txt and OpenSfM's "
-        "camera_models.json"
+        "'model' or 'cameras', Kalibr camchains, basalt's JSON, COLMAP's cameras.txt and "
+        "rig_config.json, and OpenSfM's camera_models.json"
     )
 
 

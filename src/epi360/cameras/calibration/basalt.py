@@ -13,6 +13,7 @@ from epi360.cameras.extended_unified import ExtendedUnified
 from epi360.cameras.kannala_brandt import KannalaBrandt
 from epi360.cameras.pinhole import Pinhole
 from epi360.cameras.unified import UnifiedCamera
+from epi360.poses import Pose
 
 # camera_type: our model and the names of its parameters after fx, fy, cx, cy.
 MODELS: dict[str, tuple[fields.Model, tuple[str, ...]]] = {
@@ -47,6 +48,26 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
         )
     cameras = {f"cam{i}": {"entry": entries[i], "size": sizes[i]} for i in range(len(entries))}
     return fields.each(cameras, _camera)
+
+
+def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
+    """Poses of the cameras on the IMU: T_imu_cam maps from the camera to the IMU."""
+    calibration = document["value0"]
+    fields.check_has(calibration, ["T_imu_cam"])
+    entries, count = calibration["T_imu_cam"], len(calibration["intrinsics"])
+    if not isinstance(entries, list) or len(entries) != count:
+        raise ValueError(
+            f"T_imu_cam must list the poses of {count} cameras, got {fields.shortened(entries)}"
+        )
+    imu_from_cam = fields.each({f"cam{i}": entries[i] for i in range(count)}, _imu_from_cam)
+    return {name: pose.inverse() for name, pose in imu_from_cam.items()}
+
+
+def _imu_from_cam(entry: Mapping[str, Any]) -> Pose:
+    names = ("qw", "qx", "qy", "qz", "px", "py", "pz")
+    fields.check_has(entry, names)
+    values = [fields.real_number(entry[name], name) for name in names]
+    return fields.pose_of_numbers(values[:4], values[4:], "the quaternion of T_imu_cam")
 
 
 def _camera(sized: Mapping[str, Any]) -> Camera:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""COLMAP's cameras.txt: one line a camera, principal points already in continuous pixels.
+"""COLMAP's camera models, and its cameras.txt: one line a camera.
 
-Models and the order of their parameters: https://colmap.github.io/cameras.html.
+Models and the order of their parameters: https://colmap.github.io/cameras.html. Principal points
+are in continuous pixels already.
 """
 
 from __future__ import annotations
 
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 from epi360.cameras.base import Camera, checked_size
@@ -17,24 +19,39 @@ from epi360.cameras.kannala_brandt import KannalaBrandt
 from epi360.cameras.pinhole import Pinhole
 from epi360.cameras.unified import UnifiedCamera
 
-PANORAMAS = ("EQUIRECTANGULAR", "SPHERICAL", "SPHERE")
-# Model: ours, its parameters that COLMAP leaves out, the number of coefficients that follow.
-ONE_FOCAL_LENGTH: dict[str, tuple[fields.Model, tuple[float, ...], int]] = {
-    "SIMPLE_PINHOLE": (Pinhole, (), 0),
-    "SIMPLE_RADIAL": (UnifiedCamera, (0.0,), 1),
-    "RADIAL": (UnifiedCamera, (0.0,), 2),
-    "SIMPLE_FISHEYE": (KannalaBrandt, (), 0),
-    "SIMPLE_RADIAL_FISHEYE": (KannalaBrandt, (), 1),
-    "RADIAL_FISHEYE": (KannalaBrandt, (), 2),
+
+@dataclass(frozen=True)
+class _Lens:
+    """A model with f or fx, fy, then cx, cy, then the first coefficients of ours."""
+
+    ours: fields.Model
+    num_focal_lengths: int
+    num_coefficients: int
+    left_out: tuple[float, ...] = ()  # what ours has between cy and the coefficients
+
+
+PANORAMA = "EQUIRECTANGULAR"
+FORKS_PANORAMAS = ("SPHERICAL", "SPHERE")
+LENSES = {  # the simplest first
+    "SIMPLE_PINHOLE": _Lens(Pinhole, 1, 0),
+    "PINHOLE": _Lens(Pinhole, 2, 0),
+    "SIMPLE_RADIAL": _Lens(UnifiedCamera, 1, 1, (0.0,)),
+    "RADIAL": _Lens(UnifiedCamera, 1, 2, (0.0,)),
+    "OPENCV": _Lens(UnifiedCamera, 2, 4, (0.0,)),
+    "SIMPLE_FISHEYE": _Lens(KannalaBrandt, 1, 0),
+    "FISHEYE": _Lens(KannalaBrandt, 2, 0),
+    "SIMPLE_RADIAL_FISHEYE": _Lens(KannalaBrandt, 1, 1),
+    "RADIAL_FISHEYE": _Lens(KannalaBrandt, 1, 2),
+    "OPENCV_FISHEYE": _Lens(KannalaBrandt, 2, 4),
+    "EUCM": _Lens(ExtendedUnified, 2, 2),
 }
-TWO_FOCAL_LENGTHS: dict[str, tuple[fields.Model, tuple[float, ...], int]] = {
-    "PINHOLE": (Pinhole, (), 0),
-    "OPENCV": (UnifiedCamera, (0.0,), 4),
-    "FISHEYE": (KannalaBrandt, (), 0),
-    "OPENCV_FISHEYE": (KannalaBrandt, (), 4),
-    "EUCM": (ExtendedUnified, (), 2),
-}
-SUPPORTED = ", ".join((*PANORAMAS, *ONE_FOCAL_LENGTH, *TWO_FOCAL_LENGTHS))
+SUPPORTED = ", ".join((PANORAMA, *FORKS_PANORAMAS, *LENSES))
+MODELS_BY_NUMBER = (  # what databases and binary models call them
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
+    "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
+    "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE",
+    "EUCM", "EQUIRECTANGULAR",
+)  # fmt: skip
 
 
 def fits(document: Any) -> bool:
@@ -53,32 +70,134 @@ def read(document: list[str]) -> dict[str, Camera]:
         name, model, *values = line.split()
         if name in cameras:
             raise ValueError(f"camera {name} is there twice")
+        width, height, *parameters = [fields.number(value) for value in values]
         try:
-            cameras[name] = _camera(model, [fields.number(value) for value in values])
+            cameras[name] = camera_of_model(model, width, height, parameters)
         except ValueError as error:
             raise ValueError(f"camera {name}: {error}") from None
     return cameras
 
 
-def _camera(model: str, values: list[Any]) -> Camera:
-    width, height = checked_size(values[0], "width"), checked_size(values[1], "height")
-    parameters = values[2:]
-    if model in PANORAMAS:
+def camera_of_model(model: str, width: Any, height: Any, parameters: list[Any]) -> Camera:
+    """Camera of one of COLMAP's models.
+
+    Parameters
+    ----------
+    model : str
+        COLMAP's name of it, or a fork's name of the panorama.
+    width, height : int
+        Size of the image in pixels.
+    parameters : list
+        In COLMAP's order.
+
+    Returns
+    -------
+    Camera
+
+    Raises
+    ------
+    ValueError
+        If there is no such camera here, or the numbers are not those of the model.
+    """
+    width, height = checked_size(width, "width"), checked_size(height, "height")
+    if model == PANORAMA or model in FORKS_PANORAMAS:
         return _panorama(model, width, height, parameters)
-    if model in ONE_FOCAL_LENGTH:
-        ours, left_out, count = ONE_FOCAL_LENGTH[model]
-        f, cx, cy, *rest = fields.numbers(parameters, 3 + count, f"{model} parameters")
-        return ours(width, height, f, f, cx, cy, *left_out, *rest)
-    if model in TWO_FOCAL_LENGTHS:
-        ours, left_out, count = TWO_FOCAL_LENGTHS[model]
-        fx, fy, cx, cy, *rest = fields.numbers(parameters, 4 + count, f"{model} parameters")
-        return ours(width, height, fx, fy, cx, cy, *left_out, *rest)
-    raise fields.unsupported(f"COLMAP model {fields.shortened(model)}", SUPPORTED)
+    fx, *rest = fields.numbers(parameters, num_parameters(model), f"{model} parameters")
+    lens = LENSES[model]
+    fy = rest.pop(0) if lens.num_focal_lengths == 2 else fx
+    cx, cy, *coefficients = rest
+    return lens.ours(width, height, fx, fy, cx, cy, *lens.left_out, *coefficients)
+
+
+def model_of_number(number: int) -> str:
+    """COLMAP's name of the model that its databases and binary files call by a number.
+
+    Parameters
+    ----------
+    number : int
+        Those that COLMAP does not have get a name that no model has.
+    """
+    known = 0 <= number < len(MODELS_BY_NUMBER)
+    return MODELS_BY_NUMBER[number] if known else f"number {number}"
+
+
+def num_parameters(model: str) -> int:
+    """Number of parameters of one of COLMAP's models.
+
+    Parameters
+    ----------
+    model : str
+        COLMAP's name of it.
+
+    Raises
+    ------
+    ValueError
+        If there is no such camera here.
+    """
+    if model == PANORAMA:
+        return 2
+    lens = LENSES.get(model)
+    if lens is None:
+        raise fields.unsupported(f"COLMAP model {fields.shortened(model)}", SUPPORTED)
+    return lens.num_focal_lengths + 2 + lens.num_coefficients
+
+
+def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
+    """Simplest of COLMAP's models that is this camera, and its parameters.
+
+    Parameters
+    ----------
+    camera : Camera
+        COLMAP has no place for ``max_angle_deg`` of a fisheye, which is left out.
+
+    Returns
+    -------
+    model : str
+    parameters : list of float
+        In COLMAP's order.
+
+    Raises
+    ------
+    ValueError
+        If COLMAP has no such model.
+    """
+    if camera == Equirectangular(camera.width, camera.height):
+        return PANORAMA, [float(camera.width), float(camera.height)]
+    plain = _plain(camera)
+    for model, lens in LENSES.items():
+        if lens.ours is not type(plain):
+            continue
+        _, _, fx, fy, cx, cy, *rest = astuple(plain)
+        coefficients = rest[len(lens.left_out) :][: lens.num_coefficients]
+        parameters = [*(fx, fy)[: lens.num_focal_lengths], cx, cy, *coefficients]
+        if camera_of_model(model, plain.width, plain.height, parameters) == plain:
+            return model, parameters
+    raise ValueError(
+        f"COLMAP has no model equal to {_what_it_lacks(camera)}; it has whole panoramas "
+        "(Equirectangular), Pinhole, UnifiedCamera with xi=0, KannalaBrandt and ExtendedUnified: "
+        "calibrate one of these, or resample the images to one"
+    )
+
+
+def _plain(camera: Camera) -> Camera:
+    """Camera of the simplest class that has the same rays."""
+    if isinstance(camera, KannalaBrandt):
+        return replace(camera, max_angle_deg=None)
+    if isinstance(camera, UnifiedCamera) and not any(astuple(camera)[6:]):
+        return Pinhole(*astuple(camera)[:6])
+    return camera
+
+
+def _what_it_lacks(camera: Camera) -> str:
+    name = type(camera).__name__
+    if isinstance(camera, Equirectangular):
+        return f"{name} of a part of the sphere or turned about it"
+    return f"{name} with xi={camera.xi:g}" if isinstance(camera, UnifiedCamera) else name
 
 
 def _panorama(model: str, width: int, height: int, parameters: list[Any]) -> Camera:
     """Camera of COLMAP 4.2 (w, h), or of forks that call it spherical (w, h or f, cx, cy)."""
-    if model != "EQUIRECTANGULAR" and len(parameters) == 3:
+    if model != PANORAMA and len(parameters) == 3:
         center = parameters[1:]
         if center != [width / 2, height / 2]:
             raise ValueError(

@@ -26,7 +26,7 @@ def read_document(path: Path) -> Any:
     if lines and COLMAP_LINE.match(lines[0]):
         return lines
     try:
-        return json.loads(text) if text.lstrip().startswith("{") else _yaml(text)
+        return json.loads(text) if text.lstrip().startswith(("{", "[")) else _yaml(text)
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"calibration file {path} must be YAML or JSON: {reason}") from None

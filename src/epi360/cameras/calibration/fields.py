@@ -8,9 +8,13 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from epi360.cameras.base import Camera
+from epi360.poses import Pose, pose_from_quaternion
 
 OPENCV_TO_CONTINUOUS = 0.5  # OpenCV, Kalibr and basalt put the centre of the first pixel at 0
+QUATERNION_TOLERANCE = 1e-3  # four digits in a file are enough
 
 SHORT = reprlib.Repr()
 SHORT.maxlevel, SHORT.maxstring, SHORT.maxother = 2, 60, 60
@@ -72,6 +76,15 @@ def number(value: Any) -> Any:
         return int(value) if value.isdecimal() else float(value)
     except ValueError:
         return value  # the camera names the parameter when it refuses this
+
+
+def pose_of_numbers(wxyz: list[float], translation: list[float], name: str) -> Pose:
+    """Pose of a unit quaternion of limited precision and a translation."""
+    quaternion = np.array(wxyz)
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1) < QUATERNION_TOLERANCE:
+        raise ValueError(f"{name} must have length 1, got {shortened(wxyz)} of length {length:.6g}")
+    return pose_from_quaternion(np.array(translation), quaternion / length)
 
 
 def in_file(path: Path, error: ValueError) -> ValueError:

@@ -103,6 +103,25 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
     return fields.each(_entries(document), _camera)
 
 
+def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
+    """Poses of the cameras in the frame of the first: along the chain, else by way of the IMU."""
+    cameras = fields.each(_entries(document), _camera_and_poses)
+    first, *others = cameras
+    first_on_imu = cameras[first][1]
+    found = {first: Pose(np.eye(3), np.zeros(3))}
+    before = found[first]
+    for name in others:
+        _, cam_from_imu, cam_from_before = cameras[name]
+        if cam_from_before is not None:
+            before = cam_from_before @ before
+        elif cam_from_imu is not None and first_on_imu is not None:
+            before = cam_from_imu @ first_on_imu.inverse()
+        else:
+            raise ValueError(f"camera {name} has neither T_cn_cnm1 nor a T_cam_imu like {first}")
+        found[name] = before
+    return found
+
+
 def _entries(document: Mapping[str, Any]) -> dict[str, Any]:
     if "camera_model" in document:
         return {"camera": document}

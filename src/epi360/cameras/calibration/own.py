@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Our own calibration files: YAML or JSON with the class names and parameters of the models."""
+"""Our own calibration files: YAML or JSON with the class names and parameters of the models.
+
+A camera of a rig has ``cam_from_rig`` as well.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from epi360.cameras.base import Camera
 from epi360.cameras.calibration import fields
@@ -15,6 +20,7 @@ from epi360.cameras.extended_unified import ExtendedUnified
 from epi360.cameras.kannala_brandt import KannalaBrandt
 from epi360.cameras.pinhole import Pinhole
 from epi360.cameras.unified import UnifiedCamera
+from epi360.poses import Pose
 
 MODELS: dict[str, type[Camera]] = {
     model.__name__: model
@@ -27,6 +33,8 @@ MODELS: dict[str, type[Camera]] = {
         DoubleSphere,
     )
 }
+
+POSE_KEYS = ({"rotation", "translation"}, {"quaternion_wxyz", "translation"})
 
 
 def fits(document: Any) -> bool:
@@ -44,15 +52,49 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
     return fields.each(document["cameras"], _camera)
 
 
+def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
+    """Poses on the rig, of which the first camera may be the frame."""
+    entries = document["cameras"] if "cameras" in document else {"camera": document}
+    if not any("cam_from_rig" in entry for entry in entries.values()):
+        raise ValueError("no camera has a cam_from_rig: the file does not say where they sit")
+    first = str(next(iter(entries)))
+    cam_from_rig = fields.each(entries, _cam_from_rig)
+    missing = [name for name, pose in cam_from_rig.items() if pose is None and name != first]
+    if missing:
+        raise ValueError(f"cameras without cam_from_rig: {', '.join(missing)}")
+    return {name: pose or Pose(np.eye(3), np.zeros(3)) for name, pose in cam_from_rig.items()}
+
+
+def _cam_from_rig(entry: Mapping[str, Any]) -> Pose | None:
+    if "cam_from_rig" not in entry:
+        return None
+    pose = entry["cam_from_rig"]
+    if not isinstance(pose, Mapping) or set(pose) not in POSE_KEYS:
+        raise ValueError(
+            "cam_from_rig must have translation and rotation, or translation and quaternion_wxyz, "
+            f"got {fields.shortened(pose)}"
+        )
+    translation = fields.real_numbers(pose["translation"], 3, "translation")
+    if "quaternion_wxyz" in pose:
+        wxyz = fields.real_numbers(pose["quaternion_wxyz"], 4, "quaternion_wxyz")
+        return fields.pose_of_numbers(wxyz, translation, "quaternion_wxyz")
+    rows = pose["rotation"]
+    if not isinstance(rows, list) or len(rows) != 3:
+        raise ValueError(f"rotation must be 3 rows of 3 numbers, got {fields.shortened(rows)}")
+    matrix = [fields.real_numbers(row, 3, "a row of rotation") for row in rows]
+    return Pose(np.array(matrix), np.array(translation))
+
+
 def _camera(entry: Mapping[str, Any]) -> Camera:
     name = entry.get("model")
     if not isinstance(name, str) or name not in MODELS:
         raise fields.unsupported(f"model {fields.shortened(name)}", ", ".join(MODELS))
     parameters = {field.name: field for field in dataclasses.fields(MODELS[name])}
-    unknown = [str(key) for key in entry if key != "model" and key not in parameters]
+    ours = {key: value for key, value in entry.items() if key not in ("model", "cam_from_rig")}
+    unknown = [str(key) for key in ours if key not in parameters]
     if unknown:
         known = ", ".join(parameters)
         raise ValueError(f"unknown keys for {name}: {', '.join(unknown)}; it has {known}")
     needed = [key for key, field in parameters.items() if field.default is dataclasses.MISSING]
     fields.check_has(entry, needed)
-    return MODELS[name](**{key: fields.number(entry[key]) for key in entry if key != "model"})
+    return MODELS[name](**{key: fields.number(value) for key, value in ours.items()})

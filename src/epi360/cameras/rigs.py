@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rigs: cameras that are fixed to each other, and the calibration files that say where they sit."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epi360.cameras.base import Camera
+from epi360.cameras.calibration import basalt, colmap_rig, fields, kalibr, own
+from epi360.cameras.calibration.document import read_document
+from epi360.poses import Pose
+
+# What each format says about the cameras, and their poses in one frame, whichever.
+Format = tuple[
+    Callable[[Any], bool], Callable[[Any], dict[str, Camera]], Callable[[Any], dict[str, Pose]]
+]
+FORMATS: tuple[Format, ...] = tuple(
+    (module.fits, module.read, module.poses) for module in (own, kalibr, basalt, colmap_rig)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras that are fixed to each other.
+
+    Attributes
+    ----------
+    cameras : mapping of str to Camera
+        By name, in the order of the file.
+    cam_from_rig : mapping of str to Pose
+        Of the same names. The frame of the rig is that of its first camera, whose pose is the
+        identity; translations in the unit of the file, as a rule metres.
+
+    Raises
+    ------
+    ValueError
+        If the names differ, or a pose is NaN.
+    """
+
+    cameras: Mapping[str, Camera]
+    cam_from_rig: Mapping[str, Pose]
+
+    def __post_init__(self) -> None:
+        """Check that every camera has a pose."""
+        if self.cameras.keys() != self.cam_from_rig.keys():
+            raise ValueError(
+                f"cam_from_rig must have the cameras {', '.join(self.cameras)}, "
+                f"got {', '.join(self.cam_from_rig) or 'none'}"
+            )
+        for name, pose in self.cam_from_rig.items():
+            if not np.isfinite(pose.matrix()).all():
+                raise ValueError(f"camera {name}: the pose on the rig must be finite")
+
+
+def load_rig(path: str | os.PathLike[str]) -> Rig:
+    """Read the cameras of a calibration file and where they sit on their rig.
+
+    Parameters
+    ----------
+    path : path-like
+        One of
+
+        - our own YAML or JSON with several cameras, each but the first with
+          ``cam_from_rig: {rotation: 3 rows, translation: [x, y, z]}`` or ``quaternion_wxyz``
+          instead of the rotation;
+        - a Kalibr camchain: ``T_cn_cnm1``, or ``T_cam_imu`` where a camera has no such;
+        - a calibration of basalt: ``T_imu_cam``;
+        - COLMAP's ``rig_config.json`` of one rig, with ``camera_model_name`` and ``camera_params``,
+          and the ``width`` and ``height`` that COLMAP takes from its database.
+
+    Returns
+    -------
+    Rig
+        Called as in `load_cameras`.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file cannot be read as one of the formats, says nothing about where a camera sits,
+        or uses a model that is not supported.
+    """
+    path = Path(path)
+    document = read_document(path)
+    for fits, read, poses in FORMATS:
+        if fits(document):
+            try:
+                return _rig(read(document), poses(document))
+            except ValueError as error:
+                raise fields.in_file(path, error) from None
+    raise ValueError(
+        f"calibration file {path} does not say where cameras sit on a rig; load_rig reads our own "
+        "files with cam_from_rig, Kalibr camchains, basalt's JSON and COLMAP's rig_config.json"
+    )
+
+
+def _rig(cameras: dict[str, Camera], cam_from_body: dict[str, Pose]) -> Rig:
+    """Rig with the first camera as its frame, from poses in any one frame."""
+    first, *others = cameras
+    body_from_first = cam_from_body[first].inverse()
+    cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # exactly
+    cam_from_rig |= {name: cam_from_body[name] @ body_from_first for name in others}
+    return Rig(cameras, cam_from_rig)
