@@ -4,10 +4,12 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <optional>
+#include <variant>
 #include <vector>
 
 #include "core/eight_point.h"
@@ -140,7 +142,7 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
 
 // status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
 // coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
-// spread_of_matches, translation_basis: in the order of _PairResult in _core.pyi.
+// spread_of_matches, translation_basis, seconds: in the order of _PairResult in _core.pyi.
 nb::tuple pair_tuple(PairResult&& pair) {
   RobustResult& r = pair.robust;
   const std::size_t n = r.inlier.size();
@@ -148,12 +150,12 @@ nb::tuple pair_tuple(PairResult&& pair) {
   for (const RelativePose& pose : r.alternatives) {
     alternatives.append(nb::make_tuple(matrix(pose.R), vector(pose.t)));
   }
-  return nb::make_tuple(static_cast<int>(r.status), matrix(r.pose.R), vector(r.pose.t), r.scale,
-                        r.threshold, array_of(std::move(r.inlier), {n}),
-                        array_of(std::move(r.residuals), {n}), r.num_iterations, r.parallax,
-                        r.coverage, r.match_coverage, matrix(r.covariance), alternatives,
-                        pair.num_usable, pair.support.num_distinct, pair.support.spread,
-                        pair.support.spread_of_matches, matrix(tangent_basis(r.pose.t)));
+  return nb::make_tuple(
+      static_cast<int>(r.status), matrix(r.pose.R), vector(r.pose.t), r.scale, r.threshold,
+      array_of(std::move(r.inlier), {n}), array_of(std::move(r.residuals), {n}), r.num_iterations,
+      r.parallax, r.coverage, r.match_coverage, matrix(r.covariance), alternatives, pair.num_usable,
+      pair.support.num_distinct, pair.support.spread, pair.support.spread_of_matches,
+      matrix(tangent_basis(r.pose.t)), pair.seconds);
 }
 
 // One view's arrays of each pair; those that nobody gave are empty lists.
@@ -163,6 +165,16 @@ struct PairArrays {
   std::vector<Jacobians> jacobians1, jacobians2;
   std::vector<Vector3> gravity1, gravity2;
 };
+
+// One for all pairs, or one for each.
+using Seeds = std::variant<std::uint64_t, std::vector<std::uint64_t>>;
+
+std::uint64_t seed_of(const Seeds& seeds, std::size_t i, std::size_t n) {
+  if (const auto* one = std::get_if<std::uint64_t>(&seeds)) return *one;
+  const auto& each = std::get<std::vector<std::uint64_t>>(seeds);
+  if (each.size() != n) throw nb::value_error("there must be one seed for each pair");
+  return each[i];
+}
 
 template <typename T>
 const double* pointer(const std::vector<T>& arrays, std::size_t i, std::size_t n,
@@ -174,7 +186,7 @@ const double* pointer(const std::vector<T>& arrays, std::size_t i, std::size_t n
   return arrays[i].data();
 }
 
-std::vector<RawPair> raw_pairs(const PairArrays& a) {
+std::vector<RawPair> raw_pairs(const PairArrays& a, const Seeds& seeds) {
   std::vector<RawPair> pairs(a.bearings1.size());
   const std::size_t n = pairs.size();
   for (std::size_t i = 0; i < n; ++i) {
@@ -189,6 +201,7 @@ std::vector<RawPair> raw_pairs(const PairArrays& a) {
     pairs[i].jacobians2 = pointer(a.jacobians2, i, n, length);
     pairs[i].gravity1 = pointer(a.gravity1, i, n, 0);
     pairs[i].gravity2 = pointer(a.gravity2, i, n, 0);
+    pairs[i].seed = seed_of(seeds, i, n);
   }
   return pairs;
 }
@@ -197,7 +210,7 @@ std::vector<RawPair> raw_pairs(const PairArrays& a) {
 nb::object estimate_binding(std::vector<Bearings> bearings1, std::vector<Bearings> bearings2,
                             const std::string& residual, double threshold, bool threshold_in_pixels,
                             int sample_size, int min_iterations, int max_iterations,
-                            double confidence, std::uint64_t seed, int num_threads,
+                            double confidence, const Seeds& seed, int num_threads,
                             std::vector<Weights> weights, std::vector<Weights> scores,
                             std::vector<Jacobians> jacobians1, std::vector<Jacobians> jacobians2,
                             std::vector<Vector3> gravity1, std::vector<Vector3> gravity2) {
@@ -209,11 +222,10 @@ nb::object estimate_binding(std::vector<Bearings> bearings1, std::vector<Bearing
   options.min_iterations = min_iterations;
   options.max_iterations = max_iterations;
   options.confidence = confidence;
-  options.seed = seed;
   const PairArrays arrays{std::move(bearings1), std::move(bearings2),  std::move(weights),
                           std::move(scores),    std::move(jacobians1), std::move(jacobians2),
                           std::move(gravity1),  std::move(gravity2)};
-  const std::vector<RawPair> pairs = raw_pairs(arrays);
+  const std::vector<RawPair> pairs = raw_pairs(arrays, seed);
   if (options.residual == Residual::kTangentSampson && arrays.jacobians1.empty() &&
       !pairs.empty()) {
     throw nb::value_error("tangent_sampson needs the Jacobians of both views");

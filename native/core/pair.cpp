@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cmath>
 #include <exception>
 #include <mutex>
@@ -11,6 +12,8 @@
 
 namespace epi360 {
 namespace {
+
+using Clock = std::chrono::steady_clock;
 
 constexpr double kWidest = 0.7853981633974483;  // radians: the widest gate
 
@@ -142,6 +145,7 @@ PairResult estimate_pair(const RawPair& raw, const RobustOptions& options) {
   if (!pack(raw, packed, out)) return out;
   out.num_usable = packed.rows.size();
   RobustOptions scaled = options;
+  scaled.seed = raw.seed;
   const double unit = packed.rows.empty() ? 1.0 : normalise(packed);
   if (options.threshold_in_pixels) scaled.threshold = std::min(unit * options.threshold, kWidest);
   const Matches m =
@@ -181,7 +185,9 @@ std::vector<PairResult> estimate_pairs(const std::vector<RawPair>& pairs,
   const auto work = [&] {
     try {
       for (std::size_t i = next++; i < pairs.size(); i = next++) {
+        const auto start = Clock::now();
         results[i] = estimate_pair(pairs[i], options);
+        results[i].seconds = std::chrono::duration<double>(Clock::now() - start).count();
       }
     } catch (...) {  // out of memory: the caller hears of it once all threads have stopped
       const std::lock_guard<std::mutex> lock(mutex);

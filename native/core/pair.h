@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <vector>
 
 #include "robust.h"
@@ -21,6 +22,7 @@ struct RawPair {
   const double* jacobians2 = nullptr;
   const double* gravity1 = nullptr;
   const double* gravity2 = nullptr;
+  std::uint64_t seed = 0;  // of the sampling, instead of the options'
 };
 
 // How many matches agree, and from how much of the sphere: one minus the length of the mean
@@ -34,6 +36,7 @@ struct PairResult {
   RobustResult robust;  // inlier and residuals have one entry per row
   Support support;
   std::size_t num_usable = 0;
+  double seconds = 0.0;  // wall time of the estimate, on one thread
   // A row of view 1 or 2 that is infinite or of zero length: then there is no result.
   int bad_view = 0;
   std::size_t bad_row = 0;

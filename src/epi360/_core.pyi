@@ -8,7 +8,7 @@ _Array = NDArray[np.float64]
 
 # status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
 # coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
-# spread_of_matches, translation_basis
+# spread_of_matches, translation_basis, seconds
 _PairResult = tuple[
     int,
     _Array,
@@ -28,6 +28,7 @@ _PairResult = tuple[
     float,
     float,
     _Array,
+    float,
 ]
 
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
@@ -69,7 +70,7 @@ def estimate_relative_poses(
     min_iterations: int,
     max_iterations: int,
     confidence: float,
-    seed: int,
+    seed: int | list[int],  # one for all pairs, or one for each
     num_threads: int,
     weights: list[_Array],
     scores: list[_Array],

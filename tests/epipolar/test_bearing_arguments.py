@@ -4,6 +4,7 @@ import pytest
 from exact_matches import exact_matches
 
 from epi360.epipolar import (
+    EightPointSolution,
     angular_residuals,
     cheirality_mask,
     eight_point,
@@ -15,6 +16,7 @@ from epi360.epipolar import (
     tangent_sampson_residuals,
     triangulate,
 )
+from epi360.poses import Pose
 
 B1, B2, POSE, _ = exact_matches(0, 12)
 E = essential_from_pose(POSE)
@@ -53,16 +55,45 @@ def test_every_function_refuses_bad_bearings_and_names_them(name, b1, b2, messag
         FUNCTIONS[name](b1, b2)
 
 
+def arrays_of(answer):
+    """Arrays of an answer: one row a match, but for an essential matrix or a pose."""
+    if isinstance(answer, Pose):
+        return [answer.matrix()]
+    if isinstance(answer, EightPointSolution):
+        return [answer.E]
+    return list(answer) if isinstance(answer, tuple) else [answer]
+
+
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_every_function_takes_missing_rows_lists_and_single_precision(name):
-    b1 = with_row(B1, 5, np.nan)
-    FUNCTIONS[name](b1, B2)
-    FUNCTIONS[name](b1.tolist(), B2.astype(np.float32))
+def test_a_missing_row_is_nan_or_false_and_changes_nothing_else(name):
+    present = np.arange(len(B1)) != 5
+    answers = arrays_of(FUNCTIONS[name](with_row(B1, 5, np.nan), B2))
+    without_row = arrays_of(FUNCTIONS[name](B1[present], B2[present]))
+    for answer, expected in zip(answers, without_row, strict=True):
+        if len(answer) == len(B1):
+            missing, answer = answer[5], answer[present]
+            assert not missing if answer.dtype == bool else np.isnan(missing).all()
+        np.testing.assert_allclose(answer, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_lists_and_single_precision_give_the_same_answer(name):
+    rounded1, rounded2 = B1.astype(np.float32), B2.astype(np.float32)
+    answers = arrays_of(FUNCTIONS[name](rounded1.tolist(), rounded2))
+    doubles = arrays_of(FUNCTIONS[name](rounded1.astype(float), rounded2.astype(float)))
+    for answer, expected in zip(answers, doubles, strict=True):
+        np.testing.assert_array_equal(answer, expected)
 
 
 @pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - {"eight_point"}))
-def test_no_matches_at_all_are_no_error(name):
-    FUNCTIONS[name](np.empty((0, 3)), np.empty((0, 3)))
+def test_no_matches_at_all_give_no_rows_or_a_pose_of_the_matrix(name):
+    answer = FUNCTIONS[name](np.empty((0, 3)), np.empty((0, 3)))
+    if isinstance(answer, Pose):
+        np.testing.assert_allclose(abs(np.sum(essential_from_pose(answer) * E)), 2, atol=1e-12)
+        return
+    full = arrays_of(FUNCTIONS[name](B1, B2))
+    for array, with_rows in zip(arrays_of(answer), full, strict=True):
+        assert array.shape == (0, *with_rows.shape[1:])
 
 
 @pytest.mark.parametrize("length", [1e-300, 1e-12, 1e12, 1e300])

@@ -10,6 +10,7 @@ import pytest
 from noisy_problems import noisy_scene
 
 from epi360 import RansacOptions, estimate_relative_pose, estimate_relative_poses
+from epi360.estimation.robust import estimate_timed_poses
 
 SIZES = [200, 0, 37, 4, 900, 80, 8, 120]  # more than the search looks at, too few, none
 
@@ -219,3 +220,37 @@ def test_other_python_threads_run_during_a_long_call():
     during = [step for step in steps if start < step < stop]
     assert stop - start > 0.05
     assert len(during) > 10  # of some hundred: a call that holds the lock leaves one or two
+
+
+def test_each_pair_may_have_its_own_seed():
+    seeds = [2**64 - 1, 0, 3, 4, 5, 6, -7, 8]
+    alone = [
+        estimate_relative_pose(b1, b2, seed=seed)
+        for (b1, b2), seed in zip(PAIRS, seeds, strict=True)
+    ]
+    assert_same_bits(estimate_relative_poses(PAIRS, seed=seeds, num_threads=3), alone)
+    joined = estimate_relative_poses(*JOINED, offsets=OFFSETS, seed=np.array(seeds, dtype=object))
+    assert_same_bits(joined, alone)
+    shifted = estimate_relative_poses(PAIRS, seed=[seed + 1 for seed in seeds])
+    assert any(
+        a.num_iterations != b.num_iterations or (a.residuals_rad != b.residuals_rad).any()
+        for a, b in zip(shifted, alone, strict=True)
+    )
+
+
+@pytest.mark.parametrize("seed", [[1, 2], [], [0.5] * 8, 0.5])
+def test_seeds_are_one_or_one_for_each_pair(seed):
+    with pytest.raises((TypeError, ValueError), match="one for each of 8 pairs|integer"):
+        estimate_relative_poses(PAIRS, seed=seed)
+
+
+def test_the_time_of_each_pair_comes_with_the_same_results():
+    bearings1, bearings2 = zip(*PAIRS, strict=True)
+    seeds = list(range(8))
+    results, seconds = estimate_timed_poses(
+        bearings1, bearings2, num_threads=2, options=RansacOptions(), seeds=seeds
+    )
+    assert_same_bits(results, estimate_relative_poses(PAIRS, seed=seeds))
+    assert len(seconds) == 8
+    assert all(0.0 <= each < 10.0 for each in seconds)
+    assert seconds[4] > seconds[1]  # 900 matches, none

@@ -10,15 +10,14 @@ from operator import index
 from typing import Literal, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from epi360 import _core
-from epi360.epipolar.arguments import direction_array, jacobians_array, weights_array
 from epi360.epipolar.residuals import RESIDUALS
+from epi360.estimation.pair_arrays import PairArrays, cut_pairs, listed_pairs, values_per_pair
 from epi360.estimation.result import RelativePoseResult
 from epi360.estimation.verdict import Found, result_of
 
-Array = NDArray[np.float64]
 Threshold = float | Literal["auto"]
 
 
@@ -138,13 +137,13 @@ def estimate_relative_pose(
     as well, whether chance would, whether another pose does, and whether the inliers are one patch
     among matches from everywhere.
     """
-    arrays = _Arrays()
+    arrays = PairArrays()
     arrays.append(
         bearings1, bearings2, weights, match_scores, jacobians1, jacobians2, gravity1, gravity2
     )
-    return _estimate(arrays, inlier_threshold_deg, inlier_threshold_px, residual, options, seed, 1)[
-        0
-    ]
+    threshold = inlier_threshold_deg, inlier_threshold_px
+    (found,) = _estimate(arrays, *threshold, residual, options, index(seed), 1)
+    return result_of(found, residual, options.min_num_inliers)
 
 
 def estimate_relative_poses(
@@ -158,7 +157,7 @@ def estimate_relative_poses(
     match_scores: Sequence[ArrayLike] | ArrayLike | None = None,
     weights: Sequence[ArrayLike] | ArrayLike | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
 ) -> list[RelativePoseResult]:
     """Relative poses of many pairs of views, on native threads.
 
@@ -181,8 +180,9 @@ def estimate_relative_poses(
         One array for each pair; with `offsets` one array for all.
     options : RansacOptions
         How the sampling runs.
-    seed : int
-        Each pair's result is that of `estimate_relative_pose` with this seed.
+    seed : int or sequence of int
+        Each pair's result is that of `estimate_relative_pose` with this seed; one for all pairs, or
+        one for each.
 
     Returns
     -------
@@ -193,22 +193,24 @@ def estimate_relative_poses(
     ------
     ValueError
         If an array has a wrong shape, an infinite or a zero bearing (the message names the pair),
-        or an option is unknown.
+        an option is unknown, or there is not one seed for each pair.
     """
     if residual == "tangent_sampson":
         raise ValueError(
             "residual must be sampson, angular or paper, got 'tangent_sampson'; its Jacobians go "
             "with estimate_relative_pose"
         )
-    arrays = _Arrays()
+    arrays = PairArrays()
     if offsets is None:
         if bearings2 is not None:
             raise ValueError("bearings2 needs offsets; without them give pairs of arrays")
-        pairs = _listed(bearings1)
-        scores_of = _per_pair(match_scores, len(pairs), "match_scores")
-        weights_of = _per_pair(weights, len(pairs), "weights")
+        pairs = listed_pairs(bearings1)
+        scores_of = values_per_pair(match_scores, len(pairs), "match_scores")
+        weights_of = values_per_pair(weights, len(pairs), "weights")
     else:
-        pairs, scores_of, weights_of = _cut(bearings1, bearings2, offsets, match_scores, weights)
+        pairs, scores_of, weights_of = cut_pairs(
+            bearings1, bearings2, offsets, match_scores, weights
+        )
     for k, pair in enumerate(pairs):
         try:
             b1, b2 = pair
@@ -216,7 +218,50 @@ def estimate_relative_poses(
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
     threads = _num_threads(num_threads)
-    return _estimate(arrays, inlier_threshold_deg, None, residual, options, seed, threads)
+    found = _estimate(arrays, inlier_threshold_deg, None, residual, options, seed, threads)
+    return [result_of(each, residual, options.min_num_inliers) for each in found]
+
+
+def estimate_timed_poses(
+    bearings1: Sequence[ArrayLike],
+    bearings2: Sequence[ArrayLike],
+    *,
+    num_threads: int | None,
+    options: RansacOptions,
+    seeds: Sequence[int],
+) -> tuple[list[RelativePoseResult], list[float]]:
+    """Relative poses of many pairs, and the time that each of them took.
+
+    Parameters
+    ----------
+    bearings1, bearings2 : sequence of array_like, shape (M, 3)
+        One array for each pair.
+    num_threads : int, optional
+        By default one per core; the results do not depend on it.
+    options : RansacOptions
+        How the sampling runs.
+    seeds : sequence of int
+        One for each pair.
+
+    Returns
+    -------
+    results : list of RelativePoseResult
+        Those of `estimate_relative_poses`.
+    seconds : list of float
+        Wall time of each estimate on its thread.
+
+    Raises
+    ------
+    ValueError
+        As `estimate_relative_poses`.
+    """
+    arrays = PairArrays()
+    for b1, b2 in zip(bearings1, bearings2, strict=True):
+        arrays.append(b1, b2)
+    threads = _num_threads(num_threads)
+    found = _estimate(arrays, "auto", None, "sampson", options, seeds, threads)
+    results = [result_of(each, "sampson", options.min_num_inliers) for each in found]
+    return results, [each.seconds for each in found]
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:
@@ -245,61 +290,15 @@ def check_threshold(inlier_threshold_deg: float | str) -> float:
     return float(np.radians(degrees))
 
 
-class _Arrays:
-    """Arrays of all pairs as the native core takes them; what nobody gave stays empty."""
-
-    def __init__(self) -> None:
-        self.bearings1: list[Array] = []
-        self.bearings2: list[Array] = []
-        self.weights: list[Array] = []
-        self.scores: list[Array] = []
-        self.jacobians1: list[Array] = []
-        self.jacobians2: list[Array] = []
-        self.gravity1: list[Array] = []
-        self.gravity2: list[Array] = []
-
-    def append(
-        self,
-        bearings1: ArrayLike,
-        bearings2: ArrayLike,
-        weights: ArrayLike | None = None,
-        scores: ArrayLike | None = None,
-        jacobians1: ArrayLike | None = None,
-        jacobians2: ArrayLike | None = None,
-        gravity1: ArrayLike | None = None,
-        gravity2: ArrayLike | None = None,
-    ) -> None:
-        b1 = _rows(bearings1, "bearings1")
-        b2 = _rows(bearings2, "bearings2")
-        if len(b1) != len(b2):
-            raise ValueError(
-                f"bearings1 and bearings2 must have the same length, got {len(b1)} and {len(b2)}"
-            )
-        if (gravity1 is None) != (gravity2 is None):
-            raise ValueError("gravity1 and gravity2 must be given together, got only one")
-        self.bearings1.append(b1)
-        self.bearings2.append(b2)
-        for kept, given in (
-            (self.weights, weights_array(weights, len(b1))),
-            (self.scores, _scores(scores, len(b1))),
-            (self.jacobians1, jacobians_array(jacobians1, len(b1), "jacobians1")),
-            (self.jacobians2, jacobians_array(jacobians2, len(b1), "jacobians2")),
-            (self.gravity1, None if gravity1 is None else direction_array(gravity1, "gravity1")),
-            (self.gravity2, None if gravity2 is None else direction_array(gravity2, "gravity2")),
-        ):
-            if given is not None:
-                kept.append(given)
-
-
 def _estimate(
-    arrays: _Arrays,
+    arrays: PairArrays,
     inlier_threshold_deg: Threshold,
     inlier_threshold_px: float | None,
     residual: str,
     options: RansacOptions,
-    seed: int,
+    seed: int | Sequence[int],
     num_threads: int,
-) -> list[RelativePoseResult]:
+) -> list[Found]:
     if residual not in RESIDUALS or residual == "solarte2021":
         names = ", ".join(name for name in RESIDUALS if name != "solarte2021")
         raise ValueError(f"residual must be one of {names}, got {residual!r}")
@@ -319,7 +318,7 @@ def _estimate(
         min_iterations=options.min_iterations,
         max_iterations=options.max_iterations,
         confidence=options.confidence,
-        seed=index(seed) % 2**64,
+        seed=_native_seed(seed, len(arrays.bearings1)),
         num_threads=num_threads,
         weights=arrays.weights,
         scores=arrays.scores,
@@ -330,7 +329,7 @@ def _estimate(
     )
     if isinstance(answers, tuple):
         _raise_bad_row(*answers, num_pairs=len(arrays.bearings1))
-    return [result_of(Found(*answer), residual, options.min_num_inliers) for answer in answers]
+    return [Found(*answer) for answer in answers]
 
 
 def _raise_bad_row(pair: int, view: int, row: int, infinite: bool, *, num_pairs: int) -> NoReturn:
@@ -340,22 +339,6 @@ def _raise_bad_row(pair: int, view: int, row: int, infinite: bool, *, num_pairs:
     raise ValueError(
         f"{where}bearings{view} must {must} (NaN marks a missing row), row {row} is {what}"
     )
-
-
-def _rows(bearings: ArrayLike, name: str) -> Array:
-    array = np.ascontiguousarray(bearings, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
-    return array
-
-
-def _scores(scores: ArrayLike | None, num_matches: int) -> Array | None:
-    if scores is None:
-        return None
-    array = np.asarray(scores, dtype=np.float64, order="C")
-    if array.shape != (num_matches,):
-        raise ValueError(f"match_scores must have shape ({num_matches},), got {array.shape}")
-    return array
 
 
 def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> float:
@@ -374,6 +357,14 @@ def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> f
     return threshold
 
 
+def _native_seed(seed: int | Sequence[int], num_pairs: int) -> int | list[int]:
+    if not isinstance(seed, Sequence | np.ndarray):
+        return index(seed) % 2**64
+    if len(seed) != num_pairs:
+        raise ValueError(f"seed must be one for each of {num_pairs} pairs, got {len(seed)}")
+    return [index(each) % 2**64 for each in seed]
+
+
 def _num_threads(num_threads: int | None) -> int:
     if num_threads is None:
         return (
@@ -384,56 +375,3 @@ def _num_threads(num_threads: int | None) -> int:
     if not isinstance(num_threads, (int, np.integer)) or num_threads < 1:
         raise ValueError(f"num_threads must be a positive integer, got {num_threads!r}")
     return int(num_threads)
-
-
-def _listed(pairs: object) -> list[tuple[ArrayLike, ArrayLike]]:
-    if not isinstance(pairs, Iterable):
-        raise ValueError(f"pairs must be a sequence of (bearings1, bearings2), got {pairs!r}")
-    return list(pairs)
-
-
-def _per_pair(
-    values: Sequence[ArrayLike] | ArrayLike | None, num_pairs: int, name: str
-) -> list[ArrayLike | None]:
-    if values is None:
-        return [None] * num_pairs
-    listed: list[ArrayLike | None] = list(values)  # type: ignore[arg-type]
-    if len(listed) != num_pairs:
-        raise ValueError(
-            f"{name} must have one array for each of {num_pairs} pairs, got {len(listed)}"
-        )
-    for k, array in enumerate(listed):
-        if array is None:
-            raise ValueError(f"{name} must have an array for every pair or none, pair {k} has none")
-    return listed
-
-
-def _cut(
-    bearings1: object,
-    bearings2: ArrayLike | None,
-    offsets: ArrayLike,
-    scores: object,
-    weights: object,
-) -> tuple[list[tuple[ArrayLike, ArrayLike]], list[ArrayLike | None], list[ArrayLike | None]]:
-    """Pairs, scores and weights out of concatenated arrays."""
-    if bearings2 is None:
-        raise ValueError("offsets need bearings1 and bearings2 as two arrays of shape (N, 3)")
-    b1, b2 = _rows(bearings1, "bearings1"), _rows(bearings2, "bearings2")  # type: ignore[arg-type]
-    cuts = np.asarray(offsets)
-    if cuts.ndim != 1 or not len(cuts) or not np.issubdtype(cuts.dtype, np.integer):
-        raise ValueError(
-            f"offsets must be integers of shape (P + 1,), got {cuts.dtype} {cuts.shape}"
-        )
-    if cuts[0] != 0 or cuts[-1] != len(b1) or (np.diff(cuts) < 0).any() or len(b2) != len(b1):
-        raise ValueError(
-            "offsets must rise from 0 to the length of bearings1 and bearings2, got "
-            f"{cuts[0]} to {cuts[-1]} for {len(b1)} and {len(b2)} rows"
-        )
-    all_scores = _scores(scores, len(b1))  # type: ignore[arg-type]
-    all_weights = weights_array(weights, len(b1))  # type: ignore[arg-type]
-    parts = [slice(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-    return (
-        [(b1[part], b2[part]) for part in parts],
-        [None if all_scores is None else all_scores[part] for part in parts],
-        [None if all_weights is None else all_weights[part] for part in parts],
-    )

@@ -38,7 +38,7 @@ _NOISE_PER_RESIDUAL = {
 
 
 class Found(NamedTuple):
-    """One pair's answer of ``_core.estimate_relative_poses``; angles in radians."""
+    """One pair's answer of ``_core.estimate_relative_poses``; angles in radians, wall seconds."""
 
     status: int
     rotation: Array
@@ -58,6 +58,7 @@ class Found(NamedTuple):
     spread: float
     spread_of_matches: float
     translation_basis: Array
+    seconds: float
 
 
 def result_of(found: Found, residual: str, min_num_inliers: int) -> RelativePoseResult:
