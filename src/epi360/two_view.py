@@ -29,6 +29,7 @@ from epi360.features import (
 )
 from epi360.features.detection import (
     CONTRAST_THRESHOLD,
+    FAINT_CONTRAST_THRESHOLD,
     SMALLEST_WIDTH,
     camera_of,
     check_options,
@@ -38,13 +39,12 @@ from epi360.features.detection import (
 _DOUBTFUL_NOISE_PX = 1.5
 # Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
 # costs nothing, and real matches have near misses that a few more samples see through.
-_IMAGE_OPTIONS = RansacOptions(min_num_inliers=15, min_iterations=50, confidence=0.9999)
+IMAGE_OPTIONS = RansacOptions(min_num_inliers=15, min_iterations=50, confidence=0.9999)
 # Of the 55 pairs of a real sequence 2688 pixels wide, a first look at this width settles most, in a
 # third of the time and with the same errors.
 _FIRST_LOOK_WIDTH = 1920
-# Of 17 wide real pairs indoors, 14 succeed at the usual threshold and all with this one, which
-# finds half as many features again.
-_FAINT_CONTRAST_THRESHOLD = 0.013
+# After these, a closer look at the full size would not change the verdict.
+SETTLED = ("ok", "pure_rotation")
 _PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.1, 0.3  # one sigma, over all components
 
 
@@ -115,13 +115,23 @@ def relative_pose_of_images(
             features1, features2 = pool.map(lambda view, s=search: view.features(s), views)
         say("matching features and estimating the pose")
         result = _estimated(views, features1, features2, inlier_threshold_deg, seed)
-        contradicted = result.status in ("pure_rotation", "planar_ambiguous")
-        if best is None or result.success or contradicted or not best.success:
+        if best is None or replaces(result.status, best.status):
             best = result
-        if _is_precise(best) or (search.is_full and best.status in ("ok", "pure_rotation")):
+        if _is_precise(best) or (search.is_full and best.status in SETTLED):
             break
     assert best is not None
     return best
+
+
+def replaces(status: str, earlier: str) -> bool:
+    """Whether the answer of a closer look is taken instead of the earlier one.
+
+    Parameters
+    ----------
+    status, earlier : str
+        Of the results: a pose is given up only for another, or for a verdict that contradicts it.
+    """
+    return status in ("ok", "pure_rotation", "planar_ambiguous") or earlier != "ok"
 
 
 @dataclass(frozen=True)
@@ -141,7 +151,7 @@ def _searches(views: tuple[_View, _View], max_width: int) -> list[_Search]:
     full = max(SMALLEST_WIDTH, min(max_width, max(view.camera.width for view in views)))
     searches = [
         _Search(full, CONTRAST_THRESHOLD, True),
-        _Search(full, _FAINT_CONTRAST_THRESHOLD, True),
+        _Search(full, FAINT_CONTRAST_THRESHOLD, True),
     ]
     if full > 1.25 * _FIRST_LOOK_WIDTH:
         searches.insert(0, _Search(_FIRST_LOOK_WIDTH, CONTRAST_THRESHOLD, False))
@@ -158,19 +168,28 @@ def _estimated(
     matches = match_features(features1, features2)
     keypoints1 = features1.keypoints[matches[:, 0]]
     keypoints2 = features2.keypoints[matches[:, 1]]
+    cameras = (views[0].camera, views[1].camera)
     result = estimate_relative_pose(
-        views[0].camera.bearings_from_pixels(keypoints1),
-        views[1].camera.bearings_from_pixels(keypoints2),
+        cameras[0].bearings_from_pixels(keypoints1),
+        cameras[1].bearings_from_pixels(keypoints2),
         inlier_threshold_deg=inlier_threshold_deg,
-        options=_IMAGE_OPTIONS,
+        options=IMAGE_OPTIONS,
         seed=seed,
     )
-    return _with_keypoints(_doubted(result, views), keypoints1, keypoints2)
+    return _with_keypoints(doubted(result, cameras), keypoints1, keypoints2)
 
 
-def _doubted(result: RelativePoseResult, views: tuple[_View, _View]) -> RelativePoseResult:
-    """Add a warning where the noise is more than key points have."""
-    pixels = max(_noise_px(result.noise_deg, view.camera) for view in views)
+def doubted(result: RelativePoseResult, cameras: tuple[Camera, Camera]) -> RelativePoseResult:
+    """Result with a warning where the noise is more than key points have.
+
+    Parameters
+    ----------
+    result : RelativePoseResult
+        Of matched key points.
+    cameras : (Camera, Camera)
+        Of both images.
+    """
+    pixels = max(_noise_px(result.noise_deg, camera) for camera in cameras)
     if not result.success or pixels < _DOUBTFUL_NOISE_PX:
         return result
     warning = (

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
 from epi360.features import extract_features
+from epi360.features.detection import find_keypoints
 from epi360.poses import rotation_from_vector
 
 CAMERA = Equirectangular(width=512, height=256)
@@ -350,3 +351,33 @@ def test_an_option_out_of_its_range_is_refused_by_name(options):
     image = np.random.default_rng(0).integers(0, 256, (32, 64), dtype=np.uint8)
     with pytest.raises(ValueError, match=next(iter(options))):
         extract_features(image, **options)
+
+
+def room_like(camera):
+    """Texture whose contrast fades from left to right."""
+    fading = np.linspace(1.0, 0.02, camera.width)
+    return (128 + (texture(camera).astype(float) - 128) * fading).round().astype(np.uint8)
+
+
+def test_the_strongest_of_a_faint_search_are_those_of_the_usual_one():
+    image = room_like(CAMERA)
+    options = {"mask_nadir_deg": 0.0, "max_width": 512, "max_features": 10000}
+    usual = find_keypoints(image, contrast_threshold=0.02, **options)
+    faint = find_keypoints(image, contrast_threshold=0.013, **options)
+    count = faint.num_above(0.02)
+    assert 200 < count < len(faint.pixels) - 20
+    assert usual.num_above(0.02) == len(usual.pixels)
+    # Of twins found by two views one goes; a faint one may take the place of a strong one.
+    assert abs(count - len(usual.pixels)) <= 0.01 * count
+    distances, _ = cKDTree(usual.pixels).query(faint.pixels[:count])
+    assert np.mean(distances == 0) > 0.99
+    assert (np.diff(faint.strengths) <= 0).all()
+
+
+def test_the_first_features_are_the_strongest():
+    image = room_like(CAMERA)
+    everything = extract_features(image, max_features=300)
+    fewer = extract_features(image, max_features=100)
+    first = everything.first(100)
+    for name in ("keypoints", "descriptors", "sizes_px"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(fewer, name))
