@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Libraries that are installed only where they are wanted: the extras of the package."""
+"""What is installed: the libraries of the package's extras, and which version of the package."""
 
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 
@@ -35,3 +36,17 @@ def extra_library(name: str, *, extra: str, purpose: str) -> Any:
         raise ImportError(
             f"{purpose} need {package}: pip install 'epi360[{extra}]'", name=package
         ) from None
+
+
+def package_version() -> str:
+    """Version of the installed package, or "unknown" in a source tree that is not installed.
+
+    Returns
+    -------
+    version : str
+        Such as "0.1.0".
+    """
+    try:
+        return version("epi360")
+    except PackageNotFoundError:
+        return "unknown"

@@ -24,7 +24,7 @@ Flag = Annotated[bool, Parameter(negative=())]
 
 
 def _version() -> str:
-    from epi360.report.records import package_version
+    from epi360.extras import package_version
 
     return package_version()
 

@@ -136,7 +136,7 @@ def _camera(picture: CameraChoice) -> Camera:
 
 def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict[str, Any]:
     """What the pictures depend on, to recognise a sequence that can be resumed."""
-    from epi360.report.records import package_version
+    from epi360.extras import package_version
 
     if what.mesh is None:
         scene: dict[str, Any] = {"scene": what.scene or "living_room"}

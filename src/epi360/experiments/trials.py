@@ -17,7 +17,6 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ import numpy as np
 
 from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.parts import Fingerprint, Row, Trials, join_parts, read_part, write_part
+from epi360.extras import package_version
 from epi360.progress import Progress, no_progress
 
 # Libraries that NumPy and OpenCV may be built on read these when they load: each worker is one
@@ -184,15 +184,11 @@ def run_trials(
 def _fingerprint(
     name: str, key: str, value: Any, options: ReproduceOptions, settings: str
 ) -> Fingerprint:
-    try:
-        package = version("epi360")
-    except PackageNotFoundError:  # a source tree that is not installed
-        package = "unknown"
     return Fingerprint(
         name=name,
         protocol=options.protocol,
         seed=options.seed,
-        version=package,
+        version=package_version(),
         cell=key,
         value=repr(value),
         settings=settings,

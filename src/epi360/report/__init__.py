@@ -6,14 +6,13 @@
 
 from epi360.files import write_file
 from epi360.report.files import check_writable
-from epi360.report.records import package_version, pair_record, pose_record, write_json
+from epi360.report.records import pair_record, pose_record, write_json
 from epi360.report.text import describe_pair, describe_status
 
 __all__ = [
     "check_writable",
     "describe_pair",
     "describe_status",
-    "package_version",
     "pair_record",
     "pose_record",
     "write_file",

@@ -7,12 +7,12 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
 
 from epi360.estimation.result import ImagePairResult, RelativePoseResult
+from epi360.extras import package_version
 from epi360.files import write_file
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
@@ -128,20 +128,6 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
         for key, value in record.items()
     ]
     write_file(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
-
-
-def package_version() -> str:
-    """Version of the installed package, or "unknown" in a source tree that is not installed.
-
-    Returns
-    -------
-    version : str
-        Such as "0.1.0".
-    """
-    try:
-        return version("epi360")
-    except PackageNotFoundError:
-        return "unknown"
 
 
 def _plain(value: Any) -> Any:
