@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 convert``: matches and reconstructions from the files of one tool to another's."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+from epi360.cli.command import SUCCESS, app
+
+if TYPE_CHECKING:
+    from epi360.interop import MatchGraph, Reconstruction
+
+FormatName = Literal[
+    "colmap", "colmap-text", "opensfm", "nerfstudio", "tum", "colmap-database", "hloc"
+]
+MATCH_FOLDER = "epi360"  # what `epi360 match` writes; it is read, not written
+
+
+@app.command
+def convert(
+    source: Path,
+    target: Path,
+    /,
+    *,
+    images: str | None = None,
+    camera: str | None = None,
+    output_format: Annotated[FormatName | None, Parameter(name="--format")] = None,
+    features: Path | None = None,
+) -> int:
+    """Convert a reconstruction or a match database to the format of another tool.
+
+    Reconstructions: COLMAP model (folder), OpenSfM reconstruction.json, nerfstudio
+    transforms.json, TUM trajectory (.txt or .tum). Matches: COLMAP database (.db), hloc (.h5) and,
+    to read, what epi360 match wrote. Nothing that is there is replaced.
+
+    Parameters
+    ----------
+    source
+        What is converted; its format is found from its content.
+    target
+        What is written; its name says the format: without extension it is a COLMAP model, .db is a
+        COLMAP database, .h5 hloc matches, .txt and .tum a TUM trajectory; transforms.json is for
+        nerfstudio, reconstruction.json for OpenSfM.
+    images
+        Folder of the images beside transforms.json, "images" by default: names of images do not
+        have it, the paths of nerfstudio do.
+    camera
+        Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
+        where it holds several.
+    output_format
+        Format of the target where its name does not say it.
+    features
+        hloc's file of key points, beside the one of the matches; read or written.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.interop.convert import files_written, write_matches, write_reconstruction
+    from epi360.interop.formats import format_of_name
+    from epi360.interop.reconstruction import Reconstruction
+
+    source_name = _format_of_source(source)
+    target_name = output_format or format_of_name(target)
+    _check_kinds(source, source_name, target, target_name)
+    _check_options((source_name, target_name), images, camera, features)
+    _check_free(files_written(target, target_name, features=features), target_name)
+    folder = "images" if images is None else images
+    content = _read(source, source_name, folder, camera, features)
+    if isinstance(content, Reconstruction):
+        write_reconstruction(target, target_name, content, images=folder)
+    else:
+        write_matches(target, target_name, content, features=features)
+    print(_summary(target, target_name, content))
+    return SUCCESS
+
+
+def _format_of_source(source: Path) -> str:
+    from epi360.interop.formats import format_of_file, holds_colmap_model
+
+    if source.is_dir() and not holds_colmap_model(source):
+        return MATCH_FOLDER
+    return format_of_file(source)
+
+
+def _check_kinds(source: Path, source_name: str, target: Path, target_name: str) -> None:
+    """Raise where no conversion exists, saying what would be needed."""
+    from epi360.interop.formats import FORMATS
+
+    kind = "matches" if source_name == MATCH_FOLDER else FORMATS[source_name].kind
+    wanted = FORMATS[target_name]
+    if source_name == target_name == "hloc":
+        raise ValueError(f"{source} and {target} are both hloc's: there is nothing to convert")
+    if kind == wanted.kind:
+        return
+    if source_name == MATCH_FOLDER:
+        raise ValueError(
+            f"folder {source} holds no COLMAP model (images.bin or images.txt), so no poses for "
+            f"{target}; from what epi360 match wrote, make a model first with epi360 map"
+        )
+    if kind == "matches":
+        raise ValueError(
+            f"{source} holds matches, {target} ({wanted.title}) needs the poses of all images in "
+            "one world; make a reconstruction first, with epi360 map or COLMAP's mapper"
+        )
+    raise ValueError(
+        f"{source} holds a reconstruction, {target} ({wanted.title}) needs key points and matches; "
+        "make them from the images with epi360 match"
+    )
+
+
+def _check_options(
+    names: tuple[str, str], images: str | None, camera: str | None, features: Path | None
+) -> None:
+    """Raise where an option is missing or says nothing about these formats."""
+    if images is not None and "nerfstudio" not in names:
+        raise ValueError("--images is for nerfstudio's transforms.json; the others have no folder")
+    if features is not None and "hloc" not in names:
+        raise ValueError("--features is for hloc, which keeps key points in a file of their own")
+    if features is None and "hloc" in names:
+        raise ValueError("hloc keeps key points in a file of their own; name it with --features")
+    if camera is not None and names[0] in ("colmap-database", MATCH_FOLDER):
+        raise ValueError("--camera is for images without one; those of a database have theirs")
+
+
+def _read(
+    source: Path, name: str, images: str, camera: str | None, features: Path | None
+) -> Reconstruction | MatchGraph:
+    from epi360.interop.convert import read_matches, read_reconstruction, with_camera
+    from epi360.interop.formats import FORMATS
+    from epi360.jobs.given_cameras import read_given_cameras
+
+    if name == MATCH_FOLDER:
+        from epi360.jobs.matching import load_matches
+
+        return load_matches(source)
+    given = None if camera is None else read_given_cameras(camera)
+    if FORMATS[name].kind == "matches":
+        cameras = given.cameras if given else None
+        return read_matches(source, name, features=features, cameras=cameras)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        reconstruction = read_reconstruction(source, name, images=images)
+    for warning in caught:
+        if issubclass(warning.category, UserWarning):  # not those about the libraries
+            print(f"epi360: {warning.message}", file=sys.stderr)
+    if given is None:
+        return reconstruction
+    return with_camera(reconstruction, next(iter(given.cameras)), given.only())
+
+
+def _check_free(outputs: list[Path], name: str) -> None:
+    """Raise where something is there already; only the folder of a model may be, empty."""
+    if len(set(outputs)) < len(outputs):
+        raise ValueError(f"the outputs must be different files, got {outputs[0]} twice")
+    for path in outputs:
+        if not path.parent.is_dir():
+            raise ValueError(f"folder {path.parent} does not exist; create it first")
+        is_folder = name in ("colmap", "colmap-text") and path.is_dir()
+        if is_folder and not any(path.iterdir()):
+            continue
+        if path.exists() or path.is_symlink():
+            raise ValueError(f"{path} is there already and is not replaced; choose another name")
+
+
+def _summary(target: Path, name: str, content: Reconstruction | MatchGraph) -> str:
+    from epi360.interop.convert import lost
+    from epi360.interop.formats import FORMATS
+    from epi360.interop.reconstruction import Reconstruction
+
+    counts = {"image": len(content.images)}
+    if isinstance(content, Reconstruction):
+        counts |= {"point": len(content.points), "camera": len(content.cameras)}
+    else:
+        counts |= {"pair": len(content.pairs), "camera": len(content.cameras)}
+    left_out = lost(content, name)
+    words = [
+        f"{count} {word}{'' if count == 1 else 's'}"
+        for word, count in counts.items()
+        if count and f"{word}s" not in left_out
+    ]
+    line = f"wrote {target} ({FORMATS[name].title}): {', '.join(words)}"
+    return line + (f"; not kept: {', '.join(left_out)}" if left_out else "")

@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""COLMAP databases: a new one from a match graph, and the match graph of one that is there.
+
+| status                                   | config in COLMAP | pose, E            |
+| ---------------------------------------- | ---------------- | ------------------ |
+| ok                                       | CALIBRATED       | both               |
+| planar_ambiguous                         | PLANAR           | both               |
+| pure_rotation                            | PANORAMIC        | pose with t = 0    |
+| every other: none of the inliers is kept | DEGENERATE       | none               |
+| the pair was not verified                | no row           |                    |
+
+COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all others alike.
+The incremental one finds poses itself; the global one takes the rotation of the pose, or of E.
+
+Read, UNCALIBRATED and CALIBRATED_RIG are "ok", PLANAR_OR_PANORAMIC is "planar_ambiguous",
+DEGENERATE and WATERMARK are "too_few_inliers"; a row without pose and E, with several models
+(MULTIPLE) or UNDEFINED counts as not verified.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.epipolar import essential_from_pose, pose_from_essential
+from epi360.extras import extra_library
+from epi360.interop.colmap_cameras import colmap_camera
+from epi360.interop.colmap_pairs import ColmapPairs
+from epi360.interop.colmap_rigs import read_rigs, write_frames, write_rigs
+from epi360.interop.colmap_tables import ColmapTables
+from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.poses import Pose, pose_from_quaternion
+
+__all__ = [
+    "ColmapPairs",
+    "open_colmap_database",
+    "read_colmap_database",
+    "two_view_geometry_to_colmap",
+    "write_colmap_database",
+]
+
+CONFIG_OF_STATUS = {"ok": "CALIBRATED", "planar_ambiguous": "PLANAR", "pure_rotation": "PANORAMIC"}
+FAILURE = "DEGENERATE"
+STATUS_OF_CONFIG = {  # the numbers are COLMAP's TwoViewGeometry::ConfigurationType
+    1: "too_few_inliers",  # DEGENERATE
+    2: "ok",  # CALIBRATED
+    3: "ok",  # UNCALIBRATED
+    4: "planar_ambiguous",  # PLANAR
+    5: "pure_rotation",  # PANORAMIC
+    6: "planar_ambiguous",  # PLANAR_OR_PANORAMIC
+    7: "too_few_inliers",  # WATERMARK
+    9: "ok",  # CALIBRATED_RIG
+}
+TYPES_OF_BYTES = (-1, 0)  # descriptors: unknown, SIFT; those of networks are floats
+
+
+def open_colmap_database(path: str | os.PathLike[str]) -> Any:
+    """Database that is there, opened by pycolmap to write to it.
+
+    Parameters
+    ----------
+    path : str or path
+        COLMAP marks it with its version and upgrades tables of an older one, even if nothing is
+        written: open a copy of what must stay as it is, or read with `ColmapPairs`.
+
+    Returns
+    -------
+    database : pycolmap.Database
+        Close it, or use it in a ``with``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is truncated, no COLMAP database or may not be written.
+    ImportError
+        If pycolmap is missing.
+    """
+    pycolmap = _pycolmap()
+    with ColmapTables(path):
+        pass
+    if not os.access(path, os.W_OK):
+        raise ValueError(f"COLMAP database {path} may not be written; open a copy")
+    try:
+        return pycolmap.Database.open(path)
+    except RuntimeError:
+        raise ValueError(f"COLMAP database {path} cannot be opened by pycolmap") from None
+
+
+def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
+    """`pycolmap.TwoViewGeometry` with config, E, pose and inlier matches.
+
+    Parameters
+    ----------
+    geometry : TwoViewGeometry
+        Of a pair; write it under the ids of image 1 and image 2 in this order, COLMAP inverts it
+        where it must.
+
+    Returns
+    -------
+    geometry : pycolmap.TwoViewGeometry
+        A failure is DEGENERATE without inliers: COLMAP's mappers would use them.
+
+    Raises
+    ------
+    ImportError
+        If pycolmap is missing.
+    """
+    pycolmap = _pycolmap()
+    config = CONFIG_OF_STATUS.get(geometry.status, FAILURE)
+    colmap_geometry = pycolmap.TwoViewGeometry()
+    colmap_geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, config)
+    if config == FAILURE:
+        return colmap_geometry
+    pose = geometry.cam2_from_cam1
+    translation = pose.translation
+    if geometry.status == "pure_rotation":
+        translation = np.zeros(3)
+    else:
+        colmap_geometry.E = essential_from_pose(pose)
+    matrix = np.column_stack([pose.rotation, translation])
+    colmap_geometry.cam2_from_cam1 = pycolmap.Rigid3d(matrix)
+    colmap_geometry.inlier_matches = np.ascontiguousarray(geometry.inliers, np.uint32)
+    return colmap_geometry
+
+
+def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> None:
+    """Write a match graph to a new database of COLMAP 4, whole or not at all.
+
+    COLMAP keeps key points in single precision, numbers cameras and images in the order of the
+    graph, and files a pair under the smaller number. Descriptors are not written.
+
+    Parameters
+    ----------
+    path : str or path
+        A file that is not there yet.
+    graph : MatchGraph
+        Images that share a ``frame`` become frames of a rig where the graph's ``cam_from_rig`` has
+        their cameras; every other image is a frame of its own.
+
+    Raises
+    ------
+    ValueError
+        If the file is there already, an image has no camera, COLMAP lacks the model of a camera or
+        a frame has two images of one camera.
+    FileNotFoundError
+        If the folder is not there.
+    OSError
+        If the file cannot be written.
+    ImportError
+        If pycolmap is missing.
+    """
+    path = Path(path)
+    if path.exists():
+        raise ValueError(f"COLMAP database {path} is there already; give the name of a new file")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"folder {path.parent} of the COLMAP database does not exist")
+    pycolmap = _pycolmap()
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        # Without pycolmap.DatabaseTransaction: where its commit fails, on a full disk, the process
+        # is ended. A hundred thousand pairs take eight seconds with it and without.
+        with pycolmap.Database.open(temporary) as database:
+            _write(database, graph)
+        if Path(f"{temporary}-wal").exists():
+            raise RuntimeError("what was written is not all in the file after it was closed")
+        os.replace(temporary, path)
+    except RuntimeError as error:
+        raise OSError(
+            f"COLMAP database {path} cannot be written, is there room on the disk? {error}"
+        ) from None
+    finally:
+        for end in ("", "-wal", "-shm"):
+            Path(f"{temporary}{end}").unlink(missing_ok=True)
+
+
+def _write(database: Any, graph: MatchGraph) -> None:
+    pycolmap = _pycolmap()
+    camera_ids: dict[str, int] = {}
+    for name, camera in graph.cameras.items():
+        camera_ids[name] = database.write_camera(colmap_camera(camera))
+    image_ids: dict[str, int] = {}
+    for image in graph.images.values():
+        if image.camera is None:
+            raise ValueError(
+                f"a COLMAP database needs the camera of image {image.name}; give one (--camera)"
+            )
+        colmap_image = pycolmap.Image(name=image.name, camera_id=camera_ids[image.camera])
+        image_ids[image.name] = database.write_image(colmap_image)
+        database.write_keypoints(image_ids[image.name], image.keypoints.astype(np.float32))
+    write_frames(database, graph, image_ids, camera_ids, write_rigs(database, graph, camera_ids))
+    for pair in graph.pairs:
+        ids = image_ids[pair.image1], image_ids[pair.image2]
+        database.write_matches(*ids, pair.matches.astype(np.uint32))
+        if pair.geometry is not None:
+            database.write_two_view_geometry(*ids, two_view_geometry_to_colmap(pair.geometry))
+
+
+def read_colmap_database(
+    path: str | os.PathLike[str], *, with_descriptors: bool = False
+) -> MatchGraph:
+    """Match graph of a COLMAP database, which stays as it is.
+
+    Parameters
+    ----------
+    path : str or path
+        Of COLMAP 3 or 4; nothing may write to it while it is read.
+    with_descriptors : bool
+        Read the descriptors too, mostly the largest part of the file.
+
+    Returns
+    -------
+    graph : MatchGraph
+        Cameras are called by their id, frames of a rig by theirs. Image 1 of a pair is the one with
+        the smaller id. A pair with a geometry but no matches has the inliers for matches. With
+        several rigs, cameras sit relative to the reference camera of their own one.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no COLMAP database, truncated or damaged, or has a camera that epi360 lacks.
+
+    Notes
+    -----
+    A geometry without pose is decomposed from E with the bearings of its inliers.
+    """
+    with ColmapPairs(path) as pairs:
+        cam_from_rig, frames = read_rigs(pairs)
+        images = {
+            name: MatchedImage(
+                name,
+                camera,
+                pairs.keypoints(name),
+                _descriptors(pairs, name) if with_descriptors else None,
+                frames.get(name),
+            )
+            for name, camera in pairs.images.items()
+        }
+        matches = {names: pairs.matches(index) for index, names in enumerate(pairs.names)}
+        geometries = {}
+        for names, inliers, geometry in _geometries(pairs):
+            geometries[names] = geometry
+            matches.setdefault(names, inliers)
+        matched = tuple(
+            MatchedPair(*names, indices, geometries.get(names))
+            for names, indices in matches.items()
+        )
+        return MatchGraph(pairs.cameras, images, matched, cam_from_rig)
+
+
+def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
+    """Descriptors (N, D), None where the image has none."""
+    has_type = pairs.has_columns("descriptors", "type")
+    query = (
+        f"SELECT {'type' if has_type else '0'}, rows, cols, data FROM descriptors "
+        "WHERE image_id = (SELECT image_id FROM images WHERE name = ?)"
+    )
+    for kind, *blob in pairs.rows(query, name):
+        stored = pairs.array((blob[0], blob[1], blob[2]), np.uint8, f"descriptors of {name}")
+        if len(stored) != len(pairs.keypoints(name)):
+            raise pairs.error(f"{name} must have one descriptor a key point, got {len(stored)}")
+        return stored.astype(np.float32) if kind in TYPES_OF_BYTES else stored.view(np.float32)
+    return None
+
+
+def _geometries(
+    pairs: ColmapPairs,
+) -> Iterator[tuple[tuple[str, str], NDArray[np.int64], TwoViewGeometry | None]]:
+    """Names, inliers and geometry of each row."""
+    columns = [
+        name if pairs.has_columns("two_view_geometries", name) else "NULL"
+        for name in ("E", "qvec", "tvec")
+    ]
+    query = (
+        f"SELECT pair_id, config, {', '.join(columns)}, rows, cols, data "
+        "FROM two_view_geometries ORDER BY pair_id"
+    )
+    for pair_id, config, E, quaternion, translation, *blob in pairs.rows(query):
+        names = pairs.names_of(pair_id)
+        inliers = pairs.checked_matches((blob[0], blob[1], blob[2]), names)
+        status = STATUS_OF_CONFIG.get(config)
+        geometry = None
+        if status == "too_few_inliers":
+            geometry = TwoViewGeometry(status, Pose.nan(), np.zeros((0, 2), np.int64))
+        elif status is not None:
+            pose = _stored_pose(pairs, names, status, quaternion, translation)
+            if pose is None and status != "pure_rotation":
+                pose = _decomposed(pairs, names, E, inliers)
+            geometry = None if pose is None else TwoViewGeometry(status, pose, inliers)
+        yield names, inliers, geometry
+
+
+def _stored_pose(
+    pairs: ColmapPairs,
+    names: tuple[str, str],
+    status: str,
+    quaternion: bytes | None,
+    translation: bytes | None,
+) -> Pose | None:
+    """Pose of a row, None where it has none: older versions of COLMAP then store the identity."""
+    if not quaternion or not translation:
+        return None
+    what = f"pose of pair {names[0]} {names[1]}"
+    wxyz = pairs.array((1, 4, quaternion), np.float64, what)[0]
+    t = pairs.array((1, 3, translation), np.float64, what)[0]
+    lengths = np.linalg.norm(wxyz), np.linalg.norm(t)
+    if status == "pure_rotation" and lengths[0] > 0 and wxyz[0] != lengths[0]:
+        return pose_from_quaternion(np.full(3, np.nan), wxyz / lengths[0])
+    if status != "pure_rotation" and min(lengths) > 0:
+        return pose_from_quaternion(t / lengths[1], wxyz / lengths[0])
+    return None
+
+
+def _decomposed(
+    pairs: ColmapPairs, names: tuple[str, str], E: bytes | None, inliers: NDArray[np.int64]
+) -> Pose | None:
+    """Pose of an essential matrix, None where there is no matrix or no inlier to choose it by."""
+    if not E or not len(inliers):
+        return None
+    matrix = pairs.array((3, 3, E), np.float64, f"matrix of pair {names[0]} {names[1]}")
+    if not matrix.any():
+        return None
+    bearings = [
+        pairs.camera(name).bearings_from_pixels(pairs.keypoints(name)[indices])
+        for name, indices in zip(names, inliers.T, strict=True)
+    ]
+    return pose_from_essential(matrix, *bearings)
+
+
+def _pycolmap() -> Any:
+    return extra_library("pycolmap", extra="colmap", purpose="COLMAP databases")

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""COLMAP's sparse models: folders of cameras, rigs, frames, images and points, binary or text."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.interop.colmap_model_bytes import model_files
+from epi360.interop.colmap_model_files import PIXEL, ImageEntry, read_model_files
+from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
+from epi360.poses import pose_from_quaternion
+
+
+def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
+    """Reconstruction of a folder with ``cameras``, ``images`` and ``points3D``, .bin or .txt.
+
+    Parameters
+    ----------
+    folder : str or path
+        With or without rigs and frames. Text may call its panoramas SPHERICAL or SPHERE.
+
+    Returns
+    -------
+    reconstruction : Reconstruction
+        Cameras are called by their id; images and points are in the order of their ids.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no model in it.
+    ValueError
+        If a file is damaged, or a camera has a model that epi360 lacks.
+    """
+    folder = Path(folder)
+    cameras, images, points = read_model_files(folder)
+    try:
+        return Reconstruction(
+            cameras,
+            tuple(_posed(image) for image in images),
+            np.array([point.xyz for point in points]).reshape(-1, 3),
+            np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+            _observations(images, np.array([point.id for point in points], np.int64)),
+        )
+    except ValueError as error:
+        raise ValueError(f"COLMAP model {folder}: {error}") from None
+
+
+def write_colmap_model(
+    folder: str | os.PathLike[str], reconstruction: Reconstruction, *, text: bool = False
+) -> None:
+    """Write cameras, rigs, frames, images and points of a reconstruction; none is left half done.
+
+    Parameters
+    ----------
+    folder : str or path
+        Made where it is not there; a model in it is replaced.
+    reconstruction : Reconstruction
+        Every image becomes a frame of its own, every camera a rig; ids are 1, 2, ... in the order
+        of the reconstruction. Of the key points, those of its observations are written.
+    text : bool
+        Write .txt in place of .bin.
+
+    Raises
+    ------
+    ValueError
+        If there is no image, an image has no camera or pose or, for text, a name with a space,
+        COLMAP lacks the model of a camera, or the folder has a model of the other kind.
+    OSError
+        If the folder cannot be written.
+    """
+    folder = Path(folder)
+    other = "bin" if text else "txt"
+    if (folder / f"images.{other}").exists():
+        raise ValueError(f"folder {folder} has a COLMAP model in .{other} already; take another")
+    files = model_files(reconstruction, text=text)
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".model-", dir=folder) as temporary:
+        for name, data in files.items():
+            (Path(temporary) / name).write_bytes(data)
+        for name in files:
+            os.replace(Path(temporary) / name, folder / name)
+
+
+def _posed(image: ImageEntry) -> PosedImage:
+    length = np.linalg.norm(image.wxyz)
+    if not length > 0:
+        raise ValueError(f"image {image.name} must have a rotation, got {image.wxyz.tolist()}")
+    pose = pose_from_quaternion(image.translation, image.wxyz / length)
+    return PosedImage(image.name, image.camera, pose)
+
+
+def _observations(images: list[ImageEntry], point_ids: NDArray[np.int64]) -> Observations | None:
+    """Key points of points; ``point_ids`` are sorted."""
+    seen = [image.pixels[image.pixels["point"] >= 0] for image in images]
+    table = np.concatenate(seen) if seen else np.zeros(0, PIXEL)
+    if not len(table):
+        return None
+    rows = np.searchsorted(point_ids, table["point"])
+    if not np.isin(table["point"], point_ids).all():
+        raise ValueError("images have key points of points that are not there")
+    indices = np.repeat(np.arange(len(seen)), [len(pixels) for pixels in seen])
+    return Observations(rows, indices, np.array(table["pixel"]))

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Images and matched pairs of a COLMAP database, read one at a time."""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.cameras.calibration.colmap import camera_of_model, model_of_number
+from epi360.interop.colmap_tables import Blob, ColmapTables
+
+LARGEST_IMAGE_ID = 2147483647  # a pair's id is this times the smaller image id, plus the larger
+CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few images are in use at once
+
+
+class ColmapPairs(ColmapTables):
+    """Matched pairs of a COLMAP database, read as they are asked for; the file stays as it is.
+
+    In memory are the names and numbers alone: ids, counts and the key points of the last images.
+    Works with databases of COLMAP 3 and 4, needs no pycolmap. Use it in one thread, in a ``with``;
+    another process opens its own by the path.
+
+    Parameters
+    ----------
+    path : str or path
+        The database; nothing may write to it while it is read.
+
+    Attributes
+    ----------
+    cameras : dict of str to Camera
+        By the camera's id as text.
+    images : dict of str to str
+        Key of the camera of each image, by the image's name, in the order of the ids.
+    names : list of (str, str)
+        Names of both images of each pair with matches (also with none found), in the order of the
+        file; image 1 is the one with the smaller id.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no COLMAP database, truncated or damaged, or has a camera that epi360 lacks, an
+        image without camera or a pair without image.
+
+    Examples
+    --------
+    >>> with ColmapPairs("database.db") as pairs:
+    ...     for index, (image1, image2) in enumerate(pairs.names):
+    ...         pixels1, pixels2 = pairs.matched_pixels(index)
+    ...         bearings1 = pairs.camera(image1).bearings_from_pixels(pixels1)
+    ...         bearings2 = pairs.camera(image2).bearings_from_pixels(pixels2)
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        super().__init__(path)
+        try:
+            self.cameras = {str(number): camera for number, camera in self._read_cameras()}
+            self._name_of_id: dict[int, str] = {}
+            self.images = dict(self._read_images())
+            self._id_of_name = {name: number for number, name in self._name_of_id.items()}
+            self._num_keypoints = dict(self.rows("SELECT image_id, rows FROM keypoints"))
+            query = "SELECT pair_id FROM matches ORDER BY pair_id"
+            self._pair_ids = [pair_id for (pair_id,) in self.rows(query)]
+            self.names = [self.names_of(pair_id) for pair_id in self._pair_ids]
+        except BaseException:
+            self.close()
+            raise
+        self._cached: OrderedDict[str, NDArray[np.float64]] = OrderedDict()
+
+    def __len__(self) -> int:
+        """Number of pairs."""
+        return len(self.names)
+
+    def camera(self, name: str) -> Camera:
+        """Camera of an image.
+
+        Parameters
+        ----------
+        name : str
+            Of the image.
+        """
+        return self.cameras[self.images[name]]
+
+    def keypoints(self, name: str) -> NDArray[np.float64]:
+        """Key points of an image in continuous pixels, shape (N, 2), read-only.
+
+        Parameters
+        ----------
+        name : str
+            Of the image; one without a row in the database has no key points.
+
+        Raises
+        ------
+        ValueError
+            If the row is damaged.
+        """
+        if name not in self._cached:
+            query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
+            what = f"key points of {name}"
+            blobs = list(self.rows(query, self._id_of_name[name])) or [(0, 0, None)]
+            array = self.array(blobs[0], np.float32, what)
+            if array.shape[1] < 2:
+                raise self.error(f"{what} must have 2, 4 or 6 columns, got {array.shape[1]}")
+            self._cached[name] = array[:, :2].astype(np.float64)
+            self._cached[name].flags.writeable = False
+            if len(self._cached) > CACHED_IMAGES:
+                self._cached.popitem(last=False)
+        self._cached.move_to_end(name)
+        return self._cached[name]
+
+    def matches(self, index: int) -> NDArray[np.int64]:
+        """Matches of a pair, shape (M, 2): (key point in image 1, key point in image 2).
+
+        Parameters
+        ----------
+        index : int
+            Of the pair in ``names``.
+
+        Raises
+        ------
+        ValueError
+            If the row is damaged, or an index is beyond the key points.
+        """
+        query = "SELECT rows, cols, data FROM matches WHERE pair_id = ?"
+        (blob,) = self.rows(query, self._pair_ids[index])
+        return self.checked_matches(blob, self.names[index])
+
+    def matched_pixels(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Key points of a pair's matches: continuous pixels (M, 2) of image 1 and of image 2.
+
+        Parameters
+        ----------
+        index : int
+            Of the pair in ``names``.
+
+        Raises
+        ------
+        ValueError
+            As ``matches`` and ``keypoints``.
+        """
+        (image1, image2), matches = self.names[index], self.matches(index)
+        return self.keypoints(image1)[matches[:, 0]], self.keypoints(image2)[matches[:, 1]]
+
+    def names_of(self, pair_id: int) -> tuple[str, str]:
+        """Names of the images of a pair's id."""
+        id1, id2 = divmod(pair_id, LARGEST_IMAGE_ID)
+        if not id1 < id2:
+            raise self.error(f"pair {pair_id} must name two images, the smaller id first")
+        for number in (id1, id2):
+            if number not in self._name_of_id:
+                raise self.error(f"pair {pair_id} has image {number}, which is not there")
+        return self._name_of_id[id1], self._name_of_id[id2]
+
+    def checked_matches(self, blob: Blob, names: tuple[str, str]) -> NDArray[np.int64]:
+        """Matches of (rows, cols, data), shape (M, 2), all of key points that are there."""
+        pair = f"pair {names[0]} {names[1]}"
+        matches = self.array(blob, np.uint32, f"matches of {pair}").astype(np.int64)
+        if matches.shape[1] != 2:
+            raise self.error(f"matches of {pair} must have 2 columns, got {matches.shape[1]}")
+        for name, largest in zip(names, matches.max(axis=0, initial=-1), strict=True):
+            count = self._num_keypoints.get(self._id_of_name[name], 0)
+            if largest >= count:
+                raise self.error(
+                    f"{pair} has matches up to key point {largest} of {name}, "
+                    f"which has {count} key points"
+                )
+        return matches
+
+    def _read_cameras(self) -> Iterator[tuple[int, Camera]]:
+        query = "SELECT camera_id, model, width, height, params FROM cameras ORDER BY camera_id"
+        for camera_id, number, width, height, data in self.rows(query):
+            model = model_of_number(number)
+            what = f"camera {camera_id}"
+            parameters = self.array((1, len(data or b"") // 8, data), np.float64, what)
+            try:
+                yield camera_id, camera_of_model(model, width, height, parameters[0].tolist())
+            except ValueError as error:
+                raise self.error(f"{what}: {error}") from None
+
+    def _read_images(self) -> Iterator[tuple[str, str]]:
+        query = "SELECT image_id, name, camera_id FROM images ORDER BY image_id"
+        for image_id, name, camera_id in self.rows(query):
+            if str(camera_id) not in self.cameras:
+                raise self.error(f"image {name} has camera {camera_id}, which is not there")
+            self._name_of_id[image_id] = name
+            yield name, str(camera_id)

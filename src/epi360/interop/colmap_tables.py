@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables of a COLMAP database, read without touching the file.
+
+They are read by sqlite3: opening a database through pycolmap writes to the file, upgrades the
+tables of an older COLMAP and fails where the file may not be written. Tables and blobs:
+https://colmap.github.io/database.html.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Blob = tuple[int, int, bytes | None]  # rows, columns, data
+
+NEEDED_COLUMNS = {
+    "cameras": {"camera_id", "model", "width", "height", "params"},
+    "images": {"image_id", "name", "camera_id"},
+    "keypoints": {"image_id", "rows", "cols", "data"},
+    "descriptors": {"image_id", "rows", "cols", "data"},
+    "matches": {"pair_id", "rows", "cols", "data"},
+    "two_view_geometries": {"pair_id", "rows", "cols", "data", "config"},
+}
+
+
+class ColmapTables:
+    """COLMAP database that can only be read; the file stays as it is.
+
+    Use it in one thread, in a ``with``; another process opens its own by the path.
+
+    Parameters
+    ----------
+    path : str or path
+        The database; nothing may write to it while it is read.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is truncated or no COLMAP database.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._connection = _connect(self.path)
+        try:
+            for table, columns in NEEDED_COLUMNS.items():
+                if not self.has_columns(table, *columns):
+                    raise self.error(
+                        f"it must have a table {table} with {', '.join(sorted(columns))}; "
+                        "is it a database of COLMAP?"
+                    )
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        """Open already."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Let go of the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
+    def rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
+        """Rows of an SQL query; what SQLite cannot read is a ValueError."""
+        try:
+            yield from self._connection.execute(query, values)
+        except sqlite3.DatabaseError as error:
+            raise self.error(f"it cannot be read: {error}") from None
+
+    def has_columns(self, table: str, *columns: str) -> bool:
+        """Whether the database has these columns: older ones lack some."""
+        return {row[1] for row in self.rows(f"PRAGMA table_info({table})")} >= set(columns)
+
+    def array(self, blob: Blob, dtype: Any, what: str) -> NDArray[Any]:
+        """Array of (rows, cols, data), empty ones with two columns."""
+        num_rows, num_columns, data = blob
+        if num_rows == 0:
+            return np.zeros((0, 2), dtype)
+        expected = num_rows * num_columns * np.dtype(dtype).itemsize
+        if num_rows < 0 or len(data or b"") != expected:
+            raise self.error(f"{what} must be {expected} bytes, got {len(data or b'')}")
+        return np.frombuffer(data or b"", dtype).reshape(num_rows, num_columns)
+
+    def error(self, what: str) -> ValueError:
+        """Error that names the database."""
+        return ValueError(f"COLMAP database {self.path}: {what}")
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    """Connection that cannot write, to a file that is whole."""
+    if not path.exists():
+        raise FileNotFoundError(f"COLMAP database {path} does not exist")
+    if not path.is_file():
+        raise ValueError(f"COLMAP database {path} must be a file")
+    # Changes that a writer, or a crash, has left in a second file are seen only by SQLite's usual
+    # way, which needs a folder to write to; "immutable" needs nothing and leaves nothing behind.
+    pending = any(
+        file.is_file() and file.stat().st_size
+        for file in (Path(f"{path.resolve()}{end}") for end in ("-wal", "-journal"))
+    )
+    if not pending:
+        _check_length(path)
+    options = "mode=ro" if pending else "mode=ro&immutable=1"
+    try:
+        return sqlite3.connect(f"{path.resolve().as_uri()}?{options}", uri=True)
+    except sqlite3.DatabaseError as error:
+        raise ValueError(f"COLMAP database {path} cannot be opened: {error}") from None
+
+
+def _check_length(path: Path) -> None:
+    """Raise unless the file is as long as its header says (https://sqlite.org/fileformat.html).
+
+    SQLite itself finds out only where it reads; its own check reads all of the file.
+    """
+    with path.open("rb") as file:
+        header = file.read(100)
+    if not header.startswith(b"SQLite format 3\0"):
+        raise ValueError(f"COLMAP database {path} must be an SQLite file, got something else")
+    page_size = int.from_bytes(header[16:18], "big")
+    length = int.from_bytes(header[28:32], "big") * (65536 if page_size == 1 else page_size)
+    is_valid = len(header) < 100 or header[24:28] == header[92:96]  # else left by an old SQLite
+    size, expected = path.stat().st_size, max(100, length * is_valid)
+    if size < expected:
+        raise ValueError(f"COLMAP database {path} is truncated: it has {size} of {expected} bytes")

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""hloc's HDF5 files: how they are laid out and what images and pairs are called in them.
+
+As hloc's own code writes and reads them (github.com/cvg/Hierarchical-Localization:
+extract_features.py, match_features.py, utils/parsers.py, utils/io.py). Features: a group an image,
+with ``keypoints`` (N, 2), the centre of the first pixel at (0, 0), ``descriptors`` (D, N),
+``scores`` (N,), in half precision unless asked otherwise, and ``image_size`` (width, height).
+Matches: a group a pair, called by both names with "-" for "/" and "/" between them, in older files
+"_"; ``matches0`` (N,) has the key point in image 2 of each one in image 1, or -1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from epi360.extras import extra_library
+
+HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
+
+# Of a pair: the path of its group, and whether that has the images the other way.
+PairGroups = dict[tuple[str, str], tuple[str, bool]]
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """HDF5 file, open to be read."""
+    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
+    if not path.exists():
+        raise FileNotFoundError(f"hloc file {path} does not exist")
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{path} must be a whole HDF5 file of hloc: {reason}") from None
+    with file:
+        yield file
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what h5py raises in a damaged file into an error that names the file."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError) as error:
+        reason = " ".join(str(error.args[0] if error.args else error).split())
+        raise ValueError(f"{path} is damaged: {reason}") from None
+
+
+def image_names(file: Any, path: Path) -> list[str]:
+    """Paths of the groups that hold key points, sorted: the folders of a name are groups."""
+    names = []
+    waiting = [""]
+    with reading(path):
+        while waiting:
+            name = waiting.pop()
+            group = file[name or "/"]
+            inside = list(group)
+            if "keypoints" in inside and _is_dataset(group, "keypoints"):
+                names.append(name)
+            elif not inside or _is_dataset(group, inside[0]):
+                raise ValueError(
+                    f"{path}: {name or 'the file'} must have 'keypoints', got "
+                    f"{', '.join(inside) or 'nothing'}; extract local features again"
+                )
+            else:
+                waiting += [f"{name}/{part}".lstrip("/") for part in inside]
+    return sorted(names)
+
+
+def pair_groups(file: Any, path: Path) -> list[str]:
+    """Paths of the groups of a matches file, sorted."""
+    groups = []
+    with reading(path):
+        for name in file:
+            if _is_dataset(file, name):
+                raise ValueError(
+                    f"{path} must have a group for each pair, got the dataset {name!r}"
+                )
+            inside = list(file[name])
+            if inside and _is_dataset(file[name], inside[0]):
+                groups.append(name)
+            else:
+                groups += [f"{name}/{second}" for second in inside]
+    return sorted(groups)
+
+
+def listed_pairs(
+    groups: Collection[str], images: Collection[str], pairs: Iterable[tuple[str, str]]
+) -> PairGroups:
+    """Group of each pair of a list."""
+    there = frozenset(groups)
+    found: PairGroups = {}
+    taken: dict[str, tuple[str, str]] = {}
+    for pair in pairs:
+        what = f"pair {' '.join(pair)}"
+        for image in pair:
+            if image not in images:
+                raise ValueError(f"{what} is listed, but the features have no image {image}")
+        paths = [(path, swapped) for path, swapped in _possible_groups(pair) if path in there]
+        if not paths:
+            raise ValueError(
+                f"{what} is listed, but has no matches; match with the same pairs file"
+            )
+        path, swapped = paths[0]
+        if path in taken:
+            raise ValueError(
+                f"{what} and the pair {' '.join(taken[path])} are both called {path!r} in the "
+                "matches, which put '-' for '/'; rename the images"
+            )
+        taken[path] = pair
+        found[pair] = path, swapped
+    return found
+
+
+def resolved_pairs(groups: Collection[str], images: Collection[str]) -> PairGroups:
+    """The pair that each group must be, given the names of the images."""
+    by_flat_name: dict[str, list[str]] = {}
+    for image in images:
+        by_flat_name.setdefault(_flat(image), []).append(image)
+    found: PairGroups = {}
+    for path in groups:
+        pairs = _possible_pairs(path, by_flat_name)
+        if not pairs:
+            raise ValueError(f"the features have no two images of which the pair is {path!r}")
+        if len(pairs) > 1:
+            raise ValueError(
+                f"{path!r} may be the pair {' '.join(pairs[0])} or {' '.join(pairs[1])}; "
+                "give the pairs file"
+            )
+        if pairs[0] in found or pairs[0][::-1] in found:
+            raise ValueError(f"the pair {' '.join(pairs[0])} is there twice; give the pairs file")
+        found[pairs[0]] = path, False
+    return found
+
+
+def group_of(image1: str, image2: str) -> str:
+    """Path of the group of a pair."""
+    return f"{_flat(image1)}/{_flat(image2)}"
+
+
+def _flat(image: str) -> str:
+    return image.replace("/", "-")
+
+
+def _possible_groups(pair: tuple[str, str]) -> Iterator[tuple[str, bool]]:
+    """Paths that the group of a pair may have, the likeliest first, and whether that swaps it."""
+    first, second = map(_flat, pair)
+    for separator in "/_":
+        yield f"{first}{separator}{second}", False
+        yield f"{second}{separator}{first}", True
+
+
+def _possible_pairs(path: str, by_flat_name: dict[str, list[str]]) -> list[tuple[str, str]]:
+    """Pairs of images whose group may have this path."""
+    separator = "/" if "/" in path else "_"
+    parts = path.split(separator)
+    return [
+        (image1, image2)
+        for i in range(1, len(parts))
+        for image1 in by_flat_name.get(separator.join(parts[:i]), ())
+        for image2 in by_flat_name.get(separator.join(parts[i:]), ())
+    ]
+
+
+def _is_dataset(group: Any, name: str) -> bool:
+    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
+    return group.get(name, getclass=True) is h5py.Dataset

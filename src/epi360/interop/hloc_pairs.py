@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""hloc's files, opened to be read a pair at a time."""
+
+from __future__ import annotations
+
+import os
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.interop.hloc_layout import (
+    HLOC_TO_CONTINUOUS,
+    image_names,
+    listed_pairs,
+    opened,
+    pair_groups,
+    reading,
+    resolved_pairs,
+)
+from epi360.interop.pairs_file import read_pairs_file
+
+
+class HlocPairs:
+    """Features and matches files of hloc, read a pair at a time.
+
+    ``HlocPairs(features, matches, pairs=None)`` reads the names of the images and pairs; key
+    points and matches stay in the files until they are asked for. It is a context manager.
+
+    Parameters
+    ----------
+    features, matches : path-like
+        hloc's HDF5 files.
+    pairs : path-like, optional
+        The pairs file that was matched; only its pairs are taken, in its order. Without it: all
+        pairs of the matches file, sorted.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file does not exist.
+    ValueError
+        If a file is no HDF5 file or is damaged, an image has no key points, a listed pair has no
+        matches or names no image of the features, or the name of a pair in the matches fits
+        several pairs of images: hloc writes "-" for "/".
+    ImportError
+        If h5py is missing; the message holds the command that installs it.
+    """
+
+    def __init__(
+        self,
+        features: str | os.PathLike[str],
+        matches: str | os.PathLike[str],
+        *,
+        pairs: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._features_path, self._matches_path = Path(features), Path(matches)
+        with ExitStack() as files:
+            self._features = files.enter_context(opened(self._features_path))
+            self._matches = files.enter_context(opened(self._matches_path))
+            # A dict for its order and its fast look-up.
+            self._images = dict.fromkeys(image_names(self._features, self._features_path))
+            self._counts: dict[str, int] = {}
+            groups = pair_groups(self._matches, self._matches_path)
+            listed = None
+            if pairs is not None:
+                listed = read_pairs_file(pairs, names=self._images, both_orders=True)
+            try:
+                if listed is None:
+                    self._groups = resolved_pairs(groups, self._images)
+                else:
+                    self._groups = listed_pairs(groups, self._images, listed)
+            except ValueError as error:
+                raise ValueError(f"{self._matches_path}: {error}") from None
+            self._files = files.pop_all()
+
+    def __enter__(self) -> HlocPairs:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the files."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; closing twice is no error."""
+        self._files.close()
+
+    def images(self) -> list[str]:
+        """Names of all images of the features file, sorted."""
+        return list(self._images)
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Names of the two images of each pair."""
+        return list(self._groups)
+
+    def keypoints(self, image: str) -> NDArray[np.float64]:
+        """Key points of an image.
+
+        Parameters
+        ----------
+        image : str
+            Name.
+
+        Returns
+        -------
+        keypoints : ndarray, shape (N, 2)
+            Continuous pixels: hloc's + 0.5. A file written with hloc's default half precision is
+            exact to 1 px from column 1024 on, to 2 px from 2048 and to 4 px from 4096 on.
+
+        Raises
+        ------
+        ValueError
+            If there is no such image or its key points are not (N, 2) finite numbers.
+        """
+        with reading(self._features_path):
+            values = np.asarray(self._image(image)["keypoints"][()])
+        if values.ndim != 2 or values.shape[1] != 2 or values.dtype.kind not in "fiu":
+            raise ValueError(
+                f"{self._features_path}: keypoints of {image} must be numbers of shape (N, 2), "
+                f"got {values.dtype} {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError(f"{self._features_path}: keypoints of {image} must be finite")
+        return values.astype(np.float64) + HLOC_TO_CONTINUOUS
+
+    def descriptors(self, image: str) -> NDArray[np.float32] | None:
+        """Descriptors of an image, shape (N, D); None where the file has none.
+
+        Parameters
+        ----------
+        image : str
+            Name.
+
+        Raises
+        ------
+        ValueError
+            If there is no such image or there is not one descriptor a key point.
+        """
+        with reading(self._features_path):
+            group = self._image(image)
+            if "descriptors" not in group:
+                return None
+            values, count = np.asarray(group["descriptors"][()]), self._num_keypoints(image)
+        if values.ndim != 2 or values.shape[1] != count or values.dtype.kind not in "fiu":
+            raise ValueError(
+                f"{self._features_path}: descriptors of {image} must be numbers of shape "
+                f"(D, {count}), got {values.dtype} {values.shape}"
+            )
+        return np.ascontiguousarray(values.T, dtype=np.float32)
+
+    def image_size(self, image: str) -> tuple[int, int] | None:
+        """Width and height of an image in pixels; None where the file does not say.
+
+        Parameters
+        ----------
+        image : str
+            Name.
+
+        Raises
+        ------
+        ValueError
+            If there is no such image or its size is not two positive numbers.
+        """
+        with reading(self._features_path):
+            group = self._image(image)
+            if "image_size" not in group:
+                return None
+            values = np.asarray(group["image_size"][()])
+        if values.shape != (2,) or values.dtype.kind not in "fiu" or not (values > 0).all():
+            raise ValueError(
+                f"{self._features_path}: image_size of {image} must be width and height, "
+                f"got {values.tolist()}"
+            )
+        return int(values[0]), int(values[1])
+
+    def matches(self, image1: str, image2: str) -> NDArray[np.int64]:
+        """Matches of a pair; in either order of the images.
+
+        Parameters
+        ----------
+        image1, image2 : str
+            Names.
+
+        Returns
+        -------
+        matches : ndarray, shape (M, 2), int
+            (key point in image 1, key point in image 2).
+
+        Raises
+        ------
+        ValueError
+            If there is no such pair, or its matches do not fit the key points.
+        """
+        if (image1, image2) in self._groups:
+            path, is_swapped = self._groups[image1, image2]
+        elif (image2, image1) in self._groups:
+            path, is_swapped = self._groups[image2, image1]
+            is_swapped = not is_swapped
+        else:
+            raise ValueError(f"{self._matches_path} has no pair {image1} {image2}")
+        if is_swapped:
+            return self._stored_matches(path, image2, image1)[:, ::-1].copy()
+        return self._stored_matches(path, image1, image2)
+
+    def _stored_matches(self, path: str, image1: str, image2: str) -> NDArray[np.int64]:
+        what = f"{self._matches_path}: pair {image1} {image2}"
+        with reading(self._matches_path):
+            group = self._matches[path]
+            if "matches0" not in group:
+                raise ValueError(f"{what} has no dataset 'matches0'")
+            matches0 = np.asarray(group["matches0"][()])
+        with reading(self._features_path):
+            count1, count2 = self._num_keypoints(image1), self._num_keypoints(image2)
+        if matches0.shape != (count1,) or matches0.dtype.kind not in "iu":
+            raise ValueError(
+                f"{what}: matches0 must be {count1} integers, one for each key point of {image1}, "
+                f"got {matches0.dtype} {matches0.shape}; were the features computed anew?"
+            )
+        indices2 = matches0.astype(np.int64)
+        if count1 and not -1 <= indices2.min() <= indices2.max() < count2:
+            raise ValueError(
+                f"{what}: matches0 must be -1 or one of the {count2} key points of {image2}, "
+                f"got {indices2.min()} to {indices2.max()}"
+            )
+        indices1 = np.flatnonzero(indices2 >= 0)
+        return np.column_stack((indices1, indices2[indices1])).astype(np.int64)
+
+    def _image(self, image: str) -> Any:
+        """Group of an image."""
+        if image not in self._images:
+            raise ValueError(f"{self._features_path} has no image {image}")
+        return self._features[image]
+
+    def _num_keypoints(self, image: str) -> int:
+        if image not in self._counts:  # half of the time of reading a pair's matches
+            self._counts[image] = int(self._image(image)["keypoints"].shape[0])
+        return self._counts[image]

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""nerfstudio's transforms.json.
+
+``transform_matrix`` is camera to world with OpenGL axes: x right, y up, z backward; our camera
+axes are diag(1, -1, -1) of these. cx, cy are continuous pixels like ours: rays go through
+column + 0.5, row + 0.5. ``EQUIRECTANGULAR`` has theta = -pi (u - cx) / fl_x about the vertical and
+phi = pi (1/2 + (v - cy) / fl_y) from straight up, and the direction (-sin theta sin phi, cos phi,
+-cos theta sin phi): with fl_x = cx = W / 2, fl_y = H, cy = H / 2 our formulas, and a part of a
+panorama has other numbers. ``applied_transform`` maps the original world to the saved one.
+
+Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio's cameras.py and
+nerfstudio_dataparser.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import posixpath
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular, KannalaBrandt, Pinhole, UnifiedCamera
+from epi360.cameras.base import checked_size
+from epi360.cameras.calibration import fields
+from epi360.files import write_file
+from epi360.interop import checks
+from epi360.interop.ply import read_ply_points, write_ply_points
+from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.poses import Pose
+
+WHAT = "a transforms.json of nerfstudio"
+POINTS_FILE = "sparse_pc.ply"
+OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])  # its own inverse
+PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL")
+SUPPORTED = ("EQUIRECTANGULAR", "OPENCV_FISHEYE", *PERSPECTIVE)
+SIZE, FOCUS, DISTORTION = ("w", "h"), ("fl_x", "fl_y", "cx", "cy"), ("k1", "k2", "k3", "k4")
+INTRINSICS = ("camera_model", *SIZE, *FOCUS, *DISTORTION, "p1", "p2")
+
+
+def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> Reconstruction:
+    """Cameras, poses and points of a ``transforms.json``.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    images : str
+        Folder that the image names leave out, where every ``file_path`` lies below it.
+
+    Returns
+    -------
+    reconstruction : Reconstruction
+        In the original world: an ``applied_transform`` is undone. Cameras are called "1", "2", ...
+        in the order in which frames use them.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file, or no points where it says.
+    ValueError
+        If it is not such a file, a key is missing, a camera is of another model, or a matrix is not
+        finite or no rotation.
+    """
+    path = Path(path)
+    document = checks.read_json(path, WHAT)
+    try:
+        document = checks.mapping(document, "it")
+        fields.check_has(document, ["frames"])
+        if not isinstance(document["frames"], list) or not document["frames"]:
+            raise ValueError("frames must be a list, with one frame at least")
+        original_from_saved = _original_from_saved(document)
+        cameras, posed = _frames(document, original_from_saved, images)
+        points, colors = _points(path, document, original_from_saved)
+        return Reconstruction(cameras, posed, points, colors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_nerfstudio(
+    path: str | os.PathLike[str], reconstruction: Reconstruction, *, images: str = "images"
+) -> None:
+    """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        File; replaced if it is there, and so is ``sparse_pc.ply`` in its folder if there are
+        points.
+    reconstruction : Reconstruction
+        Observations and time stamps have no place in these files. The world is not turned:
+        ``applied_transform`` is the identity, which nerfstudio would not assume where it finds a
+        COLMAP model beside the file.
+    images : str
+        Folder of the images, relative to that of the file.
+
+    Raises
+    ------
+    ValueError
+        If an image has no camera or no pose, nerfstudio has no model for a camera, or there are
+        panoramas beside other cameras.
+    OSError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    used = {checks.known_camera(image, "nerfstudio") for image in reconstruction.images}
+    entries = {
+        name: _entry_of_camera(name, camera)
+        for name, camera in reconstruction.cameras.items()
+        if name in used
+    }
+    models = {entry.pop("camera_model") for entry in entries.values()}
+    if models == {"PINHOLE", "OPENCV"}:
+        models = {"OPENCV"}
+    if len(models) != 1:
+        raise ValueError(
+            "nerfstudio has one camera model a file, the reconstruction needs "
+            f"{', '.join(sorted(models)) or 'an image'}; write one file for each"
+        )
+    shared = next(iter(entries.values())) if len(entries) == 1 else {}
+    document: dict[str, Any] = {"camera_model": models.pop(), **shared}
+    document["applied_transform"] = np.eye(4)[:3].tolist()
+    if len(reconstruction.points):
+        document["ply_file_path"] = POINTS_FILE
+    document["frames"] = [
+        {
+            "file_path": posixpath.join(images, image.name),
+            "transform_matrix": _matrix_of_image(image),
+            **({} if shared else entries[str(image.camera)]),
+        }
+        for image in reconstruction.images
+    ]
+    if len(reconstruction.points):
+        write_ply_points(path.parent / POINTS_FILE, reconstruction.points, reconstruction.colors)
+    write_file(path, json.dumps(document, ensure_ascii=False, indent=1).encode())
+
+
+def _original_from_saved(document: Mapping[str, Any]) -> Pose:
+    if document.get("applied_scale", 1) != 1:
+        raise ValueError("applied_scale is not supported: write the poses without it")
+    if "applied_transform" not in document:
+        return Pose(np.eye(3), np.zeros(3))
+    return checks.pose_of_matrix(document["applied_transform"], "applied_transform").inverse()
+
+
+def _frames(
+    document: Mapping[str, Any], original_from_saved: Pose, folder: str
+) -> tuple[dict[str, Camera], tuple[PosedImage, ...]]:
+    shared = {key: document[key] for key in INTRINSICS if key in document}
+    names = _image_names(document["frames"], folder)
+    cameras: dict[Camera, str] = {}
+    posed = []
+    for number, frame in enumerate(document["frames"]):
+        try:
+            fields.check_has(frame, ["transform_matrix"])
+            # As nerfstudio has it: what the file says of all frames goes first.
+            camera = _camera({key: frame[key] for key in INTRINSICS if key in frame} | shared)
+            saved_from_opengl = checks.pose_of_matrix(frame["transform_matrix"], "transform_matrix")
+        except ValueError as error:
+            raise ValueError(f"frame {number} ({names[number]}): {error}") from None
+        world_from_opengl = original_from_saved @ saved_from_opengl
+        world_from_cam = world_from_opengl @ Pose(OPENGL_FROM_OPENCV, np.zeros(3))
+        name = cameras.setdefault(camera, str(len(cameras) + 1))
+        posed.append(PosedImage(names[number], name, world_from_cam.inverse()))
+    return {name: camera for camera, name in cameras.items()}, tuple(posed)
+
+
+def _image_names(frames: list[Any], folder: str) -> list[str]:
+    """Paths of the images below their folder; as they are where one lies elsewhere."""
+    paths = []
+    for number, frame in enumerate(frames):
+        value = checks.mapping(frame, f"frame {number}").get("file_path")
+        if not isinstance(value, str) or not value:
+            raise ValueError(f"frame {number} must have a file_path, got {fields.shortened(value)}")
+        paths.append(posixpath.normpath(value))
+    prefix = posixpath.normpath(folder) + "/"
+    if all(path.startswith(prefix) for path in paths):
+        paths = [path.removeprefix(prefix) for path in paths]
+    return paths
+
+
+def _camera(entry: Mapping[str, Any]) -> Camera:
+    model = entry.get("camera_model", "OPENCV")  # as nerfstudio takes it
+    if model not in SUPPORTED:
+        wanted = f"nerfstudio camera_model {fields.shortened(model)}"
+        raise fields.unsupported(wanted, ", ".join(SUPPORTED))
+    fields.check_has(entry, (*SIZE, *FOCUS))
+    # nerfstudio makes integers of what some writers give as 1920.0.
+    sizes = [fields.real_number(entry[name], name) for name in SIZE]
+    width, height = (
+        checked_size(int(size) if size.is_integer() else size, name)
+        for size, name in zip(sizes, SIZE, strict=True)
+    )
+    focus = [fields.real_number(entry[name], name) for name in FOCUS]
+    lens = {
+        name: fields.real_number(entry.get(name, 0.0), name) for name in (*DISTORTION, "p1", "p2")
+    }
+    if model == "EQUIRECTANGULAR":
+        return _panorama(width, height, *focus)
+    for name in ("p1", "p2") if model == "OPENCV_FISHEYE" else ("k3", "k4"):
+        if lens.pop(name) != 0:
+            raise ValueError(f"{model} with {name} = {entry[name]} is not supported")
+    if model == "OPENCV_FISHEYE":
+        return KannalaBrandt(width, height, *focus, **lens)
+    if any(lens.values()):
+        fx, fy, cx, cy = focus
+        return UnifiedCamera(width, height, fx, fy, cx, cy, 0.0, **lens)
+    return Pinhole(width, height, *focus)
+
+
+def _panorama(
+    width: int, height: int, fl_x: float, fl_y: float, cx: float, cy: float
+) -> Equirectangular:
+    """Whole panorama or part: pi / fl_x radians a column, pi / fl_y a row."""
+    for name, value in (("fl_x", fl_x), ("fl_y", fl_y)):
+        if not value > 0:
+            raise ValueError(f"{name} must be positive, got {value}")
+    return Equirectangular(
+        width,
+        height,
+        horizontal_fov_deg=180 * width / fl_x,
+        vertical_fov_deg=180 * height / fl_y,
+        center_longitude_deg=180 * (width / 2 - cx) / fl_x,
+        center_latitude_deg=180 * (cy - height / 2) / fl_y,
+    )
+
+
+def _points(
+    path: Path, document: Mapping[str, Any], original_from_saved: Pose
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    name = document.get("ply_file_path")
+    if name is None:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    if not isinstance(name, str):
+        raise ValueError(f"ply_file_path must be a path, got {fields.shortened(name)}")
+    saved, colors = read_ply_points(path.parent / name)
+    return saved @ original_from_saved.rotation.T + original_from_saved.translation, colors
+
+
+def _matrix_of_image(image: PosedImage) -> list[list[float]]:
+    world_from_cam = checks.known_pose(image).inverse()
+    matrix = (world_from_cam @ Pose(OPENGL_FROM_OPENCV, np.zeros(3))).matrix()
+    rows: list[list[float]] = matrix.tolist()
+    return rows
+
+
+def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
+    """Intrinsics of a frame, which `_camera` reads back."""
+    entry: dict[str, Any] = {"w": camera.width, "h": camera.height}
+    if isinstance(camera, Equirectangular):
+        fl_x = 180 * camera.width / camera.horizontal_fov_deg
+        fl_y = 180 * camera.height / camera.vertical_fov_deg
+        cx = camera.width / 2 - camera.center_longitude_deg * fl_x / 180
+        cy = camera.height / 2 + camera.center_latitude_deg * fl_y / 180
+        focus: tuple[float, ...] = (fl_x, fl_y, cx, cy)
+        return {"camera_model": "EQUIRECTANGULAR", **entry, **dict(zip(FOCUS, focus, strict=True))}
+    lens: tuple[str, ...] = ()
+    if isinstance(camera, KannalaBrandt):
+        model, lens = "OPENCV_FISHEYE", DISTORTION
+    elif isinstance(camera, UnifiedCamera) and camera.xi == 0:
+        model, lens = "OPENCV", ("k1", "k2", "p1", "p2")
+    elif isinstance(camera, Pinhole):
+        model = "PINHOLE"
+    else:
+        raise ValueError(
+            f"camera {name}: nerfstudio has no {type(camera).__name__} model; it has panoramas, "
+            "pinholes with distortion (Pinhole, UnifiedCamera with xi = 0) and KannalaBrandt"
+        )
+    focus = (camera.fx, camera.fy, camera.cx, camera.cy)
+    entry |= {"camera_model": model, **dict(zip(FOCUS, focus, strict=True))}
+    return entry | {key: getattr(camera, key) for key in lens}

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Coloured points in PLY files: the vertices, whatever else such a file holds.
+
+Source of the format: Turk, "The PLY Polygon File Format", 1994.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.files import write_file
+
+TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+POSITION, COLOR = ("x", "y", "z"), ("red", "green", "blue")
+LONGEST_HEADER = 2**16
+
+
+def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Vertices and their colors.
+
+    Parameters
+    ----------
+    path : Path
+        Text or binary PLY; the vertices come first, colors are of type uchar or missing.
+
+    Returns
+    -------
+    points : ndarray, shape (P, 3)
+    colors : ndarray, shape (P, 3), uint8
+        Black where the file has none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no PLY file, is cut off, or its vertices are not finite or have no x, y, z.
+    """
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path} does not exist; it must hold the points as PLY") from None
+    try:
+        vertices = _vertices(data)
+    except (ValueError, KeyError, IndexError, OverflowError) as error:
+        raise ValueError(f"{path} must be a PLY file of points: {error}") from None
+    points = np.stack([vertices[name].astype(np.float64) for name in POSITION], axis=1)
+    if not np.isfinite(points).all():
+        raise ValueError(f"{path} must hold finite points, got NaN or infinity")
+    colors = np.zeros((len(points), 3), np.uint8)
+    if all(vertices.dtype.fields and name in vertices.dtype.fields for name in COLOR):
+        colors = np.stack([vertices[name].astype(np.uint8) for name in COLOR], axis=1)
+    return points, colors
+
+
+def write_ply_points(path: Path, points: NDArray[np.float64], colors: NDArray[np.uint8]) -> None:
+    """Write points as a binary PLY, positions in double precision.
+
+    Parameters
+    ----------
+    path : Path
+        File; replaced if it is there.
+    points : ndarray, shape (P, 3)
+    colors : ndarray, shape (P, 3), uint8
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    kinds = [(name, "<f8") for name in POSITION] + [(name, "u1") for name in COLOR]
+    vertices = np.empty(len(points), dtype=kinds)
+    for index in range(3):
+        vertices[POSITION[index]] = points[:, index]
+        vertices[COLOR[index]] = colors[:, index]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    lines += [f"property double {name}" for name in POSITION]
+    lines += [f"property uchar {name}" for name in COLOR]
+    write_file(path, ("\n".join([*lines, "end_header"]) + "\n").encode() + vertices.tobytes())
+
+
+def _vertices(data: bytes) -> NDArray[np.void]:
+    """Structured array of the first element, which must be the vertices."""
+    mark = data.find(b"end_header", 0, LONGEST_HEADER)
+    start = data.find(b"\n", mark) + 1
+    lines = [line.split() for line in data[: max(mark, 0)].decode("ascii").splitlines()]
+    lines = [words for words in lines if words and words[0] not in ("comment", "obj_info")]
+    if not start or mark < 0 or lines[0] != ["ply"] or lines[1][0] != "format":
+        raise ValueError("it has no header")
+    elements = [number for number, words in enumerate(lines) if words[0] == "element"]
+    if not elements or lines[elements[0]][1] != "vertex":
+        raise ValueError("its first element is not the vertices")
+    count, order = int(lines[elements[0]][2]), BYTE_ORDERS[lines[1][1]]
+    properties = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
+    kinds = [(name, order + TYPES[kind]) for _, kind, name in properties]
+    if not {"x", "y", "z"} <= {name for name, _ in kinds}:
+        raise ValueError("its vertices have no x, y, z")
+    if order != "=":
+        if len(data) - start < count * np.dtype(kinds).itemsize:
+            raise ValueError("it is cut off")
+        return np.frombuffer(data, dtype=kinds, count=count, offset=start)
+    rows = data[start:].decode("ascii").splitlines()[:count]
+    cells = [tuple(map(float, row.split())) for row in rows]
+    if len(rows) < count or any(len(row) != len(kinds) for row in cells):
+        raise ValueError("it is cut off")
+    return np.array(cells, dtype=[(name, "f8") for name, _ in kinds])

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Trajectories as the TUM RGB-D benchmark writes them: ``timestamp tx ty tz qx qy qz qw``.
+
+A row is the pose of the camera in the world, world_from_cam, axes x right, y down, z forward, time
+in seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from epi360.datasets.tables import read_table
+from epi360.files import write_file
+from epi360.interop import checks
+from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.poses import pose_from_quaternion
+
+COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+
+
+def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
+    """Poses of a trajectory; each image is called by its time stamp.
+
+    Parameters
+    ----------
+    path : path-like
+        Text file with rows ``timestamp tx ty tz qx qy qz qw``; "#" starts a comment.
+
+    Returns
+    -------
+    reconstruction : Reconstruction
+        Without cameras and points.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If a row does not hold eight finite numbers with a unit quaternion, or a time is there
+        twice.
+    """
+    path = Path(path)
+    table = read_table(path, COLUMNS, None)
+    times, translations = table.floats(0, 1)[:, 0], table.floats(1, 4)
+    quaternions_wxyz = table.quaternions(4)[:, [3, 0, 1, 2]]
+    images = tuple(
+        PosedImage(cells[0], None, pose_from_quaternion(position, wxyz).inverse(), float(time))
+        for cells, time, position, wxyz in zip(
+            table.cells, times, translations, quaternions_wxyz, strict=True
+        )
+    )
+    try:
+        return Reconstruction({}, images)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
+    """Write the poses of the images as a trajectory, in the order of the images.
+
+    Parameters
+    ----------
+    path : path-like
+        File; replaced if it is there.
+    reconstruction : Reconstruction
+        Cameras, points and image names have no place in this file. Where an image has no time
+        stamp, every row gets the index of its image instead, from 0: seconds and indices do not
+        mix.
+
+    Raises
+    ------
+    ValueError
+        If an image has no pose.
+    OSError
+        If the file cannot be written.
+    """
+    stamps = [image.timestamp_s for image in reconstruction.images]
+    timed = all(stamp is not None for stamp in stamps)
+    lines = ["# " + " ".join(COLUMNS)]
+    for index, image in enumerate(reconstruction.images):
+        world_from_cam = checks.known_pose(image).inverse()
+        w, x, y, z = world_from_cam.quaternion_wxyz
+        numbers = (stamps[index] if timed else index, *world_from_cam.translation, x, y, z, w)
+        lines.append(" ".join(_shortest(number) for number in numbers))
+    write_file(path, ("\n".join(lines) + "\n").encode())
+
+
+def _shortest(number: float | int | None) -> str:
+    """Fewest digits that read back to the same number; indices without a point."""
+    return repr(number) if isinstance(number, int) else repr(float(number or 0.0))

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Trajectories: timestamp tx ty tz qx qy qz qw of world_from_cam."""
+
+import numpy as np
+import pytest
+
+from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
+from epi360.poses import Pose, rotation_from_vector
+
+HALF = 0.7071067811865476
+
+
+@pytest.fixture
+def trajectory(tmp_path):
+    def write(text):
+        path = tmp_path / "trajectory.txt"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_row_is_the_pose_of_the_camera_in_the_world(trajectory):
+    """A camera at (1, 2, 3), turned by 90 degrees about z: its x axis is the world's y axis."""
+    path = trajectory(
+        f"# timestamp tx ty tz qx qy qz qw\n1305031102.175304 1 2 3 0 0 {HALF} {HALF}\n"
+    )
+    (image,) = read_tum_trajectory(path).images
+    world_from_cam = image.cam_from_world.inverse()
+    np.testing.assert_allclose(world_from_cam.translation, [1, 2, 3], atol=1e-12)
+    np.testing.assert_allclose(world_from_cam.rotation @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    assert (image.name, image.timestamp_s) == ("1305031102.175304", 1305031102.175304)
+    assert image.camera is None
+
+
+def test_written_numbers_are_those_of_the_hand_made_row(tmp_path):
+    rotation = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    cam_from_world = Pose(rotation, np.array([1.0, 2, 3])).inverse()
+    path = tmp_path / "poses.tum"
+    write_tum_trajectory(
+        path, Reconstruction({}, (PosedImage("a", None, cam_from_world, 1305031102.175304),))
+    )
+    header, row = path.read_text().splitlines()
+    assert header == "# timestamp tx ty tz qx qy qz qw"
+    assert row.startswith("1305031102.175304 ")
+    np.testing.assert_allclose(
+        [float(word) for word in row.split()[1:]], [1, 2, 3, 0, 0, HALF, HALF], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("stamps", [(3.5, 0.25, 1e9), (3.5, None, 1e9), (None, None, None)])
+def test_rows_have_the_times_or_all_of_them_the_index(tmp_path, stamps):
+    rng = np.random.default_rng(1)
+    images = tuple(
+        PosedImage(
+            f"{index}.jpg",
+            None,
+            Pose(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)),
+            stamp,
+        )
+        for index, stamp in enumerate(stamps)
+    )
+    path = tmp_path / "poses.txt"
+    write_tum_trajectory(path, Reconstruction({}, images))
+    after = read_tum_trajectory(path).images
+    expected = [0, 1, 2] if None in stamps else list(stamps)
+    assert [image.timestamp_s for image in after] == expected
+    for one, other in zip(images, after, strict=True):
+        np.testing.assert_allclose(
+            one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-12
+        )
+
+
+def test_an_image_without_pose_is_not_written(tmp_path):
+    with pytest.raises(ValueError, match=r"image lost.jpg has no pose"):
+        write_tum_trajectory(
+            tmp_path / "t.txt", Reconstruction({}, (PosedImage("lost.jpg", None, Pose.nan()),))
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no rows"),
+        ("# nothing\n", "has no rows"),
+        ("0 1 2 3 0 0 0\n", "row 1 of .* must hold 8 values"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 nan 0 0 0 1\n", "row 2 of .* must hold the numbers tx,ty,tz"),
+        ("0 1 2 3 0 0 0 2\n", "must hold a unit quaternion"),
+        ("0 0 0 0 0 0 0 1\n0 1 0 0 0 0 0 1\n", "image 0 is there twice"),
+    ],
+)
+def test_a_bad_row_is_named_with_file_and_line(trajectory, text, message):
+    path = trajectory(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_tum_trajectory(path)
+    assert str(path) in str(caught.value)
