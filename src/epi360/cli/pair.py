@@ -27,7 +27,8 @@ class PairInput:
 
     camera: str | None = None
     """Calibration file of both images (Kalibr, basalt, COLMAP, OpenSfM or own YAML);
-    FILE:NAME where it holds several cameras. Without one, an image is a full panorama."""
+    FILE:NAME where it holds several cameras. Without one, an image is a full panorama, or the part
+    of one that its GPano metadata describe."""
     camera1: str | None = None
     """Calibration file of the first image."""
     camera2: str | None = None
@@ -145,12 +146,12 @@ def _check_pair_words(
 
 def _files_read(image1: Path | None, image2: Path | None, given: PairInput) -> dict[str, Path]:
     """List every file that the command reads, by the name a message calls it."""
+    from epi360.jobs.given_cameras import camera_file
+
     files = {"the first image": image1, "the second image": image2}
     for name in ("mask", "mask1", "mask2", "camera", "camera1", "camera2"):
         source = getattr(given, name)
-        if isinstance(source, str) and not Path(source).exists():
-            source = source.rpartition(":")[0]  # FILE:NAME
-        files[f"--{name}"] = Path(source) if source else None
+        files[f"--{name}"] = camera_file(source)[0] if isinstance(source, str) else source
     return {name: path for name, path in files.items() if path is not None}
 
 
@@ -188,10 +189,14 @@ def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _
     progress("reading the images")
     camera1 = _read_camera(given.camera1 or given.camera, "camera1")
     camera2 = _read_camera(given.camera2 or given.camera, "camera2")
+    pictures = read_image(image1, name="image1"), read_image(image2, name="image2")
     return _Pair(
         names=(str(image1), str(image2)),
-        images=(read_image(image1, name="image1"), read_image(image2, name="image2")),
-        cameras=(camera1, camera2),
+        images=pictures,
+        cameras=(
+            camera1 or _described_camera(image1, pictures[0], "image1"),
+            camera2 or _described_camera(image2, pictures[1], "image2"),
+        ),
         masks=(given.mask1 or given.mask, given.mask2 or given.mask),
     )
 
@@ -200,18 +205,28 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
     """Camera of a calibration file, by name where the file holds several."""
     if source is None:
         return None
-    from epi360.cameras import load_cameras
+    from epi360.jobs.given_cameras import read_given_cameras
 
-    file, colon, wanted = source.rpartition(":")
-    if not colon or Path(source).exists():
-        file, wanted = source, ""
-    cameras = load_cameras(file)
-    known = ", ".join(cameras)
-    if wanted and wanted not in cameras:
-        raise ValueError(f"{name}: {file} has no camera {wanted!r}; it holds {known}")
-    if not wanted and len(cameras) != 1:
-        raise ValueError(f"{name}: {source} holds {known}; name one as {source}:NAME")
-    return cameras[wanted] if wanted else next(iter(cameras.values()))
+    try:
+        return read_given_cameras(source).only()
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+
+
+def _described_camera(path: Path, image: NDArray[np.uint8], name: str) -> Camera | None:
+    """Camera of a part of a panorama by its GPano metadata; None where they say no such thing."""
+    from epi360.cameras import Equirectangular
+    from epi360.interop.gpano import read_gpano
+
+    gpano = read_gpano(path) if path.is_file() else None  # a pipe cannot be read twice
+    if gpano is None or gpano.part is None:
+        return None
+    height, width = image.shape[:2]
+    try:
+        camera = gpano.camera(width, height)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    return None if camera == Equirectangular(width, height) else camera
 
 
 def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairResult:

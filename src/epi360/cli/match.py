@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 match``: a folder of images to verified relative poses of its pairs."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, Flag, app, show_bars
+
+if TYPE_CHECKING:
+    from epi360.jobs.matching import MatchOptions, MatchRun
+
+PairsChoice = Literal["auto", "sequential", "exhaustive"] | Path
+
+
+@Parameter(name="*", group=Group("Images", sort_key=1))
+@dataclass(frozen=True)
+class MatchInput:
+    """What is known about the images."""
+
+    camera: str | None = None
+    """Calibration file of the images (Kalibr, basalt, COLMAP, OpenSfM or own YAML); FILE:NAME where
+    it holds several cameras and all images are of one. Without it, images are panoramas."""
+    mask: Path | None = None
+    """Mask for all images, or a folder with one for each; white = use."""
+    mask_nadir_deg: float = 0.0
+    """Ignore this angle around straight down: a tripod and its holder."""
+
+
+@Parameter(name="*", group=Group("Matching", sort_key=2))
+@dataclass(frozen=True)
+class MatchWork:
+    """How pairs are chosen and matched."""
+
+    pairs: PairsChoice = "auto"
+    """Which pairs: exhaustive, sequential (neighbours by name), or a file with two names a line;
+    auto: exhaustive for up to 30 images, else sequential."""
+    overlap: int = 10
+    """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead."""
+    max_width: int = 2048
+    """Shrink wider images to this width to find key points."""
+    max_features: int = 10000
+    """Keep the strongest key points of each image."""
+    seed: int = 0
+    """Of the random samples; the same seed gives the same result."""
+    jobs: int | None = None
+    """Threads; one per core by default. The result does not depend on it."""
+
+
+NO_INPUT, DEFAULT_WORK = MatchInput(), MatchWork()
+
+
+@app.command
+def match(
+    folder: Path,
+    /,
+    *,
+    given: MatchInput = NO_INPUT,
+    work: MatchWork = DEFAULT_WORK,
+    output: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
+    restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
+) -> int:
+    """Relative poses of the images of a folder, pair by pair, each with a verdict.
+
+    The output folder gets pairs.csv, a row a pair, and what `epi360 convert` and `epi360 map` read.
+    Interrupted, the command goes on from where it was; new images are added. Exit code 0 where a
+    pair has a pose, 1 where none has, 2 for wrong use.
+
+    Parameters
+    ----------
+    folder
+        Panoramas, or images of the given camera; sub-folders too.
+    output
+        Folder for the results. Default: NAME-matches in the current folder, beside the images where
+        that is inside them.
+    restart
+        Throw away the pairs in the output that were made with other options.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.jobs.image_set import find_images
+    from epi360.jobs.matching import match_images
+
+    options = _options(given, work)
+    output = _default_output(folder) if output is None else output
+    images = find_images(folder, camera=given.camera, mask=given.mask)
+    begun = time.monotonic()
+    with show_bars() as progress:
+        run = match_images(images, output, options, restart=restart, progress=progress)
+    _report(run, images.skipped, time.monotonic() - begun)
+    return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
+
+
+def _options(given: MatchInput, work: MatchWork) -> MatchOptions:
+    from epi360.jobs.matching import MatchOptions
+
+    return MatchOptions(
+        pairs=work.pairs,
+        overlap=work.overlap,
+        max_width=work.max_width,
+        max_features=work.max_features,
+        mask_nadir_deg=given.mask_nadir_deg,
+        seed=work.seed,
+        num_threads=work.jobs,
+    )
+
+
+def _default_output(folder: Path) -> Path:
+    """NAME-matches in the current folder, but never among the images."""
+    images, here = folder.resolve(), Path.cwd()
+    inside = here == images or images in here.parents
+    name = f"{images.name}-matches"
+    return images.parent / name if inside else Path(name)
+
+
+def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float) -> None:
+    from epi360.files import write_file
+    from epi360.report.match_table import describe_match, pairs_csv
+
+    table = run.folder / "pairs.csv"
+    write_file(table, pairs_csv(run))
+    for name, reason in skipped:
+        print(f"skipped {name}: {reason}")
+    print(describe_match(run))
+    num_new = len(run.verdicts) - run.num_found
+    if num_new:
+        rate = num_new / max(seconds, 1e-3)
+        print(f"{num_new} new pairs in {seconds:.1f} s with their features, {rate:.1f}/s")
+    print(f"wrote {table}", flush=True)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which mask belongs to which image."""
+
+from __future__ import annotations
+
+import unicodedata
+from pathlib import Path
+
+from epi360.datasets.image_folder import IMAGE_SUFFIXES
+from epi360.jobs.folder_files import files_below
+
+
+class MaskSource:
+    """One mask for all images, or a folder with a file per image.
+
+    Parameters
+    ----------
+    path : Path or None
+        A mask file; or a folder where the mask of ``a/b.jpg`` is ``a/b`` with any suffix of an
+        image, or ``a/b.jpg.png`` as COLMAP has it. None: no masks.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file or folder.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._masks: dict[str, Path] | None = None
+        if path is not None and not path.exists():
+            raise FileNotFoundError(f"mask {path} does not exist")
+        if path is not None and path.is_dir():
+            self._masks = {}
+            for name, mask in files_below(path):
+                if mask.suffix.lower() in IMAGE_SUFFIXES:
+                    self._masks.setdefault(_key(_without_suffix(name)), mask)
+
+    def of(self, name: str) -> Path | None:
+        """Mask of an image by its name; None: it has none."""
+        if self._masks is None:
+            return self._path
+        by_colmap = self._masks.get(_key(name))
+        return by_colmap or self._masks.get(_key(_without_suffix(name)))
+
+    def check_used(self, masks: list[Path | None]) -> None:
+        """Raise ``ValueError`` where a folder of masks was given and no image has one."""
+        if self._masks is not None and not any(masks):
+            raise ValueError(
+                f"mask folder {self._path} has no mask for any of the images; the mask of a/b.jpg "
+                "is a/b.png or a/b.jpg.png"
+            )
+
+
+def _without_suffix(name: str) -> str:
+    return name[: len(name) - len(Path(name).suffix)]
+
+
+def _key(name: str) -> str:
+    """Name by which two folders compare: file systems write accents as one character or two."""
+    return unicodedata.normalize("NFC", name)

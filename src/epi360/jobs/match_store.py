@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The output folder of `epi360 match`: what it was made with, finished pairs, the result.
+
+``epi360-match.json``
+    Format and options.
+``features/KEY.npz``
+    Key points of an image, see `FeatureCache`.
+``pairs/part-HASH.npz``
+    Some verified pairs, known by the keys of their images. Parts appear whole or not at all.
+``images.json``, ``cameras.json``
+    Images and pairs of the last complete run.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import load_cameras
+from epi360.extras import package_version
+from epi360.files import write_file
+from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.jobs.array_files import npz_bytes, read_arrays
+from epi360.jobs.image_set import ImageSet
+from epi360.poses import Pose
+
+FORMAT = 1
+MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
+FEATURES, PAIRS = "features", "pairs"
+Keys = tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Verdict:
+    """What became of a pair, without its matches.
+
+    Attributes
+    ----------
+    status : str
+        Of `RelativePoseResult`, or "unreadable_image".
+    warnings : tuple of str
+        Of `RelativePoseResult`.
+    num_matches, num_inliers : int
+        Matches, and those that agree with the pose.
+    noise_deg, parallax_deg : float
+        Of `RelativePoseResult`.
+    rotation_sigma_deg, translation_sigma_deg : float
+        One-sigma errors to expect, over all axes.
+    cam2_from_cam1 : Pose
+        |t| = 1; NaN where the pair does not determine it.
+    """
+
+    status: str
+    warnings: tuple[str, ...] = ()
+    num_matches: int = 0
+    num_inliers: int = 0
+    noise_deg: float = np.nan
+    parallax_deg: float = np.nan
+    rotation_sigma_deg: float = np.nan
+    translation_sigma_deg: float = np.nan
+    cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the pose may be used."""
+        return self.status == "ok"
+
+
+@dataclass(frozen=True, eq=False)
+class VerifiedPair:
+    """A finished pair.
+
+    Attributes
+    ----------
+    keys : (str, str)
+        Of the key points of both images.
+    verdict : Verdict
+        On the pair.
+    matches : ndarray, shape (M, 2), int
+        (key point in image 1, key point in image 2).
+    inlier_mask : ndarray, shape (M,), bool
+        Which of them agree with the pose.
+    """
+
+    keys: Keys
+    verdict: Verdict
+    matches: NDArray[np.int64]
+    inlier_mask: NDArray[np.bool_]
+
+
+def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> None:
+    """Make the folder, or check that it goes with the options.
+
+    Parameters
+    ----------
+    folder : Path
+        The output.
+    options : mapping
+        Plain values that all pairs of a folder share.
+    restart : bool
+        Throw pairs away that were made with other options, instead of refusing.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds something else, or pairs made with other options.
+    OSError
+        If it cannot be written.
+    """
+    wanted = {"format": FORMAT, "epi360_version": package_version(), "options": dict(options)}
+    found = _marker(folder)
+    if restart and found is not None and found != wanted:
+        (folder / IMAGES).unlink(missing_ok=True)
+        if (folder / PAIRS).is_dir():
+            shutil.rmtree(folder / PAIRS)
+    elif found is not None:
+        _check_same(folder, found, wanted)
+    for part in (FEATURES, PAIRS):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    write_file(folder / MARKER, _json(wanted))
+
+
+def _marker(folder: Path) -> dict[str, Any] | None:
+    """Content of the marker, None for a folder that is new or empty."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"output must be a folder, {folder} is a file")
+    if not folder.exists() or not any(folder.iterdir()):
+        return None
+    try:
+        found = json.loads((folder / MARKER).read_bytes())
+    except FileNotFoundError:
+        raise ValueError(
+            f"output {folder} is not empty and was not made by epi360 match; choose another"
+        ) from None
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not isinstance(found.get("options"), dict):
+        raise ValueError(f"{folder / MARKER} is damaged; choose another output")
+    return found
+
+
+def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    before = {**found, **found["options"]}
+    now = {**wanted, **wanted["options"]}
+    for name in now:
+        if name != "options" and before.get(name) != now[name]:
+            raise ValueError(
+                f"{folder} was made with {name} {before.get(name)}, now it is {now[name]}: choose "
+                "another --output, or --restart to match again (features that still fit are kept)"
+            )
+
+
+def write_part(folder: Path, pairs: Sequence[VerifiedPair]) -> None:
+    """Keep finished pairs.
+
+    Parameters
+    ----------
+    folder : Path
+        The output.
+    pairs : sequence of VerifiedPair
+        At least one.
+
+    Raises
+    ------
+    OSError
+        If the part cannot be written.
+    """
+    verdicts = [pair.verdict for pair in pairs]
+    matches = np.concatenate([pair.matches for pair in pairs])
+    arrays = {
+        "keys": np.array([pair.keys for pair in pairs]),
+        "status": np.array([verdict.status for verdict in verdicts]),
+        "warnings": np.array(["\n".join(verdict.warnings) for verdict in verdicts]),
+        "numbers": np.array([_numbers(verdict) for verdict in verdicts]),
+        "ends": np.cumsum([len(pair.matches) for pair in pairs]),
+        "matches": matches.astype(np.min_scalar_type(matches.max(initial=0))),
+        "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
+    }
+    content = npz_bytes(arrays)
+    digest = blake2b(content, digest_size=12).hexdigest()
+    write_file(folder / PAIRS / f"part-{digest}.npz", content)
+
+
+def read_parts(folder: Path) -> Iterable[VerifiedPair]:
+    """Pairs that are finished; a damaged part counts as not done.
+
+    Parameters
+    ----------
+    folder : Path
+        The output.
+
+    Yields
+    ------
+    pair : VerifiedPair
+        In no order; a pair may come twice, the same each time.
+    """
+    for path in sorted((folder / PAIRS).glob("part-*.npz")):
+        arrays = read_arrays(path)
+        if arrays is not None:
+            yield from _pairs_of_part(arrays)
+
+
+def _numbers(verdict: Verdict) -> list[float]:
+    pose = verdict.cam2_from_cam1
+    return [
+        verdict.noise_deg,
+        verdict.parallax_deg,
+        verdict.rotation_sigma_deg,
+        verdict.translation_sigma_deg,
+        *pose.rotation.ravel(),
+        *pose.translation,
+    ]
+
+
+def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]:
+    starts = [0, *arrays["ends"]]
+    for row, (key1, key2) in enumerate(arrays["keys"]):
+        matches, mask = (
+            arrays[name][starts[row] : starts[row + 1]] for name in ("matches", "inlier_mask")
+        )
+        noise, parallax, rotation_sigma, translation_sigma, *pose = arrays["numbers"][row]
+        verdict = Verdict(
+            status=str(arrays["status"][row]),
+            warnings=tuple(str(arrays["warnings"][row]).splitlines()),
+            num_matches=len(matches),
+            num_inliers=int(mask.sum()),
+            noise_deg=float(noise),
+            parallax_deg=float(parallax),
+            rotation_sigma_deg=float(rotation_sigma),
+            translation_sigma_deg=float(translation_sigma),
+            cam2_from_cam1=Pose(np.reshape(pose[:9], (3, 3)), np.array(pose[9:])),
+        )
+        yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)
+
+
+def write_index(
+    folder: Path, images: ImageSet, keys: Mapping[str, str], pairs: Iterable[tuple[str, str]]
+) -> None:
+    """Say which images and pairs are the result: a run is complete.
+
+    Parameters
+    ----------
+    folder : Path
+        The output.
+    images : ImageSet
+        All images of the run.
+    keys : mapping of str to str
+        Key of the key points of each readable image, by its name.
+    pairs : iterable of (str, str)
+        Names of the images of each finished pair, in order.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+    """
+    cameras = {
+        name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
+        for name, camera in images.cameras.items()
+    }
+    listed = [
+        {"name": image.name, "camera": image.camera, "frame": image.frame, "key": keys[image.name]}
+        for image in images.images
+        if image.name in keys
+    ]
+    rig = {name: pose.matrix().tolist() for name, pose in images.cam_from_rig.items()}
+    write_file(folder / CAMERAS, _json({"cameras": cameras}))
+    index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
+    write_file(folder / IMAGES, _json(index))
+
+
+def load_matches(folder: Path) -> MatchGraph:
+    """Images, key points and verified pairs that `match_images` left in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Its output.
+
+    Returns
+    -------
+    graph : MatchGraph
+        Every pair has a geometry: look at its status.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or it holds no complete run.
+    ValueError
+        If a file is damaged.
+    """
+    folder = Path(folder)
+    if not (folder / IMAGES).is_file():
+        raise FileNotFoundError(
+            f"{folder} holds no complete result of epi360 match; run it with this --output first"
+        )
+    cameras = load_cameras(folder / CAMERAS)
+    try:
+        index = json.loads((folder / IMAGES).read_bytes())
+        keys = {image["name"]: image["key"] for image in index["images"]}
+        wanted = [(str(name1), str(name2)) for name1, name2 in index["pairs"]]
+        rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
+        images = {image["name"]: _matched_image(folder, image) for image in index["images"]}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
+    finished = {pair.keys: pair for pair in read_parts(folder)}
+    pairs = tuple(_matched_pair(names, keys, finished) for names in wanted)
+    return MatchGraph(cameras, images, pairs, rig)
+
+
+_AGAIN = "run epi360 match with this --output again, it redoes what is missing"
+
+
+def _matched_image(folder: Path, image: Mapping[str, Any]) -> MatchedImage:
+    arrays = read_arrays(folder / FEATURES / f"{image['key']}.npz")
+    if arrays is None:
+        raise ValueError(f"the key points of {image['name']} are missing or damaged; {_AGAIN}")
+    pixels = arrays["pixels"].astype(np.float64)
+    return MatchedImage(image["name"], image["camera"], pixels, frame=image["frame"])
+
+
+def _matched_pair(
+    names: tuple[str, str], keys: Mapping[str, str], finished: Mapping[Keys, VerifiedPair]
+) -> MatchedPair:
+    pair = finished.get((keys[names[0]], keys[names[1]]))
+    if pair is None:
+        raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
+    geometry = TwoViewGeometry(
+        pair.verdict.status, pair.verdict.cam2_from_cam1, pair.matches[pair.inlier_mask]
+    )
+    return MatchedPair(*names, pair.matches, geometry)
+
+
+def _json(record: Mapping[str, Any]) -> bytes:
+    return (json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

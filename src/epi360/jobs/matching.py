@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A folder of images to verified relative poses of its pairs; stopped, it goes on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from epi360.features.detection import check_options
+from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
+from epi360.jobs.image_set import ImageSet
+from epi360.jobs.match_job import MatchJob
+from epi360.jobs.match_store import (
+    FEATURES,
+    Keys,
+    Verdict,
+    load_matches,
+    open_output,
+    write_index,
+)
+from epi360.jobs.pair_selection import Pair, select_pairs
+from epi360.progress import Progress, no_progress
+
+__all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_images"]
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """How images are matched.
+
+    Parameters
+    ----------
+    pairs : str or Path
+        "auto", "sequential", "exhaustive" or the path of a pairs file, see `select_pairs`.
+    overlap : int
+        Sequential: neighbours that follow an image.
+    max_width : int
+        Wider images are searched at this width; key points are in pixels of the originals. At
+        2048, real pairs 2688 wide have errors as small as at their full width, in half the time.
+    max_features : int
+        The strongest of each image are kept.
+    mask_nadir_deg : float
+        Ignore this angle around straight down.
+    seed : int
+        Of the sampling.
+    num_threads : int, optional
+        By default one per core; the results do not depend on it.
+    """
+
+    pairs: str | Path = "auto"
+    overlap: int = 10
+    max_width: int = 2048
+    max_features: int = 10000
+    mask_nadir_deg: float = 0.0
+    seed: int = 0
+    num_threads: int | None = None
+
+    def __post_init__(self) -> None:
+        """Check all options.
+
+        Raises
+        ------
+        ValueError
+            If one is out of its range.
+        """
+        check_options(self.max_width, self.mask_nadir_deg)
+        for name in ("overlap", "max_features", "num_threads"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PairVerdict(Verdict):
+    """What became of a pair of images.
+
+    Attributes
+    ----------
+    image1, image2 : str
+        Names.
+    """
+
+    image1: str
+    image2: str
+
+
+@dataclass(frozen=True, eq=False)
+class MatchRun:
+    """What a run of `match_images` found.
+
+    Attributes
+    ----------
+    folder : Path
+        Output: what `load_matches` takes.
+    how : str
+        How the pairs were chosen, in words.
+    images : tuple of str
+        Names of all images.
+    verdicts : tuple of PairVerdict
+        In the order of the pairs.
+    unreadable : mapping of str to str
+        Image to the reason why it could not be used.
+    num_found : int
+        Pairs that an earlier run had finished.
+    """
+
+    folder: Path
+    how: str
+    images: tuple[str, ...]
+    verdicts: tuple[PairVerdict, ...]
+    unreadable: Mapping[str, str]
+    num_found: int
+
+
+def match_images(
+    images: ImageSet,
+    output: Path,
+    options: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    *,
+    restart: bool = False,
+    progress: Progress = no_progress,
+) -> MatchRun:
+    """Verified poses of pairs of images; what an earlier run has finished is used.
+
+    Parameters
+    ----------
+    images : ImageSet
+        Of `find_images`.
+    output : Path
+        Folder that keeps key points and pairs, made where it is missing.
+    options : MatchOptions
+        Which pairs, and how.
+    restart : bool
+        Throw away pairs in the output that were made with other options, instead of refusing;
+        features that still fit are kept.
+    progress : callable
+        Stages "images", "features" and "pairs".
+
+    Returns
+    -------
+    run : MatchRun
+        A verdict on each pair.
+
+    Raises
+    ------
+    ValueError
+        If the pairs file names an unknown image, or the output was made with other options or by
+        something else.
+    OSError
+        If the output cannot be written.
+
+    Notes
+    -----
+    Every image has one list of key points, strongest first. A pair is matched with the stronger
+    ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
+    warning.
+    An image that cannot be read costs its pairs, not the run.
+    """
+    how, pairs = select_pairs(images.images, options.pairs, options.overlap)
+    extraction = ExtractionOptions(
+        options.max_width, options.max_features, float(options.mask_nadir_deg)
+    )
+    open_output(Path(output), {**vars(extraction), "seed": options.seed}, restart=restart)
+    cache = FeatureCache(Path(output) / FEATURES, extraction)
+    job = MatchJob(
+        images,
+        Path(output),
+        cache,
+        seed=options.seed,
+        num_threads=options.num_threads,
+        progress=progress,
+    )
+    job.find_features(sorted({index for pair in pairs for index in pair}))
+    finished, num_found = job.verify(pairs)
+    verdicts = tuple(_named(pair, job, finished) for pair in pairs)
+    matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
+    write_index(job.output, images, job.readable_keys(), matched)
+    names = tuple(image.name for image in images.images)
+    return MatchRun(job.output, how, names, verdicts, job.unreadable, num_found)
+
+
+def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairVerdict:
+    """Verdict on two images, by name."""
+    image1, image2 = (job.images[index].name for index in pair)
+    if not job.is_readable(pair):
+        return PairVerdict(status="unreadable_image", image1=image1, image2=image2)
+    return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)

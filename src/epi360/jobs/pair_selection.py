@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which images of a set are matched with which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import combinations
+from pathlib import Path
+
+from epi360.interop.pairs_file import read_pairs_file
+from epi360.jobs.image_set import SourceImage
+
+# All pairs of so many panoramas take a minute or two on two cores.
+MAX_EXHAUSTIVE = 30
+# Beside its neighbours each image is matched with a few farther ahead, up to so many times as far:
+# where the camera came back or a neighbour failed, the sequence holds together.
+FARTHEST = 8
+# Cameras of a rig look to different sides: what one sees the other saw a moment ago, or not at all.
+CROSS_CAMERA_FRAMES = 1
+
+Pair = tuple[int, int]
+
+
+def select_pairs(
+    images: Sequence[SourceImage], pairs: str | Path, overlap: int
+) -> tuple[str, list[Pair]]:
+    """Pairs to match, and in words how they were chosen.
+
+    Parameters
+    ----------
+    images : sequence of SourceImage
+        In order.
+    pairs : str or Path
+        "sequential", "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
+        path of a pairs file.
+    overlap : int
+        Sequential: each image with so many after it, and with those 2, 4 and 8 times as far ahead.
+
+    Returns
+    -------
+    how : str
+        Such as "exhaustive".
+    chosen : list of (int, int)
+        Indices of images, each unordered pair once.
+
+    Raises
+    ------
+    ValueError
+        If the pairs file names an image that is not there, or cannot be read.
+    FileNotFoundError
+        If it does not exist.
+
+    Notes
+    -----
+    Sequences: all images in their order, across sub-folders. Of a rig: each camera's images by
+    frame, and images of different cameras at most one frame apart.
+    """
+    if pairs == "auto":
+        pairs = "exhaustive" if len(images) <= MAX_EXHAUSTIVE else "sequential"
+    if pairs == "exhaustive":
+        return "exhaustive", list(combinations(range(len(images)), 2))
+    if pairs == "sequential":
+        return f"sequential, {overlap} neighbours", _sequential(images, overlap)
+    return f"from {pairs}", _listed(images, Path(pairs))
+
+
+def _sequential(images: Sequence[SourceImage], overlap: int) -> list[Pair]:
+    frames: dict[str | int, list[int]] = {}
+    for index, image in enumerate(images):
+        frames.setdefault(index if image.frame is None else image.frame, []).append(index)
+    moments = list(frames.values())
+    if len(moments) == len(images):
+        return [(a, b) for a in range(len(images)) for b in _ahead(a, len(images), overlap)]
+    steps = [(a, b) for a in range(len(moments)) for b in [a, *_ahead(a, len(moments), overlap)]]
+    return [pair for a, b in steps for pair in _of_rig(images, moments[a], moments[b], b - a)]
+
+
+def _ahead(index: int, count: int, overlap: int) -> list[int]:
+    """Neighbours that follow, and a few farther ahead."""
+    steps = [*range(1, overlap + 1), *(overlap * 2**k for k in range(1, FARTHEST.bit_length()))]
+    return [index + step for step in steps if index + step < count]
+
+
+def _of_rig(
+    images: Sequence[SourceImage], moment1: list[int], moment2: list[int], apart: int
+) -> Iterable[Pair]:
+    """Pairs between two moments of a rig, or within one."""
+    if apart == 0:
+        yield from combinations(moment1, 2)
+        return
+    for first in moment1:
+        for second in moment2:
+            if apart <= CROSS_CAMERA_FRAMES or images[first].camera == images[second].camera:
+                yield first, second
+
+
+def _listed(images: Sequence[SourceImage], path: Path) -> list[Pair]:
+    index = {image.name: place for place, image in enumerate(images)}
+    chosen = []
+    for pair in read_pairs_file(path, names=index.keys(), both_orders=True):
+        for name in pair:
+            if name not in index:
+                raise ValueError(
+                    f"{path} names the image {name}, which is not among the {len(index)} images; "
+                    f"names are paths below the image folder, such as {images[0].name}"
+                )
+        chosen.append((index[pair[0]], index[pair[1]]))
+    return chosen

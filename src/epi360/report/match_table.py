@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Matched pairs as a table for programs and a summary for people."""
+
+from __future__ import annotations
+
+import csv
+import io
+import textwrap
+from collections import Counter
+
+import numpy as np
+
+from epi360.jobs.matching import MatchRun, PairVerdict
+from epi360.report.text import LABEL_WIDTH, LINE_WIDTH, STATUS_SENTENCES
+
+COLUMNS = (
+    "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
+    "parallax_deg", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "rotation_sigma_deg",
+    "translation_sigma_deg", "warnings",
+)  # fmt: skip
+_MAX_LISTED = 10
+
+
+def pairs_csv(run: MatchRun) -> bytes:
+    """Table of all pairs, UTF-8: one row a pair, in order.
+
+    Parameters
+    ----------
+    run : MatchRun
+        What was found.
+
+    Returns
+    -------
+    table : bytes
+        With a header. ``qw`` to ``tz`` are cam2_from_cam1, quaternion and unit translation; what is
+        not determined is empty. The same on every machine that finds the same.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for verdict in run.verdicts:
+        pose = verdict.cam2_from_cam1
+        numbers = (verdict.noise_deg, verdict.parallax_deg, *pose.quaternion_wxyz)
+        sigmas = (verdict.rotation_sigma_deg, verdict.translation_sigma_deg)
+        writer.writerow(
+            [
+                verdict.image1,
+                verdict.image2,
+                verdict.status,
+                "yes" if verdict.accepted else "no",
+                _reason(verdict, run),
+                verdict.num_matches,
+                verdict.num_inliers,
+                *(_number(value) for value in (*numbers, *pose.translation, *sigmas)),
+                "; ".join(verdict.warnings),
+            ]
+        )
+    return text.getvalue().encode()
+
+
+def describe_match(run: MatchRun) -> str:
+    """Lines that tell a person how many pairs have a pose, and why others have none.
+
+    Parameters
+    ----------
+    run : MatchRun
+        What was found.
+
+    Returns
+    -------
+    text : str
+        Without a trailing newline.
+    """
+    accepted = [verdict for verdict in run.verdicts if verdict.accepted]
+    there = f", {run.num_found} were there" if run.num_found else ""
+    rows = [
+        ("Images", f"{len(run.images)}"),
+        ("Pairs", f"{len(run.verdicts)} ({run.how})" + there),
+        ("Accepted", f"{len(accepted)}"),
+    ]
+    if accepted:
+        inliers = np.median([verdict.num_inliers for verdict in accepted])
+        rows.append(("", f"median of {inliers:.0f} inliers"))
+    counts = Counter(verdict.status for verdict in run.verdicts if not verdict.accepted)
+    rows += [("Rejected", f"{count} {status}") for status, count in counts.most_common()]
+    rows += _listed(
+        "Unreadable", [f"{name}: {why}" for name, why in sorted(run.unreadable.items())]
+    )
+    paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
+    rows += _listed("No pair", [name for name in run.images if name not in paired])
+    return "\n".join(_wrapped(label, value) for label, value in rows)
+
+
+def _reason(verdict: PairVerdict, run: MatchRun) -> str:
+    """Sentence for the status; of an image that cannot be read, why."""
+    if verdict.status in STATUS_SENTENCES:
+        return STATUS_SENTENCES[verdict.status]
+    names = (verdict.image1, verdict.image2)
+    return "; ".join(run.unreadable[name] for name in names if name in run.unreadable)
+
+
+def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:
+    """One row each, the first few."""
+    rows = [(label, line) for line in lines[:_MAX_LISTED]]
+    if len(lines) > _MAX_LISTED:
+        rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))
+    return rows
+
+
+def _wrapped(label: str, value: str) -> str:
+    indent = " " * LABEL_WIDTH
+    first = f"{label:<{LABEL_WIDTH}}"
+    return textwrap.fill(
+        value, LINE_WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False
+    )
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}" if np.isfinite(value) else ""

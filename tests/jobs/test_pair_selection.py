@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which pairs are matched."""
+
+from pathlib import Path
+
+import pytest
+
+from epi360.jobs.image_set import SourceImage
+from epi360.jobs.pair_selection import select_pairs
+
+
+def images(count):
+    return [SourceImage(f"{k}.jpg", Path(f"{k}.jpg"), "c") for k in range(count)]
+
+
+def rig(num_frames):
+    return [
+        SourceImage(f"{camera}/{k}.jpg", Path("x"), camera, frame=str(k))
+        for camera in ("left", "right")
+        for k in range(num_frames)
+    ]
+
+
+def test_exhaustive_is_every_pair_once():
+    how, pairs = select_pairs(images(5), "exhaustive", 10)
+    assert how == "exhaustive"
+    assert len(pairs) == len({frozenset(pair) for pair in pairs}) == 10
+
+
+def test_few_images_are_matched_exhaustively_and_many_in_sequence():
+    assert select_pairs(images(30), "auto", 10)[0] == "exhaustive"
+    how, pairs = select_pairs(images(31), "auto", 10)
+    assert how == "sequential, 10 neighbours"
+    assert len(pairs) < 31 * 13
+
+
+def test_a_sequence_pairs_neighbours_and_a_few_farther_ahead():
+    _, pairs = select_pairs(images(40), "sequential", 3)
+    assert [b for a, b in pairs if a == 5] == [6, 7, 8, 11, 17, 29]
+    assert [b for a, b in pairs if a == 38] == [39]
+    assert len(pairs) == len(set(pairs))
+
+
+def test_a_rig_pairs_each_camera_with_itself_and_with_the_other_a_moment_apart():
+    chosen = rig(6)
+    _, pairs = select_pairs(chosen, "sequential", 2)
+    named = {frozenset((chosen[a].name, chosen[b].name)) for a, b in pairs}
+    assert len(named) == len(pairs)
+    for wanted in (
+        {"left/0.jpg", "right/0.jpg"},
+        {"left/0.jpg", "right/1.jpg"},
+        {"right/0.jpg", "left/1.jpg"},
+        {"left/0.jpg", "left/2.jpg"},
+        {"right/0.jpg", "right/4.jpg"},
+    ):
+        assert frozenset(wanted) in named
+    assert frozenset({"left/0.jpg", "right/2.jpg"}) not in named
+    assert frozenset({"left/0.jpg", "left/3.jpg"}) not in named
+
+
+def test_a_file_names_the_pairs_in_their_order(tmp_path):
+    path = tmp_path / "pairs.txt"
+    path.write_text("2.jpg 0.jpg\n0.jpg 1.jpg\n0.jpg 2.jpg\n")
+    how, pairs = select_pairs(images(3), path, 10)
+    assert pairs == [(2, 0), (0, 1)]
+    assert "pairs.txt" in how
+
+
+def test_an_unknown_image_in_the_file_is_named(tmp_path):
+    path = tmp_path / "pairs.txt"
+    path.write_text("2.jpg elsewhere/9.jpg\n")
+    with pytest.raises(ValueError, match=r"elsewhere/9\.jpg"):
+        select_pairs(images(3), path, 10)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="none.txt"):
+        select_pairs(images(3), tmp_path / "none.txt", 10)
