@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 batch``: the matches of many pairs to their relative poses."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+
+if TYPE_CHECKING:
+    from epi360.jobs.batch import BatchSummary, MatchSource
+
+
+@Parameter(name="*", group=Group("Input", sort_key=1))
+@dataclass(frozen=True)
+class BatchInput:
+    """What belongs to the matches."""
+
+    camera: str | None = None
+    """Calibration file, for pixels: one camera for all images, or each called like a top folder."""
+    features: str | None = None
+    """With hloc's matches: the file of the key points."""
+    pairs: str | None = None
+    """With hloc's matches: a text file of the pairs that are wanted, two names a line."""
+
+
+@Parameter(name="*", group=Group("Work", sort_key=2))
+@dataclass(frozen=True)
+class BatchOptions:
+    """How the work is done."""
+
+    engine: Literal["local", "ray"] = "local"
+    """Threads of this machine, or Ray (local by default)."""
+    address: str | None = None
+    """With Ray: address of a cluster."""
+    threads: int | None = None
+    """Of the local engine; one per core by default."""
+    seed: int = 0
+    """Of the random samples; a pair's own seed is a hash of it and of the images' names."""
+    pairs_per_part: int = 1000
+    """The most pairs that are held in memory and written at once."""
+
+
+NO_MORE_INPUT, DEFAULT_OPTIONS = BatchInput(), BatchOptions()
+
+
+@app.command
+def batch(
+    source: Annotated[str, Parameter(name="INPUT")],
+    /,
+    *,
+    output: str,
+    write_database: str | None = None,
+    given: BatchInput = NO_MORE_INPUT,
+    options: BatchOptions = DEFAULT_OPTIONS,
+) -> int:
+    """Relative poses of many pairs of images, from their matches.
+
+    Finished parts are kept in OUTPUT.parts until all are there: a run that was stopped goes on from
+    there. Exit code 0 when the output is written, 1 if not one of its pairs is ok, 2 for wrong use.
+
+    Parameters
+    ----------
+    source
+        Parquet (columns image1, image2, bearings1, bearings2, or pixels1, pixels2), a COLMAP
+        database, or hloc's matches. Parquet may be a URL of an object store.
+    output
+        Parquet file of the poses, one row a pair; may be a URL.
+    write_database
+        Write a copy of the COLMAP database with the two-view geometries.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.jobs.batch import BatchJob, run_batch
+
+    if options.address is not None and options.engine != "ray":
+        raise ValueError("--address goes with --engine ray")
+    if options.threads is not None and options.engine != "local":
+        raise ValueError("--threads goes with --engine local; Ray takes all cores it is given")
+    job = BatchJob(_source(source, given, options), output, seed=options.seed)
+    with show_bars() as progress:
+        summary = run_batch(
+            job,
+            engine=options.engine,
+            num_threads=options.threads,
+            address=options.address,
+            database=write_database,
+            progress=progress,
+        )
+    _print_summary(summary, output)
+    return SUCCESS if summary.statuses.get("ok") else FAILURE
+
+
+def _source(path: str, given: BatchInput, options: BatchOptions) -> MatchSource:
+    from epi360.jobs.batch.sources import MatchSource, kind_of
+
+    kind = kind_of(path)
+    if kind != "hloc" and (given.features or given.pairs):
+        raise ValueError(f"--features and --pairs go with hloc's matches, {path} is {kind}")
+    if kind == "colmap" and given.camera:
+        raise ValueError(f"--camera: the COLMAP database {path} knows its cameras")
+    return MatchSource(
+        kind, path, given.camera, given.features, given.pairs, options.pairs_per_part
+    )
+
+
+def _print_summary(summary: BatchSummary, output: str) -> None:
+    line = f"{summary.num_pairs} pairs"
+    before = summary.num_pairs - summary.num_estimated
+    if before:
+        line += f", {before} were there already"
+    if summary.num_estimated:
+        line += f"; {summary.num_estimated / summary.seconds:,.1f} pairs/s"
+    print(line)
+    for status, count in summary.statuses.items():
+        print(f"  {status}: {count}")
+    for path in summary.files:
+        print(f"wrote {path}")
+    if not summary.files:
+        print(f"{output} is complete, nothing was written")
+    sys.stdout.flush()

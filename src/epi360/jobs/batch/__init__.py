@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses of many pairs, part by part, on one machine or on many."""
+
+from epi360.jobs.batch.job import BatchJob, estimate_part, merge_parts, missing_parts
+from epi360.jobs.batch.run import BatchSummary, Engine, run_batch
+from epi360.jobs.batch.sources import MatchSource
+
+__all__ = [
+    "BatchJob",
+    "BatchSummary",
+    "Engine",
+    "MatchSource",
+    "estimate_part",
+    "merge_parts",
+    "missing_parts",
+    "run_batch",
+]

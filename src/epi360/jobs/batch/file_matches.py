@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Matches in files with key points per image: COLMAP databases, hloc's features and matches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import load_cameras
+from epi360.interop.colmap_pairs import ColmapPairs
+from epi360.interop.hloc_pairs import HlocPairs
+from epi360.jobs.batch.sources import MatchSource, PairMatches, camera_of, fingerprint, parts_of
+
+Array = NDArray[np.float64]
+
+_CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few images are in use at once
+
+
+@contextmanager
+def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
+    """Open a COLMAP database; it knows the cameras.
+
+    Parameters
+    ----------
+    source : MatchSource
+        Of the kind "colmap".
+
+    Yields
+    ------
+    matches : FileMatches
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it cannot be used.
+    """
+    with ColmapPairs(source.path) as database:
+
+        def bearings(image: str) -> Array:
+            return database.camera(image).bearings_from_pixels(database.keypoints(image))
+
+        counts = (
+            f"{table} {list(database.rows(f'SELECT {key}, rows FROM {table} ORDER BY {key}'))}"
+            for table, key in (("keypoints", "image_id"), ("matches", "pair_id"))
+        )
+        yield FileMatches(
+            database.names,
+            bearings,
+            database.matches,
+            source,
+            (fingerprint(source.path, _bytes(counts, repr(database.cameras)))),
+        )
+
+
+@contextmanager
+def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
+    """Open hloc's features and matches.
+
+    Parameters
+    ----------
+    source : MatchSource
+        Of the kind "hloc".
+
+    Yields
+    ------
+    matches : FileMatches
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file is missing.
+    ValueError
+        If a file cannot be used, or an image is no panorama and has no camera.
+    """
+    if source.features is None:
+        raise ValueError(f"{source.path}: hloc's matches need the key points; give --features FILE")
+    cameras = load_cameras(source.camera) if source.camera else {}
+    with HlocPairs(source.features, source.path, pairs=source.pairs) as files:
+
+        def bearings(image: str) -> Array:
+            camera = camera_of(image, files.image_size(image), cameras)
+            return camera.bearings_from_pixels(files.keypoints(image))
+
+        pairs = files.pairs()
+        extra = _bytes([fingerprint(source.features), repr(pairs)], repr(cameras))
+        yield FileMatches(
+            pairs,
+            bearings,
+            lambda index: files.matches(*pairs[index]),
+            source,
+            fingerprint(source.path, extra),
+        )
+
+
+class FileMatches:
+    """Matches in an open file that keeps key points per image; see `OpenMatches`.
+
+    Parameters
+    ----------
+    pairs : sequence of (str, str)
+        Names of the images of each pair.
+    bearings : callable
+        Bearings (N, 3) of the key points of an image, by its name.
+    matches : callable
+        Matches (M, 2) of a pair, by its number.
+    source : MatchSource
+        What was opened.
+    fingerprint : str
+        Of the files.
+    """
+
+    def __init__(
+        self,
+        pairs: Sequence[tuple[str, str]],
+        bearings: Callable[[str], Array],
+        matches: Callable[[int], NDArray[np.int64]],
+        source: MatchSource,
+        fingerprint: str,
+    ) -> None:
+        self._pairs = pairs
+        self._bearings = lru_cache(_CACHED_IMAGES)(bearings)
+        self._matches = matches
+        self._parts = parts_of(len(pairs), source.pairs_per_part)
+        self.fingerprint = fingerprint
+
+    @property
+    def part_sizes(self) -> list[int]:
+        """Pairs in each part, in the order of the file."""
+        return [len(rows) for rows in self._parts]
+
+    def names(self) -> Iterator[tuple[Sequence[str], Sequence[str]]]:
+        """Names of the first and second images, in order."""
+        if self._pairs:
+            image1, image2 = zip(*self._pairs, strict=True)
+            yield image1, image2
+
+    def read(self, parts: Sequence[int]) -> Iterator[PairMatches]:
+        """Pairs of these parts, one part at a time.
+
+        Parameters
+        ----------
+        parts : sequence of int
+            In any order.
+        """
+        for part in parts:
+            rows = self._parts[part]
+            names = [self._pairs[row] for row in rows]
+            matches = [self._matches(row) for row in rows]
+            views = [
+                [
+                    self._bearings(pair[view])[indices[:, view]]
+                    for pair, indices in zip(names, matches, strict=True)
+                ]
+                for view in range(2)
+            ]
+            image1, image2 = ([pair[view] for pair in names] for view in range(2))
+            yield PairMatches(rows.start, image1, image2, *views)
+
+
+def _bytes(lines: Iterable[str], *more: str) -> list[bytes]:
+    return [line.encode() for line in (*lines, *more)]

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A batch: what it reads, what it writes, and the work on one part of it.
+
+A part is a row group of a Parquet file, or `pairs_per_part` pairs where a row group has more and
+in the other inputs. Each part is written for itself, so a run that is stopped, killed or started on
+many machines loses at most the parts in work; the end joins them in the order of the input.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from epi360.extras import package_version
+from epi360.jobs.batch import storage
+from epi360.jobs.batch.parts import Identity, merge_part_files, part_is_there, write_part
+from epi360.jobs.batch.pose_rows import estimate_rows
+from epi360.jobs.batch.sources import MatchSource, PairMatches, open_matches
+from epi360.two_view import IMAGE_OPTIONS
+
+
+@dataclass(frozen=True)
+class BatchJob:
+    """What is read, what is written and the seed; plain values that another machine understands.
+
+    Attributes
+    ----------
+    source : MatchSource
+        Where the matches are.
+    output : str
+        Parquet file of the poses: path, or URL that fsspec understands.
+    seed : int
+        A pair's seed is a hash of this one and the names of its images.
+    """
+
+    source: MatchSource
+    output: str
+    seed: int = 0
+
+    @property
+    def parts_folder(self) -> str:
+        """Folder of the finished parts."""
+        return f"{self.output}.parts"
+
+    def part_path(self, index: int) -> str:
+        """Path of a part's file.
+
+        Parameters
+        ----------
+        index : int
+            Of the part, from 0.
+        """
+        return f"{self.parts_folder}/part-{index:06d}.parquet"
+
+    def identity(self, input_fingerprint: str) -> Identity:
+        """What determines the poses, as it is written into the files.
+
+        Parameters
+        ----------
+        input_fingerprint : str
+            Of the opened input.
+        """
+        return {
+            "input": input_fingerprint,
+            "seed": str(self.seed),
+            "options": " ".join(f"{name}={value}" for name, value in asdict(IMAGE_OPTIONS).items()),
+            "epi360_version": package_version(),
+        }
+
+    def part_identity(self, input_fingerprint: str) -> Identity:
+        """What determines the poses in a part and which pairs are in it.
+
+        Parameters
+        ----------
+        input_fingerprint : str
+            Of the opened input.
+        """
+        pairs_per_part = str(self.source.pairs_per_part)
+        return {**self.identity(input_fingerprint), "pairs_per_part": pairs_per_part}
+
+
+def estimate_part(job: BatchJob, index: int, *, num_threads: int = 1) -> None:
+    """Read the pairs of one part, estimate their poses and write the part's file.
+
+    Parameters
+    ----------
+    job : BatchJob
+        The batch.
+    index : int
+        Of the part, from 0.
+    num_threads : int
+        Native threads; the poses do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        If a row cannot be used; the message names it.
+    OSError
+        If the file cannot be written; then there is none.
+    """
+    with open_matches(job.source) as matches:
+        (pairs,) = matches.read([index])
+        identity = job.part_identity(matches.fingerprint)
+        write_poses(job, index, pairs, identity, num_threads=num_threads)
+
+
+def write_poses(
+    job: BatchJob,
+    index: int,
+    pairs: PairMatches,
+    identity: Identity,
+    *,
+    num_threads: int | None,
+) -> None:
+    """Estimate the poses of pairs that are read already and write the part's file.
+
+    Parameters
+    ----------
+    job : BatchJob
+        The batch.
+    index : int
+        Of the part, from 0.
+    pairs : PairMatches
+        Of this part.
+    identity : Identity
+        Of the job's parts.
+    num_threads : int, optional
+        Native threads; by default one per core.
+    """
+    rows = estimate_rows(pairs, seed=job.seed, num_threads=num_threads)
+    write_part(job.part_path(index), rows, identity)
+
+
+def missing_parts(job: BatchJob) -> list[int]:
+    """Parts that are not there yet, or damaged, in order.
+
+    Parameters
+    ----------
+    job : BatchJob
+        The batch.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds parts of another input, seed or version.
+    """
+    with open_matches(job.source) as matches:
+        identity = job.part_identity(matches.fingerprint)
+        sizes = matches.part_sizes
+    names = set(storage.names_in(job.parts_folder))
+    missing = []
+    for index, size in enumerate(sizes):
+        path = job.part_path(index)
+        is_listed = path.rpartition("/")[2] in names
+        if not (is_listed and part_is_there(path, identity, size)):
+            missing.append(index)
+    return missing
+
+
+def merge_parts(job: BatchJob) -> None:
+    """Join the parts, which must all be there, into the output, in the order of the input.
+
+    Parameters
+    ----------
+    job : BatchJob
+        The batch. Its parts stay.
+
+    Raises
+    ------
+    OSError
+        If a part is missing or the output cannot be written; then there is none.
+    """
+    with open_matches(job.source) as matches:
+        identity = job.identity(matches.fingerprint)
+        paths = [job.part_path(index) for index in range(len(matches.part_sizes))]
+    merge_part_files(paths, job.output, identity)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The whole batch: check, estimate what is missing, merge."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from epi360.jobs.batch import storage
+from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
+from epi360.jobs.batch.local_engine import estimate_parts_locally
+from epi360.jobs.batch.parts import count_statuses, output_is_there
+from epi360.jobs.batch.sources import check_names, open_matches
+from epi360.progress import Progress, no_progress
+
+Engine = Literal["local", "ray"]
+
+
+@dataclass(frozen=True)
+class BatchSummary:
+    """What a batch has done.
+
+    Attributes
+    ----------
+    num_pairs : int
+        In the output.
+    num_estimated : int
+        Of these, estimated by this run and not by one before.
+    seconds : float
+        Wall time of estimating them.
+    statuses : mapping of str to int
+        Pairs by status, over the whole output.
+    files : tuple of str
+        What this run has written; empty where all was there.
+    """
+
+    num_pairs: int
+    num_estimated: int
+    seconds: float
+    statuses: Mapping[str, int]
+    files: tuple[str, ...]
+
+
+def run_batch(
+    job: BatchJob,
+    *,
+    engine: Engine = "local",
+    num_threads: int | None = None,
+    address: str | None = None,
+    database: str | None = None,
+    progress: Progress = no_progress,
+) -> BatchSummary:
+    """Estimate the poses of all pairs that are not estimated yet and write the output.
+
+    Parameters
+    ----------
+    job : BatchJob
+        The batch.
+    engine : str
+        "local" (native threads) or "ray".
+    num_threads : int, optional
+        Of the local engine; by default one per core.
+    address : str, optional
+        Of a Ray cluster; by default Ray is started on this machine.
+    database : str, optional
+        Write a copy of the COLMAP database with the two-view geometries.
+    progress : callable
+        Gets ("pairs", done, total); what earlier runs have done is in the first call.
+
+    Returns
+    -------
+    summary : BatchSummary
+
+    Raises
+    ------
+    ValueError
+        If the input cannot be used, or the output or its parts belong to another job.
+    OSError
+        If a file cannot be written. Finished parts stay.
+    """
+    if engine not in get_args(Engine):
+        raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}, got {engine!r}")
+    if num_threads is not None and num_threads < 1:
+        raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+    with open_matches(job.source) as matches:
+        sizes = matches.part_sizes
+        is_merged = output_is_there(job.output, job.identity(matches.fingerprint))
+        needs_database = database is not None and _needs_database(job, database, is_merged)
+        if not is_merged:
+            check_names(job.source.path, matches)
+    missing = missing_parts(job) if needs_database or not is_merged else []
+    total, todo = sum(sizes), sum(sizes[index] for index in missing)
+    progress("pairs", total - todo, total)
+    start = time.perf_counter()
+    if missing and engine == "ray":
+        from epi360.jobs.batch.ray_engine import estimate_parts_on_ray
+
+        estimate_parts_on_ray(
+            job, missing, address=address, progress=progress, there=total - todo, total=total
+        )
+    elif missing:
+        estimate_parts_locally(
+            job,
+            missing,
+            num_threads=num_threads,
+            progress=progress,
+            there=total - todo,
+            total=total,
+        )
+    seconds = time.perf_counter() - start
+    if not is_merged:
+        merge_parts(job)
+    if needs_database and database is not None:
+        from epi360.jobs.batch.database_copy import write_database_copy
+
+        write_database_copy(job, database, len(sizes))
+    # Only now: whatever happened before, all finished work was on disk. Also the parts of a run
+    # that was killed at this line.
+    storage.remove_folder(job.parts_folder)
+    files = () if is_merged else (job.output,)
+    if needs_database and database is not None:
+        files = (*files, database)
+    return BatchSummary(total, todo, seconds, count_statuses(job.output), files)
+
+
+def _needs_database(job: BatchJob, database: str, is_merged: bool) -> bool:
+    """Whether the copy of the database is still to be written."""
+    if job.source.kind != "colmap":
+        raise ValueError("a database can be written only from a COLMAP database")
+    if storage.is_remote(database):
+        raise ValueError(f"{database} must be on this machine: SQLite writes to disks only")
+    path = storage.local_path(database)
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"folder {path.parent} of the database does not exist")
+    if path.exists() and not is_merged:
+        raise ValueError(f"{path} is there already; give the name of a new file")
+    return not path.exists()
