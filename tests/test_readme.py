@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """README and docs: every block runs, every link and table is true.
 
-In a document, blocks run from top to bottom in a folder with the demo's panoramas a.jpg and b.jpg:
-``python`` is executed, ``epi360`` lines of ``bash`` go through the command, a ``text`` block behind
-either is what it prints, and a block behind ``<!-- file: NAME -->`` is written to that file.
+A document's blocks run in a folder with the demo's panoramas a.jpg and b.jpg.
 """
 
-import contextlib
-import io
 import json
 import os
 import re
 import runpy
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +15,7 @@ from typing import get_args
 
 import cv2
 import pytest
+from documents import ROOT, blocks_of, check_links, run_document, text_of
 
 import epi360
 from epi360 import cli
@@ -29,25 +25,11 @@ from epi360.cameras.calibration.own import MODELS
 from epi360.estimation import Status
 from epi360.synthetic import demo_pair
 
-ROOT = Path(__file__).resolve().parents[1]
 README, CONVENTIONS = ROOT / "README.md", ROOT / "docs" / "conventions.md"
 ESTIMATOR = ROOT / "docs" / "estimator.md"
 HOW_IT_WORKS = ROOT / "docs" / "how_it_works.md"
 DOCUMENTS = (README, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
 EXAMPLE = ROOT / "examples" / "01_two_images.py"
-BLOCK = re.compile(
-    r"(?:<!-- file: (?P<file>\S+) -->\n)?^```(?P<language>\w+)\n(?P<body>.*?)^```$", re.M | re.S
-)
-NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
-LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
-
-
-def text_of(document):
-    return document.read_text(encoding="utf-8")
-
-
-def blocks_of(document):
-    return list(BLOCK.finditer(text_of(document)))
 
 
 @pytest.fixture(scope="module")
@@ -65,47 +47,9 @@ def folder(tmp_path, monkeypatch, pair):
     return tmp_path
 
 
-def run_bash(body):
-    for line in body.splitlines():
-        words = shlex.split(line, comments=True)
-        if words and words[0] == "epi360":
-            assert cli.main(words[1:]) == (1 if "exit code 1" in line else 0), line
-
-
-def run_block(language, body, names):
-    """Standard output of a block."""
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
-        if language == "bash":
-            run_bash(body)
-        elif language == "python":
-            exec(body, names)
-    return printed.getvalue()
-
-
-def assert_prints_about(printed, expected):
-    """Words are equal; numbers agree roughly, as another OpenCV finds other key points."""
-    assert [line.split() for line in NUMBER.sub("#", printed).strip().splitlines()] == [
-        line.split() for line in NUMBER.sub("#", expected).strip().splitlines()
-    ]
-    for new, old in zip(NUMBER.findall(printed), NUMBER.findall(expected), strict=True):
-        assert float(new) == pytest.approx(float(old), rel=0.25, abs=0.1), (new, old)
-
-
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_every_block_of_a_document_runs_and_prints_what_it_says(document, folder):
-    printed, names, num_run = "", {}, 0
-    for block in blocks_of(document):
-        language, body = block["language"], block["body"]
-        if block["file"]:
-            Path(block["file"]).write_text(body, encoding="utf-8")
-        elif language == "text":
-            assert_prints_about(printed, body)
-        else:
-            assert language in ("bash", "python"), f"{language} block without a file name"
-            printed = run_block(language, body, names)
-            num_run += 1
-    assert num_run > 0
+    run_document(document)
 
 
 def test_make_commands_of_the_readme_are_targets():
@@ -118,16 +62,7 @@ def test_make_commands_of_the_readme_are_targets():
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_of_a_document_lead_somewhere(document):
-    links = [first or second for first, second in LINK.findall(text_of(document))]
-    for link in links:
-        if link.startswith("https://"):
-            continue
-        name, _, anchor = link.partition("#")
-        target = (document.parent / name).resolve() if name else document
-        assert target.exists(), link
-        if anchor:
-            titles = re.findall(r"^#+ (.+)$", text_of(target), re.M)
-            assert anchor in [re.sub(r"[^\w-]", "", t.lower().replace(" ", "-")) for t in titles]
+    check_links(document)
 
 
 def test_pictures_are_small_enough_for_a_page():

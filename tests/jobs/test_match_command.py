@@ -23,8 +23,8 @@ def test_a_folder_gives_a_table_and_a_summary(here, capsys):
     printed = capsys.readouterr().out
     assert "Pairs         1 (exhaustive)" in printed
     assert "Accepted      1" in printed
-    assert "wrote tour-matches/pairs.csv" in printed.replace("\\", "/")
-    with (here / "tour-matches" / "pairs.csv").open(encoding="utf-8", newline="") as file:
+    assert "wrote tour-epi360/pairs.csv" in printed.replace("\\", "/")
+    with (here / "tour-epi360" / "pairs.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
     assert tuple(row) == COLUMNS
     assert (row["image1"], row["image2"]) == tuple(NAMES[:2])
@@ -36,7 +36,7 @@ def test_a_folder_gives_a_table_and_a_summary(here, capsys):
 def test_inside_the_image_folder_the_default_output_is_beside_it(here, monkeypatch):
     monkeypatch.chdir(here / "tour" / "Zimmer")
     assert main(["match", str(here / "tour")]) == SUCCESS
-    assert (here / "tour-matches" / "pairs.csv").is_file()
+    assert (here / "tour-epi360" / "pairs.csv").is_file()
 
 
 def test_no_pose_at_all_is_an_honest_failure(here, capsys):

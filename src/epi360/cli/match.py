@@ -76,7 +76,7 @@ def match(
     folder
         Panoramas, or images of the given camera; sub-folders too.
     output
-        Folder for the results. Default: NAME-matches in the current folder, beside the images where
+        Folder for the results. Default: NAME-epi360 in the current folder, beside the images where
         that is inside them.
     restart
         Throw away the pairs in the output that were made with other options.
@@ -89,8 +89,8 @@ def match(
     from epi360.jobs.image_set import find_images
     from epi360.jobs.matching import match_images
 
-    options = _options(given, work)
-    output = _default_output(folder) if output is None else output
+    options = match_options(given, work)
+    output = default_output(folder) if output is None else output
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
@@ -99,7 +99,8 @@ def match(
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
 
 
-def _options(given: MatchInput, work: MatchWork) -> MatchOptions:
+def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
+    """Options of `match_images` in the words of the command."""
     from epi360.jobs.matching import MatchOptions
 
     return MatchOptions(
@@ -113,20 +114,18 @@ def _options(given: MatchInput, work: MatchWork) -> MatchOptions:
     )
 
 
-def _default_output(folder: Path) -> Path:
-    """NAME-matches in the current folder, but never among the images."""
+def default_output(folder: Path) -> Path:
+    """NAME-epi360 in the current folder, but never among the images."""
     images, here = folder.resolve(), Path.cwd()
     inside = here == images or images in here.parents
-    name = f"{images.name}-matches"
+    name = f"{images.name}-epi360"
     return images.parent / name if inside else Path(name)
 
 
 def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float) -> None:
-    from epi360.files import write_file
-    from epi360.report.match_table import describe_match, pairs_csv
+    from epi360.report.match_table import describe_match
 
-    table = run.folder / "pairs.csv"
-    write_file(table, pairs_csv(run))
+    table = write_pairs_table(run)
     for name, reason in skipped:
         print(f"skipped {name}: {reason}")
     print(describe_match(run))
@@ -135,3 +134,13 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
         rate = num_new / max(seconds, 1e-3)
         print(f"{num_new} new pairs in {seconds:.1f} s with their features, {rate:.1f}/s")
     print(f"wrote {table}", flush=True)
+
+
+def write_pairs_table(run: MatchRun) -> Path:
+    """Write pairs.csv, a row a pair, and return its path."""
+    from epi360.files import write_file
+    from epi360.report.match_table import pairs_csv
+
+    table = run.folder / "pairs.csv"
+    write_file(table, pairs_csv(run))
+    return table

@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 map``: a folder of images to a COLMAP model; ``epi360 cubemap``: a model to pinholes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, Flag, app, show_bars
+from epi360.cli.match import (
+    DEFAULT_WORK,
+    NO_INPUT,
+    MatchInput,
+    MatchWork,
+    default_output,
+    match_options,
+    write_pairs_table,
+)
+
+if TYPE_CHECKING:
+    from epi360.jobs.cube_faces import CubemapOptions
+    from epi360.jobs.cubemap import Cubemap
+    from epi360.jobs.image_set import ImageSet
+    from epi360.jobs.mapping import MapOptions, MapRun
+
+Face = Literal["front", "right", "back", "left", "up", "down"]
+ALL_FACES: tuple[Face, ...] = ("front", "right", "back", "left", "up", "down")
+NAMED = 20  # images that a message lists one by one
+
+
+@Parameter(name="*", group=Group("Mapping", sort_key=3))
+@dataclass(frozen=True)
+class Mapping:
+    """How COLMAP maps."""
+
+    mapper: Literal["incremental", "global"] = "incremental"
+    """COLMAP's mapper: one image after the other, or all at once."""
+    refine_cameras: Flag = False
+    """Refine focal length and distortion of fisheye and pinhole cameras."""
+    mapper_threads: int = 1
+    """More are faster on many images, but the last digits then change from run to run."""
+
+
+@Parameter(name="*", group=Group("Cube faces", sort_key=4))
+@dataclass(frozen=True)
+class CubeFaces:
+    """How panoramas are cut into faces."""
+
+    face_size: int | None = None
+    """Pixels; by default a quarter of the panorama's width."""
+    fov_deg: float = 90.0
+    """Field of view of a face; more than 90 makes neighbours overlap."""
+    faces: Annotated[tuple[Face, ...], Parameter(consume_multiple=True, negative=())] = ALL_FACES
+    """Only these, as in --faces front right back left; an operator is in down."""
+    image_format: Literal["jpg", "png"] = "jpg"
+    """Of the faces."""
+    jpeg_quality: int = 95
+    """1 to 100."""
+
+
+MAPPING, CUBE_FACES = Mapping(), CubeFaces()
+OUTPUT = Parameter(group=Group("Output", sort_key=5))
+
+
+@app.command(name="map")
+def map_folder(
+    folder: Path,
+    /,
+    *,
+    given: MatchInput = NO_INPUT,
+    work: MatchWork = DEFAULT_WORK,
+    mapping: Mapping = MAPPING,
+    cube_faces: CubeFaces = CUBE_FACES,
+    output: Annotated[Path | None, OUTPUT] = None,
+    cubemap: Annotated[Flag, OUTPUT] = False,
+    restart: Annotated[Flag, OUTPUT] = False,
+) -> int:
+    """Map a folder of panoramas: a COLMAP model and transforms.json for nerfstudio.
+
+    Matches pairs of images, verifies them and gives them to COLMAP's mapper. A run that was stopped
+    goes on where it was. Exit code 0 with a model, 1 when fewer than two images register, 2 for
+    wrong use.
+
+    Parameters
+    ----------
+    folder
+        Panoramas, or images of the given camera; sub-folders too.
+    output
+        Folder for the results, the same as that of epi360 match by default: what was matched there
+        is used.
+    cubemap
+        Also cut the panoramas into cube faces, for tools that know pinhole cameras only.
+    restart
+        Throw away the pairs in the output that were made with other options.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.jobs.image_set import find_images
+    from epi360.jobs.mapping import map_images
+
+    if cube_faces != CUBE_FACES and not cubemap:
+        raise ValueError("--face-size, --fov-deg, --faces and the like need --cubemap")
+    output = default_output(folder) if output is None else output
+    options = _map_options(given, work, mapping)
+    cutting = _cubemap_options(cube_faces)
+    images = find_images(folder, camera=given.camera, mask=given.mask)
+    with show_bars() as progress:
+        run = map_images(images, output, options, restart=restart, progress=progress)
+    write_pairs_table(run.matched)
+    print(_describe(run, images), flush=True)
+    if not run.models:
+        return FAILURE
+    print(f"wrote {run.models[0].folder}")
+    if cubemap:
+        from epi360.jobs.cubemap import export_cubemap
+
+        with show_bars() as progress:
+            cube = export_cubemap(
+                folder,
+                run.models[0].reconstruction,
+                output / "cubemap",
+                cutting,
+                masks={image.name: image.mask for image in images.images},
+                mask_nadir_deg=given.mask_nadir_deg,
+                progress=progress,
+            )
+        print(_describe_cubemap(cube, output / "cubemap"))
+    return SUCCESS
+
+
+@app.command
+def cubemap(
+    model: Path,
+    images: Path,
+    output: Path,
+    /,
+    *,
+    mask: Path | None = None,
+    mask_nadir_deg: float = 0.0,
+    cube_faces: CubeFaces = CUBE_FACES,
+) -> int:
+    """Cut the panoramas of a model into cube faces, for tools that know pinhole cameras only.
+
+    Writes images, masks, a COLMAP model and transforms.json with the poses of the faces. A run that
+    was stopped goes on where it was.
+
+    Parameters
+    ----------
+    model
+        COLMAP model (folder), nerfstudio's transforms.json or OpenSfM's reconstruction.json.
+    images
+        Folder that the names of the images start from.
+    output
+        New folder.
+    mask
+        Mask for all images, white = use; or a folder with a mask for each image.
+    mask_nadir_deg
+        Mask this angle around straight down.
+
+    Returns
+    -------
+    code
+        Exit code.
+    """
+    from epi360.interop.convert import read_reconstruction
+    from epi360.interop.formats import FORMATS, format_of_file
+    from epi360.jobs.cubemap import export_cubemap
+    from epi360.jobs.masks import MaskSource
+
+    options = _cubemap_options(cube_faces)
+    name = format_of_file(model)
+    if FORMATS[name].kind != "reconstruction":
+        raise ValueError(f"{model} holds matches; a cubemap needs poses, as epi360 map finds them")
+    reconstruction = read_reconstruction(model, name)
+    source = MaskSource(mask)
+    masks = {image.name: source.of(image.name) for image in reconstruction.images}
+    source.check_used(list(masks.values()))
+    with show_bars() as progress:
+        cube = export_cubemap(
+            images,
+            reconstruction,
+            output,
+            options,
+            masks=masks,
+            mask_nadir_deg=mask_nadir_deg,
+            progress=progress,
+        )
+    print(_describe_cubemap(cube, output))
+    return SUCCESS
+
+
+def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:
+    from epi360.jobs.mapping import MapOptions
+
+    match = match_options(given, work)
+    return MapOptions(match, mapping.mapper, mapping.refine_cameras, mapping.mapper_threads)
+
+
+def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
+    from epi360.jobs.cube_faces import CubemapOptions
+
+    return CubemapOptions(
+        face_size=cube_faces.face_size,
+        fov_deg=cube_faces.fov_deg,
+        faces=cube_faces.faces,
+        image_format=cube_faces.image_format,
+        jpeg_quality=cube_faces.jpeg_quality,
+    )
+
+
+def _describe(run: MapRun, images: ImageSet) -> str:
+    """Lines for people: what registered, what did not and why, and how long it took."""
+    num_registered = len(run.models[0].reconstruction.images) if run.models else 0
+    lines = [f"registered   {num_registered} of {run.num_images} images"]
+    if run.models:
+        model = run.models[0]
+        lines += [
+            f"points       {len(model.reconstruction.points)}, seen in "
+            f"{model.mean_track_length:.1f} images on average",
+            f"error        {model.mean_error_px:.2f} px mean reprojection error",
+        ]
+    if len(run.models) > 1:
+        sizes = ", ".join(str(len(model.reconstruction.images)) for model in run.models)
+        lines.append(f"models       {len(run.models)} that do not connect: {sizes} images")
+    lines.append(
+        "time         " + ", ".join(f"{name} {value:.1f} s" for name, value in run.seconds.items())
+    )
+    reasons = [*run.unregistered.items(), *images.skipped]
+    lines += [f"left out     {name}: {reason}" for name, reason in reasons[:NAMED]]
+    if len(reasons) > NAMED:
+        lines.append(f"left out     and {len(reasons) - NAMED} more")
+    return "\n".join([*lines, *run.remarks])
+
+
+def _describe_cubemap(cube: Cubemap, output: Path) -> str:
+    kept = f", {cube.num_kept} panoramas were there" if cube.num_kept else ""
+    return f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})"

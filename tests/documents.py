@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Documents whose blocks run.
+
+Blocks run from top to bottom in the current folder: ``python`` is executed, ``epi360`` lines of
+``bash`` go through the command, a ``text`` block behind either is what it prints, and a block
+behind ``<!-- file: NAME -->`` is written to that file.
+"""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from epi360 import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+BLOCK = re.compile(
+    r"(?:<!-- file: (?P<file>\S+) -->\n)?^```(?P<language>\w+)\n(?P<body>.*?)^```$", re.M | re.S
+)
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+DURATION = re.compile(r"[\d.,]+ ?(?=s\b|/s|pairs/s)")
+LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
+
+
+def text_of(document):
+    return document.read_text(encoding="utf-8")
+
+
+def blocks_of(document):
+    return list(BLOCK.finditer(text_of(document)))
+
+
+def run_bash(body):
+    for line in body.splitlines():
+        words = shlex.split(line, comments=True)
+        if words and words[0] == "epi360":
+            assert cli.main(words[1:]) == (1 if "exit code 1" in line else 0), line
+
+
+def run_block(language, body, names):
+    """Standard output of a block."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        if language == "bash":
+            run_bash(body)
+        elif language == "python":
+            exec(body, names)
+    return printed.getvalue()
+
+
+def assert_prints_about(printed, expected):
+    """Words are equal; numbers agree roughly, as another OpenCV finds other key points."""
+    printed, expected = DURATION.sub("", printed), DURATION.sub("", expected)
+    assert [line.split() for line in NUMBER.sub("#", printed).strip().splitlines()] == [
+        line.split() for line in NUMBER.sub("#", expected).strip().splitlines()
+    ]
+    for new, old in zip(NUMBER.findall(printed), NUMBER.findall(expected), strict=True):
+        assert float(new) == pytest.approx(float(old), rel=0.25, abs=0.1), (new, old)
+
+
+def run_document(document):
+    """Run the blocks of a document in the current folder."""
+    printed, names, num_run = "", {}, 0
+    for block in blocks_of(document):
+        language, body = block["language"], block["body"]
+        if block["file"]:
+            Path(block["file"]).write_text(body, encoding="utf-8")
+        elif language == "text":
+            assert_prints_about(printed, body)
+        else:
+            assert language in ("bash", "python"), f"{language} block without a file name"
+            printed = run_block(language, body, names)
+            num_run += 1
+    assert num_run > 0
+
+
+def check_links(document):
+    """Every link of a document leads to a file, and to a title in it."""
+    links = [first or second for first, second in LINK.findall(text_of(document))]
+    for link in links:
+        if link.startswith("https://"):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (document.parent / name).resolve() if name else document
+        assert target.exists(), link
+        if anchor:
+            titles = re.findall(r"^#+ (.+)$", text_of(target), re.M)
+            assert anchor in [re.sub(r"[^\w-]", "", t.lower().replace(" ", "-")) for t in titles]

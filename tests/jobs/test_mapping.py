@@ -1,0 +1,319 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import json
+import shutil
+from itertools import combinations
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from epi360 import cli
+from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.datasets.tables import read_table
+from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, rotation_from_vector
+from epi360.synthetic import furnished_room
+
+pycolmap = pytest.importorskip("pycolmap")
+
+from epi360.interop import (  # noqa: E402
+    MatchedImage,
+    MatchedPair,
+    MatchGraph,
+    TwoViewGeometry,
+)
+from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
+from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
+from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
+from epi360.jobs.colmap_mapper import MapperOptions, run_mapper  # noqa: E402
+from epi360.jobs.image_set import find_images  # noqa: E402
+from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
+from epi360.jobs.matching import MatchOptions  # noqa: E402
+
+CAMERA = Equirectangular(512, 256)
+
+
+def write_picture(path, rgb):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(cv2.imencode(path.suffix, rgb[..., ::-1])[1].tobytes())
+
+
+def room_poses(num_places):
+    """Places along a line through the room, the camera turning; the last one twice, turned."""
+    poses = [
+        Pose(
+            rotation_from_vector([0.02 * k, 0.4 * k, 0.03 * k]),
+            np.array([-0.9 + 0.3 * k, -1.5 + 0.04 * (k % 2), -0.5 + 0.1 * k]),
+        )
+        for k in range(num_places)
+    ]
+    turned = Pose(poses[-1].rotation @ rotation_from_vector([0.0, 1.2, 0.1]), poses[-1].translation)
+    return [*poses, turned]
+
+
+@pytest.fixture(scope="module")
+def room_folder(tmp_path_factory):
+    """A folder of panoramas with sub-folders and other letters, and the true poses by name."""
+    folder = tmp_path_factory.mktemp("room") / "images"
+    room = furnished_room(0)
+    truth = {}
+    for number, world_from_cam in enumerate(room_poses(5)):
+        name = f"Küche/{number}.png" if number < 3 else f"hall/{number}.png"
+        write_picture(folder / name, room.render(CAMERA, world_from_cam).image)
+        truth[name] = world_from_cam
+    write_picture(folder / "zz_grey.png", np.full((256, 512, 3), 128, np.uint8))
+    return folder, truth
+
+
+@pytest.fixture(scope="module")
+def room_run(room_folder, tmp_path_factory):
+    folder, _ = room_folder
+    output = tmp_path_factory.mktemp("run") / "out"
+    return output, map_images(find_images(folder), output, MapOptions(MatchOptions(num_threads=1)))
+
+
+def aligned_errors(world_from_cam, truth):
+    """Largest position error as a share of the path and rotation error, after a similarity.
+
+    The rotation is that of the cameras: positions near a line do not determine it.
+    """
+    names = [name for name in truth if name in world_from_cam]
+    U, _, Vt = np.linalg.svd(
+        sum(truth[name].rotation @ world_from_cam[name].rotation.T for name in names)
+    )
+    R = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    ours = np.array([R @ world_from_cam[name].translation for name in names])
+    true = np.array([truth[name].translation for name in names])
+    path = np.linalg.norm(np.diff(true, axis=0), axis=1).sum()
+    ours, true = ours - ours.mean(axis=0), true - true.mean(axis=0)
+    distances = np.linalg.norm(true - (ours * true).sum() / (ours**2).sum() * ours, axis=1)
+    degrees = [rotation_error_deg(R @ world_from_cam[name].rotation, truth[name]) for name in names]
+    return distances.max() / path, max(degrees)
+
+
+def poses_of(reconstruction):
+    return {image.name: image.cam_from_world.inverse() for image in reconstruction.images}
+
+
+def test_every_image_of_a_rendered_room_is_placed_right_also_one_that_only_turned(
+    room_folder, room_run
+):
+    _, truth = room_folder
+    _, run = room_run
+    poses = poses_of(run.models[0].reconstruction)
+    assert poses.keys() == truth.keys()
+    position, degrees = aligned_errors(poses, truth)
+    assert position < 0.004  # 0.0013 measured; a pixel is 0.7 degrees
+    assert degrees < 0.15  # 0.05 measured
+
+
+def test_colors_and_points_come_from_the_pictures(room_run):
+    _, run = room_run
+    model = run.models[0].reconstruction
+    assert len(model.points) > 200
+    assert run.models[0].mean_track_length > 2.3
+    assert 0 < run.models[0].mean_error_px < 0.5
+    assert model.colors.std(axis=0).min() > 20
+
+
+def test_an_image_that_does_not_register_is_named_with_the_reason(room_run):
+    _, run = room_run
+    assert run.num_images == 7
+    assert run.unregistered.keys() == {"zz_grey.png"}
+    assert "no accepted pair" in run.unregistered["zz_grey.png"]
+    assert "too_few_matches" in run.unregistered["zz_grey.png"]
+
+
+def test_the_model_and_the_transforms_on_disk_are_the_result(room_run):
+    output, run = room_run
+    result = poses_of(run.models[0].reconstruction)
+    on_disk = poses_of(read_colmap_model(output / "sparse" / "0"))
+    transforms = read_nerfstudio(output / "transforms.json", images="../../room0/images")
+    frames = json.loads((output / "transforms.json").read_text(encoding="utf-8"))["frames"]
+    for frame in frames:
+        assert (output / frame["file_path"]).is_file()
+    for name, pose in result.items():
+        np.testing.assert_array_equal(on_disk[name].matrix(), pose.matrix())
+    by_file = {Path(image.name).stem: image for image in transforms.images}
+    for name, pose in result.items():
+        np.testing.assert_allclose(
+            by_file[Path(name).stem].cam_from_world.inverse().matrix(), pose.matrix(), atol=1e-9
+        )
+
+
+def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, room_run):
+    output, first = room_run
+    images = find_images(room_folder[0])
+    files = [output / "database.db", output / "sparse" / "0" / "images.bin"]
+    before = [path.stat().st_mtime_ns for path in files]
+    again = map_images(images, output, MapOptions(MatchOptions(num_threads=2)))
+    assert [path.stat().st_mtime_ns for path in files] == before
+    assert again.seconds["mapping"] == first.seconds["mapping"]
+    assert again.unregistered == first.unregistered
+    other = map_images(images, output, MapOptions(MatchOptions(num_threads=1), mapper="global"))
+    assert [path.stat().st_mtime_ns for path in files] != before
+    position, degrees = aligned_errors(poses_of(other.models[0].reconstruction), room_folder[1])
+    assert position < 0.004 and degrees < 0.15  # as above
+    shutil.rmtree(output / "sparse")  # somebody tidied up
+    back = map_images(images, output, MapOptions(MatchOptions(num_threads=1)))
+    for image, same in zip(
+        first.models[0].reconstruction.images, back.models[0].reconstruction.images, strict=True
+    ):  # mapped twice from the same matches: equal to the last bit
+        np.testing.assert_array_equal(image.cam_from_world.matrix(), same.cam_from_world.matrix())
+
+
+def rig_graph(back_from_front):
+    """Exact key points of two fisheye lenses on a rig at four places among random points."""
+    lens = KannalaBrandt(800, 800, 250.0, 251.0, 400.0, 400.0, 0.01, 0.002, 0.001, 0.0)
+    points = np.random.default_rng(0).uniform((-3, -2.7, -2.5), (3, 0, 2.5), (400, 3))
+    seen, images, poses = {}, {}, {}
+    for frame, world_from_front in enumerate(room_poses(4)[:4]):
+        front_from_world = world_from_front.inverse()
+        for camera, pose in (
+            ("front", front_from_world),
+            ("back", back_from_front @ front_from_world),
+        ):
+            name = f"{camera}/{frame}.png"
+            pixels = lens.pixels_from_bearings(points @ pose.rotation.T + pose.translation)
+            seen[name] = np.flatnonzero(np.isfinite(pixels[:, 0]))
+            images[name] = MatchedImage(name, camera, pixels[seen[name]], frame=str(frame))
+            poses[name] = pose
+    pairs = []
+    for name1, name2 in combinations(images, 2):
+        _, rows1, rows2 = np.intersect1d(seen[name1], seen[name2], return_indices=True)
+        matches = np.column_stack([rows1, rows2])
+        cam2_from_cam1 = poses[name2] @ poses[name1].inverse()
+        length = np.linalg.norm(cam2_from_cam1.translation)
+        unit = Pose(cam2_from_cam1.rotation, cam2_from_cam1.translation / length)
+        pairs.append(MatchedPair(name1, name2, matches, TwoViewGeometry("ok", unit, matches)))
+    rig = {"front": Pose(np.eye(3), np.zeros(3)), "back": back_from_front}
+    return MatchGraph({"front": lens, "back": lens}, images, tuple(pairs), rig), poses
+
+
+# COLMAP's global mapper ends its adjustment before the scale, the weakest direction, is right.
+@pytest.mark.parametrize(("mapper", "scale_error"), [("incremental", 0.003), ("global", 0.1)])
+def test_the_cameras_of_a_rig_stay_where_they_are_and_give_the_scale(tmp_path, mapper, scale_error):
+    back_from_front = Pose(rotation_from_vector([0.0, 2.0, 0.0]), np.array([0.0, 0.0, -0.3]))
+    graph, poses = rig_graph(back_from_front)
+    write_colmap_database(tmp_path / "database.db", graph)
+    (model,) = run_mapper(
+        tmp_path / "database.db", tmp_path, MapperOptions(mapper), num_images=len(graph.images)
+    )
+    assert model.num_reg_images() == 8
+    found = {
+        image.name: Pose.from_matrix(image.cam_from_world().matrix())
+        for image in model.images.values()
+    }
+    for frame in range(4):
+        pose = found[f"back/{frame}.png"] @ found[f"front/{frame}.png"].inverse()
+        np.testing.assert_allclose(pose.matrix(), back_from_front.matrix(), atol=1e-9)
+    for camera in model.cameras.values():
+        np.testing.assert_array_equal(camera.params, (250, 251, 400, 400, 0.01, 0.002, 0.001, 0))
+    first, last = "front/0.png", "front/3.png"
+    step = (found[last] @ found[first].inverse()).translation
+    true = (poses[last] @ poses[first].inverse()).translation
+    assert np.linalg.norm(step) == pytest.approx(np.linalg.norm(true), rel=scale_error)
+
+
+def test_two_images_are_enough(room_folder, tmp_path):
+    for name in ("1.png", "2.png"):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        (tmp_path / "in" / name).write_bytes((room_folder[0] / "Küche" / name).read_bytes())
+    run = map_images(find_images(tmp_path / "in"), tmp_path / "out")
+    assert len(run.models[0].reconstruction.images) == 2
+    assert len(run.models[0].reconstruction.points) > 50
+
+
+def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_run, capsys):
+    output, _ = room_run
+    words = ["map", str(room_folder[0]), "--output", str(output), "--cubemap"]
+    assert cli.main([*words, "--faces", "front", "back", "--mask-nadir-deg", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert "registered   6 of 7 images" in printed
+    assert "left out     zz_grey.png: no accepted pair" in printed
+    assert f"wrote {output / 'sparse' / '0'}" in printed
+    assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
+    assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()
+    assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
+
+
+def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp_path, capsys):
+    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
+    out = tmp_path / "cube"
+    assert cli.main(["cubemap", model, images, str(out), "--faces", "up", "--face-size", "32"]) == 0
+    assert capsys.readouterr().out == f"wrote {out} (6 cube faces)\n"
+    again = read_colmap_model(out / "sparse" / "0")
+    assert {camera.width for camera in again.cameras.values()} == {32}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["map", "IMAGES", "--faces", "front"], "need --cubemap"),
+        (["map", "NOWHERE"], "does not exist"),
+        (["cubemap", "DATABASE", "IMAGES", "OUT"], "holds matches"),
+        (["cubemap", "MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
+        (["cubemap", "MODEL", "IMAGES", "OUT", "--fov-deg", "180"], "fov_deg must be"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_code_2(
+    room_folder, room_run, tmp_path, capsys, words, message
+):
+    output, _ = room_run
+    paths = {
+        "IMAGES": room_folder[0], "DATABASE": output / "database.db",
+        "MODEL": output / "sparse" / "0", "OUT": tmp_path / "out", "NOWHERE": tmp_path / "no",
+    }  # fmt: skip
+    assert cli.main([str(paths.get(word, word)) for word in words]) == 2
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1
+    assert message in printed
+
+
+def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    for name in ("a", "b"):
+        noise = cv2.resize(rng.integers(0, 256, (32, 64, 3), dtype=np.uint8), (256, 128))
+        write_picture(tmp_path / "in" / f"{name}.png", noise)
+    words = ["map", str(tmp_path / "in"), "--output", str(tmp_path / "out")]
+    assert cli.main(words) == 1
+    assert "registered   0 of 2 images" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "sparse").exists()
+
+
+def test_files_of_something_else_are_not_replaced(tmp_path, room_folder):
+    (tmp_path / "database.db").write_bytes(b"precious")
+    with pytest.raises(ValueError, match="made by something else"):
+        map_images(find_images(room_folder[0]), tmp_path)
+    assert (tmp_path / "database.db").read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [({"mapper": "hierarchical"}, "incremental or global"), ({"mapper_threads": 0}, "1 or more")],
+)
+def test_options_out_of_range_are_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        MapOptions(**wrong)
+
+
+def test_five_real_panoramas_agree_with_their_reference_poses(data_dir, tmp_path):
+    folder = data_dir / "theta_flat"
+    columns = ("index", "image", "qw", "qx", "qy", "qz", "cx", "cy", "cz")
+    table = read_table(folder / "poses.csv", columns, ",")
+    names = [Path(row[1]).name for row in table.cells]
+    truth = {
+        name: pose_from_quaternion(centre, wxyz)
+        for name, centre, wxyz in zip(names, table.floats(6, 9), table.quaternions(2), strict=True)
+    }
+    truth = {name: truth[name] for name in names[::2][:5]}
+    for name in truth:
+        picture = cv2.imread(str(folder / "images" / name))
+        small = cv2.resize(picture, (1344, 672), interpolation=cv2.INTER_AREA)
+        write_picture(tmp_path / "in" / name, small[..., ::-1])
+    run = map_images(find_images(tmp_path / "in"), tmp_path / "out")
+    poses = poses_of(run.models[0].reconstruction)
+    assert poses.keys() == truth.keys()
+    position, degrees = aligned_errors(poses, truth)
+    assert position < 0.003  # half the resolution, half the images: 0.001 measured
+    assert degrees < 0.15  # 0.06 measured
