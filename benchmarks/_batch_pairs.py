@@ -43,7 +43,7 @@ def write_database(
 
     ours, theirs = cameras
     path.unlink(missing_ok=True)
-    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
+    with pycolmap.Database.open(path) as database:
         camera = database.write_camera(theirs)
         sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera)
         rig = pycolmap.Rig()

@@ -172,3 +172,23 @@ def test_files_that_were_cut_off_are_read_or_refused_in_one_line(content, writte
             assert "calibration.txt" in str(error) and "\n" not in str(error)
         else:
             assert len(cameras) == 1
+
+
+def test_a_file_that_is_no_calibration_is_refused_at_once(tmp_path):
+    path = tmp_path / "video.yaml"
+    with path.open("wb") as file:
+        file.truncate(2**31)  # of zeros, on no disk
+    with pytest.raises(ValueError, match="must have 33554432 bytes at most"):
+        load_cameras(path)
+    path.write_text("row: {a: 1, b: 2}\n" * 200_000)
+    with pytest.raises(ValueError, match="YAML may have 262144 characters, got 3600000"):
+        load_cameras(path)
+
+
+def test_a_short_file_of_endless_content_is_refused_at_once(tmp_path):
+    rows = ["- - &a0 [x, x, x, x, x, x, x, x, x]"]
+    rows += [f"  - &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
+    path = tmp_path / "cameras.yaml"
+    path.write_text("\n".join(rows))
+    with pytest.raises(ValueError, match="no cameras that epi360 can read"):
+        load_cameras(path)

@@ -158,7 +158,7 @@ def test_a_missing_file_is_named(tmp_path):
         ("a.avi", b"RIFF\0\0\0\0AVI LIST", "is not a JPEG"),
         ("a.insp", b"\xff\xd8\xff\xe0", "raw dual fisheye file; export a stitched panorama first"),
         ("a.INSV", b"....ftyp", "raw dual fisheye video"),
-        ("a.360", b"....ftyp", "raw dual fisheye video"),
+        ("a.360", b"....ftyp", "raw 360 video"),
         ("a.dng", b"II*\0", "camera raw file"),
         ("a.bmp", b"BM" + bytes(60), "damaged image file"),
         ("a.png", b"\x89PNG\r\n\x1a\n" + png_chunk(b"IEND", b""), "truncated PNG"),

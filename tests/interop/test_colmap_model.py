@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from epi360.cameras import DoubleSphere, Equirectangular, KannalaBrandt
-from epi360.interop import Observations, PosedImage, Reconstruction
+from epi360.interop import MatchedImage, MatchGraph, Observations, PosedImage, Reconstruction
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.poses import Pose, rotation_from_vector
 
@@ -259,3 +259,52 @@ except OSError as error:
     )
     assert "File too large" in answer.stdout, answer.stderr
     assert len(read_colmap_model(tmp_path).points) == 3 and len(list(tmp_path.iterdir())) == 5
+
+
+def test_white_space_of_other_scripts_is_part_of_a_name(tmp_path):
+    """COLMAP's text ends a name at a blank alone, a line at a line feed alone."""
+    names = ["部屋\u3000一.jpg", "a\u2028b.jpg", "a\x85b.jpg"]
+    images = tuple(
+        replace(image, name=name) for image, name in zip(SMALL.images, names, strict=True)
+    )
+    write_colmap_model(tmp_path, replace(SMALL, images=images), text=True)
+    assert [image.name for image in read_colmap_model(tmp_path).images] == names
+    theirs = pycolmap.Reconstruction(tmp_path).images
+    assert [theirs[image_id].name for image_id in (1, 2, 3)] == names
+
+
+@pytest.mark.parametrize("name", [" a.jpg", "a.jpg ", "a\tb.jpg"])
+def test_a_blank_at_an_end_of_a_name_is_refused_in_text(tmp_path, name):
+    images = (replace(SMALL.images[0], name=name),)
+    with pytest.raises(ValueError, match="COLMAP's text ends names at a space"):
+        write_colmap_model(tmp_path, Reconstruction(SMALL.cameras, images), text=True)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("points3D", "1 1.0", "18446744073709551615 1.0", "ids must be 0 to 2"),
+        ("points3D", "1 1.0", "2 1.0", "points3D.txt .* id 2 is there twice"),
+        ("points3D", "1 1.0", "1 nan", "point 1 must be finite"),
+        ("images", "-1.0 0.0 0.0 1 a", "nan 0.0 0.0 1 a", "of image a-2.jpg must be finite"),
+        ("images", "10.25", "inf", "of image a-2.jpg must be finite"),
+        ("images", "10.25 20.5 2", "10.25 20.5 99999999999999999999", "images.txt cannot be used"),
+    ],
+)
+def test_numbers_that_fit_no_model_are_one_clear_error(tmp_path, file, old, new, message):
+    write_colmap_model(tmp_path, SMALL, text=True)
+    path = tmp_path / f"{file}.txt"
+    text = path.read_text("utf-8")
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), "utf-8")
+    with pytest.raises(ValueError, match=message) as caught:
+        read_colmap_model(tmp_path)
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["a\udcff.jpg", ""])
+def test_a_name_that_is_no_text_is_refused(name):
+    with pytest.raises(ValueError, match="must be Unicode text; rename|must have a name"):
+        Reconstruction(SMALL.cameras, (replace(SMALL.images[0], name=name),))
+    with pytest.raises(ValueError, match="must be Unicode text; rename|must have a name"):
+        MatchGraph({}, {name: MatchedImage(name, None, np.zeros((0, 2)))}, ())

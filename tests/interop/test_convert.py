@@ -17,7 +17,7 @@ from epi360.interop import (
     Reconstruction,
     TwoViewGeometry,
 )
-from epi360.interop.formats import FORMATS, format_of_file, format_of_name
+from epi360.interop.formats import FORMATS, format_of_file
 from epi360.interop.nerfstudio import read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
@@ -305,47 +305,54 @@ def test_what_epi360_match_wrote_becomes_a_database(run, tmp_path, monkeypatch):
     refused(run("matched", "transforms.json"), "matched holds no COLMAP model", "epi360 map")
 
 
-@pytest.mark.parametrize(
-    ("content", "name"),
-    [
-        (b"SQLite format 3\0rest", "colmap-database"),
-        (b"\x89HDF\r\n\x1a\nrest", "hloc"),
-        (b'\n [{"cameras"', "opensfm"),
-        (b'\xef\xbb\xbf{"frames"', "nerfstudio"),
-        (b"# timestamp\n\n0.5 1 2 3 0 0 0 1\n", "tum"),
-    ],
-)
-def test_the_format_is_found_from_the_content(tmp_path, content, name):
-    path = tmp_path / "file"
-    path.write_bytes(content)
-    assert format_of_file(path) == name
+@pytest.fixture
+def ambiguous():
+    """hloc's files of images whose names become one with "-" for "/"."""
+    pytest.importorskip("h5py")
+    from epi360.interop import write_hloc
+
+    names = ("hall/a.jpg", "hall-a.jpg", "b.jpg")
+    images = {name: MatchedImage(name, "1", np.full((2, 2), 9.5), np.eye(2)) for name in names}
+    pair = MatchedPair("hall/a.jpg", "b.jpg", np.array([[0, 1]]))
+    write_hloc("features.h5", "matches.h5", MatchGraph({"1": CAMERA}, images, (pair,)))
 
 
-@pytest.mark.parametrize(
-    ("file", "name"),
-    [
-        ("a.DB", "colmap-database"), ("m.h5", "hloc"), ("t.tum", "tum"), ("t.txt", "tum"),
-        ("transforms_train.json", "nerfstudio"), ("reconstruction.meshed.json", "opensfm"),
-        ("sparse/0", "colmap"),
-    ],
-)  # fmt: skip
-def test_the_format_is_found_from_the_name(file, name):
-    assert format_of_name(file) == name
+def test_a_pairs_file_says_which_images_hloc_matched(run, ambiguous, tmp_path):
+    pytest.importorskip("pycolmap")
+    from epi360.interop import read_colmap_database
+
+    words = ("matches.h5", "a.db", "--features", "features.h5")
+    refused(run(*words), "hall-a.jpg b.jpg or hall/a.jpg b.jpg", "give the pairs file (--pairs)")
+    (tmp_path / "pairs.txt").write_text("hall/a.jpg b.jpg\n")
+    assert run(*words, "--pairs", "pairs.txt")[0] == 0
+    (pair,) = read_colmap_database("a.db").pairs
+    assert {pair.image1, pair.image2} == {"hall/a.jpg", "b.jpg"}
+    words = ("a.db", "new.h5", "--features", "new_features.h5", "--pairs")
+    refused(run(*words, "pairs.txt"), "pairs.txt is there already")
+    assert run(*words, "new.txt")[0] == 0
+    assert set((tmp_path / "new.txt").read_text().split()) == {"hall/a.jpg", "b.jpg"}
+    refused(run("a.db", "b.db", "--pairs", "pairs.txt"), "--pairs is for hloc")
 
 
-def test_a_folder_with_a_dot_is_a_model(tmp_path):
-    (tmp_path / "sparse.v2").mkdir()
-    assert format_of_name(tmp_path / "sparse.v2") == "colmap"
+def test_descriptors_are_read_only_where_the_target_keeps_them(run, ambiguous, monkeypatch):
+    pycolmap = pytest.importorskip("pycolmap")
+    from epi360.interop import hloc, read_hloc, write_colmap_database
+
+    write_colmap_database("a.db", graph())
+    with pycolmap.Database.open("a.db") as database:
+        for image in database.read_all_images():
+            sift = pycolmap.FeatureDescriptors(
+                data=np.full((6, 128), 7, np.uint8), type=pycolmap.FeatureExtractorType.SIFT
+            )
+            database.write_descriptors(image.image_id, sift)
+    assert run("a.db", "m.h5", "--features", "f.h5")[0] == 0
+    images = read_hloc("f.h5", "m.h5", with_descriptors=True).images
+    np.testing.assert_array_equal(images["hall/a.jpg"].descriptors, np.full((6, 128), 7))
+    monkeypatch.setattr(hloc.HlocPairs, "descriptors", None)  # not to be called
+    assert run("m.h5", "b.db", "--features", "f.h5")[0] == 0
 
 
-@pytest.mark.parametrize("text", ["", "# nothing\n", "1 2 3 4 5 6 7\n", "a b c d e f g h\n"])
-def test_other_text_is_no_trajectory(tmp_path, text):
-    path = tmp_path / "table.txt"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=r"table.txt is no file that can be converted"):
-        format_of_file(path)
-
-
-def test_a_folder_without_a_model_is_no_reconstruction(tmp_path):
-    with pytest.raises(ValueError, match="must hold a COLMAP model"):
-        format_of_file(tmp_path)
+def test_a_source_without_images_is_refused(run, tmp_path):
+    write_opensfm("reconstruction.json", Reconstruction({"1": CAMERA}, ()))
+    refused(run("reconstruction.json", "poses.tum"), "reconstruction.json holds no images")
+    assert not (tmp_path / "poses.tum").exists()

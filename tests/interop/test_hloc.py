@@ -312,7 +312,7 @@ def test_a_features_file_without_key_points_is_refused(features, matches, tmp_pa
         read_hloc(features, matches)
     with h5py.File(tmp_path / "none.h5", "w"):
         pass
-    with pytest.raises(ValueError, match="the file must have 'keypoints', got nothing"):
+    with pytest.raises(ValueError, match=r"none.h5 has no images"):
         read_hloc(tmp_path / "none.h5", matches)
 
 
@@ -352,7 +352,8 @@ def test_matches_that_do_not_fit_the_key_points_are_refused(features, tmp_path, 
 def test_a_pair_without_matches0_is_refused(features, matches):
     with h5py.File(matches, "a") as file:
         del file["rig-left-1.jpg/rig-right-1.jpg/matches0"]
-    with pytest.raises(ValueError, match=f"pair {LEFT} {RIGHT} has no dataset 'matches0'"):
+    message = "rig-left-1.jpg/rig-right-1.jpg must have 'matches0', got matching_scores0"
+    with pytest.raises(ValueError, match=message):
         read_hloc(features, matches)
 
 

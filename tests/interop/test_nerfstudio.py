@@ -214,6 +214,18 @@ def test_the_written_file_is_what_nerfstudio_expects(tmp_path):
     assert struct.unpack("<3d3B", body) == (1, 2, 3, 9, 8, 7)
 
 
+def test_each_frame_names_its_mask_or_none_does(tmp_path):
+    path = tmp_path / "transforms.json"
+    source = Reconstruction({"p": Equirectangular(360, 180)}, posed([("a.jpg", "p"), ("b", "p")]))
+    write_nerfstudio(path, source, masks={"a.jpg": "masks/a.jpg.png", "b": "../one.png"})
+    frames = json.loads(path.read_text())["frames"]
+    assert [frame["mask_path"] for frame in frames] == ["masks/a.jpg.png", "../one.png"]
+    write_nerfstudio(path, source)
+    assert "mask_path" not in path.read_text()
+    with pytest.raises(ValueError, match="masks of all images or of none, image b has none"):
+        write_nerfstudio(path, source, masks={"a.jpg": "masks/a.jpg.png"})
+
+
 def test_intrinsics_of_a_frame_count_unless_the_file_has_them_for_all(write):
     lens = {"camera_model": "OPENCV", "w": 640, "h": 480.0, "fl_x": 400, "fl_y": 400, "cx": 320}
     frames = [

@@ -206,3 +206,13 @@ def test_a_bad_file_is_named_with_the_place(write, document, message):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere.json does not exist"):
         read_opensfm(tmp_path / "nowhere.json")
+
+
+def test_a_time_of_zero_for_all_shots_means_unknown(write):
+    """OpenSfM writes 0 where the picture does not say; a sequence may begin at 0."""
+    shots = {name: {**SHOT, "capture_time": 0.0} for name in "ab"}
+    images = read_opensfm(write(changed(shots=shots))).images
+    assert [image.timestamp_s for image in images] == [None, None]
+    shots["b"]["capture_time"] = 0.5
+    images = read_opensfm(write(changed(shots=shots))).images
+    assert [image.timestamp_s for image in images] == [0.0, 0.5]

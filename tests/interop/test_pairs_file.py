@@ -104,3 +104,11 @@ def test_a_name_that_no_line_can_hold_is_refused_and_the_file_kept(tmp_path, nam
     with pytest.raises(ValueError, match="cannot stand in a pairs file"):
         write_pairs_file(path, [("a", "c"), ("a", name)])
     assert read_pairs_file(path) == [("a", "b")]
+
+
+@pytest.mark.parametrize("line", ["a " * 1_000_000, '" ' * 1_000_000, '"' * 1_000_000])
+def test_a_file_of_one_long_line_is_refused_at_once(tmp_path, line):
+    path = tmp_path / "pairs.txt"
+    path.write_text(line)
+    with pytest.raises(ValueError, match=r"line 1: expected two image names, got \d+ characters"):
+        read_pairs_file(path, names=["a"])

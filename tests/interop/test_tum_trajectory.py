@@ -96,3 +96,11 @@ def test_a_bad_row_is_named_with_file_and_line(trajectory, text, message):
     with pytest.raises(ValueError, match=message) as caught:
         read_tum_trajectory(path)
     assert str(path) in str(caught.value)
+
+
+def test_two_images_of_one_time_are_no_trajectory(tmp_path):
+    pose = Pose(np.eye(3), np.zeros(3))
+    images = tuple(PosedImage(name, None, pose, 5.0) for name in ("left.jpg", "right.jpg"))
+    with pytest.raises(ValueError, match=r"left.jpg and right.jpg have the same time stamp"):
+        write_tum_trajectory(tmp_path / "a.tum", Reconstruction({}, images))
+    assert not list(tmp_path.iterdir())

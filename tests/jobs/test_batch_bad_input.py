@@ -8,6 +8,7 @@ import pytest
 from batch_inputs import columns_of, write_matches
 
 from epi360 import cli
+from epi360.jobs.batch.lock import only_run
 
 pyarrow = pytest.importorskip("pyarrow")
 
@@ -136,13 +137,13 @@ def test_no_pairs(tmp_path, capsys):
     assert "has no pairs" in complaint_about(capsys, tmp_path, columns, schema=table.schema)
 
 
-def test_the_parts_before_a_bad_row_are_kept(tmp_path, capsys):
+def test_a_bad_row_is_found_before_any_work(tmp_path, capsys):
+    # The corrected file is another input: parts that were finished would be lost.
     columns = columns_of(4)
-    columns["bearings1"][2][4] = -math.inf
+    columns["bearings1"][3][4] = -math.inf
     said = complaint_about(capsys, tmp_path, columns, "--pairs-per-part", 1)
-    assert "row 2" in said
-    kept = sorted(os.listdir(tmp_path / "out.parquet.parts"))
-    assert kept == ["part-000000.parquet", "part-000001.parquet"]
+    assert "row 3" in said
+    assert os.listdir(tmp_path) == ["in.parquet"]
 
 
 def test_an_image_without_camera_is_named(tmp_path, capsys):
@@ -183,6 +184,17 @@ def test_wrong_words_are_one_line_and_nothing_is_written(tmp_path, capsys, words
     said = complaint(capsys, path, "--output", tmp_path / "out.parquet", *words)
     assert fragment in said
     assert os.listdir(tmp_path) == ["in.parquet"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such locks")
+def test_an_output_that_another_run_is_writing(tmp_path, capsys):
+    path, output = write_matches(tmp_path / "in.parquet", columns_of(2)), tmp_path / "out.parquet"
+    with only_run(str(output)):
+        said = complaint(capsys, path, "--output", output)
+    assert said.startswith(f"another run (process {os.getpid()} on ")
+    assert said.endswith(f" is writing {output}; wait for it or stop it")
+    assert os.listdir(tmp_path) == ["in.parquet"]
+    assert cli.main(["batch", str(path), "--output", str(output)]) == 0
 
 
 def test_an_output_that_cannot_be_written(tmp_path, capsys):

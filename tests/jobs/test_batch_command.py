@@ -3,7 +3,9 @@
 
 import math
 import os
+import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 from batch_inputs import columns_of, pose_rows, write_matches
@@ -27,7 +29,9 @@ def test_the_summary_says_what_was_done_and_what_came_out(words, capsys):
     first, *rest = captured.out.splitlines()
     assert first.startswith("6 pairs; ") and first.endswith(" pairs/s")
     assert rest == ["  ok: 5", "  too_few_matches: 1", f"wrote {words[3]}"]
-    assert captured.err.startswith("epi360: pairs: 6 of 6, ")
+    checked, estimated = captured.err.splitlines()
+    assert checked.startswith("epi360: checked pairs: 6 of 6, ")
+    assert estimated.startswith("epi360: pairs: 6 of 6, ")
     assert cli.main(words) == 0
     assert capsys.readouterr().out.splitlines() == [
         "6 pairs, 6 were there already", "  ok: 5", "  too_few_matches: 1",
@@ -63,6 +67,19 @@ def test_a_stop_leaves_the_finished_parts_and_the_next_run_goes_on(
     other = tmp_path / "other.parquet"
     assert cli.main([*words[:3], str(other)]) == 0
     assert pose_rows(other) == pose_rows(tmp_path / "out.parquet")
+
+
+PROGRAM = """
+import sys
+from epi360 import cli
+sys.exit(cli.main(sys.argv[1:]) or 100 * ("pandas" in sys.modules))
+"""
+
+
+@pytest.mark.skipif(find_spec("pandas") is None, reason="pandas is not there")
+def test_pandas_is_not_imported(words):
+    # pyarrow does, in many of its functions: as long as all other imports together.
+    assert subprocess.run([sys.executable, "-c", PROGRAM, *words]).returncode == 0
 
 
 def test_without_pyarrow_the_message_says_what_to_install(words, capsys, monkeypatch):

@@ -13,16 +13,15 @@ import numpy as np
 import pytest
 
 import epi360
-from epi360.jobs.batch import BatchJob, MatchSource, run_batch
+from epi360.jobs.batch import BatchJob, MatchSource, ray_engine, run_batch
 from epi360.synthetic import two_view_scene
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
 
-# Ten runs that are killed two parts after their first finish fewer than these.
-NUM_PARTS, PAIRS_PER_PART = 44, 2
+# Ten runs that are killed at most a part after their first finish fewer than these.
+NUM_PARTS, PAIRS_PER_PART = 32, 2
 NUM_PAIRS = NUM_PARTS * PAIRS_PER_PART
-NEEDS_PROC = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="reads /proc")
 NEEDS_SIGNALS = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 
@@ -62,8 +61,8 @@ def write_matches(path, groups):
     return path
 
 
-def job_of(matches, output):
-    return BatchJob(MatchSource("parquet", str(matches)), str(output))
+def job_of(matches, output, **options):
+    return BatchJob(MatchSource("parquet", str(matches), **options), str(output))
 
 
 def poses(path):
@@ -130,6 +129,13 @@ def matches(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
+def matches_in_one_group(tmp_path_factory):
+    """The same pairs in one row group, which Ray's tasks take in runs of parts."""
+    pairs = [hard_pair(seed) for seed in range(NUM_PAIRS)]
+    return write_matches(tmp_path_factory.mktemp("matches") / "one.parquet", [pairs])
+
+
+@pytest.fixture(scope="module")
 def uninterrupted(matches, tmp_path_factory):
     """Poses of a run that nothing disturbs, and its seconds a part on one thread."""
     output = tmp_path_factory.mktemp("whole") / "poses.parquet"
@@ -154,7 +160,7 @@ def test_ten_kills_lose_nothing_and_do_nothing_twice(matches, uninterrupted, tmp
     for _ in range(10):
         child = start(matches, output, "--threads", "1")
         wait_for_a_new_part(child, output)
-        time.sleep(moments.uniform(0.0, 2.0 * part_s))
+        time.sleep(moments.uniform(0.0, part_s))
         child.kill()
         assert outcome(child)[0] == -signal.SIGKILL
         assert not output.exists()  # it was in the middle
@@ -253,14 +259,14 @@ def test_a_full_disk_leaves_the_finished_parts(growing_matches, small_disk):
 
 @pytest.fixture(scope="module")
 def ray_session():
-    """A Ray of two CPUs for all tests that need no Ray of their own."""
+    """Address of a Ray of two CPUs that all tests share."""
     ray = pytest.importorskip("ray")
     if not Path("/proc/self/stat").exists():
         pytest.skip("finds Ray's workers in /proc")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": "CRITICAL"}
-    ray.init(address="local", num_cpus=2, object_store_memory=80 * 2**20, **quiet)
-    yield
+    session = ray.init(address="local", num_cpus=2, object_store_memory=80 * 2**20, **quiet)
+    yield session.address_info["gcs_address"]
     ray.shutdown()
 
 
@@ -297,22 +303,31 @@ def busy_workers(pid):
 
 
 @pytest.mark.slow
-def test_the_run_goes_on_when_ray_workers_are_killed(matches, uninterrupted, ray_session, tmp_path):
-    output, killed = tmp_path / "poses.parquet", []
+def test_the_run_goes_on_when_ray_workers_are_killed(
+    matches_in_one_group, uninterrupted, ray_session, tmp_path
+):
+    output, killed, finished = tmp_path / "poses.parquet", [], {}
 
     def kill_now_and_then(stage, done, total):
-        if done in (10, 40, 80):
-            killed.append(busy_workers(os.getpid())[0])
+        if stage == "pairs" and (done, len(killed)) in ((10, 0), (30, 1)):
+            workers = []
+            while not workers or len(part_files(output)) < done // PAIRS_PER_PART + 2:
+                time.sleep(0.005)  # until a task is in its midst
+                workers = busy_workers(os.getpid())
+            killed.append(workers[0])
             os.kill(killed[-1], signal.SIGKILL)
+            finished.update(seconds_of_parts(output))
 
-    summary = run_batch(job_of(matches, output), engine="ray", progress=kill_now_and_then)
-    assert len(set(killed)) == 3
+    job = job_of(matches_in_one_group, output, pairs_per_part=PAIRS_PER_PART)
+    summary = run_batch(job, engine="ray", progress=kill_now_and_then)
+    assert len(set(killed)) == 2
     assert (summary.num_pairs, summary.num_estimated) == (NUM_PAIRS, NUM_PAIRS)
-    assert_is_whole(output, uninterrupted[0], {})
+    assert_is_whole(output, uninterrupted[0], finished)
 
 
 @pytest.mark.slow
-def test_a_part_that_kills_every_worker_ends_the_run(matches, ray_session, tmp_path):
+def test_a_part_that_kills_every_worker_ends_the_run(matches, ray_session, tmp_path, monkeypatch):
+    monkeypatch.setattr(ray_engine, "_MAX_RETRIES", 1)
     output, ended = tmp_path / "poses.parquet", threading.Event()
 
     def kill_all():
@@ -323,7 +338,7 @@ def test_a_part_that_kills_every_worker_ends_the_run(matches, ray_session, tmp_p
     killer = threading.Thread(target=kill_all)
     killer.start()
     try:
-        with pytest.raises(ChildProcessError, match=r"gave up part \d+ after 4 tries"):
+        with pytest.raises(ChildProcessError, match=r"gave up part \d+ after 2 tries"):
             run_batch(job_of(matches, output), engine="ray")
     finally:
         ended.set()
@@ -341,8 +356,18 @@ def test_ray_says_what_the_local_engine_says_of_a_bad_row(ray_session, tmp_path)
         with pytest.raises(ValueError, match="row 6") as error:
             run_batch(job_of(matches, output), engine=engine)
         said.append(str(error.value))
-        assert len(part_files(output)) >= 1
+        assert list(output.parent.iterdir()) == []
     assert said[0] == said[1]
+
+
+def test_tasks_are_longer_the_more_parts_have_one_start():
+    groups = [0] * 3 + [1] * 100 + [2]
+    assert ray_engine._tasks(range(3), groups, 2) == [[0], [1], [2]]
+    assert ray_engine._tasks([1, *range(3, 15), 50, 103], groups, 2) == [
+        [1], list(range(3, 13)), [13, 14, 50], [103],
+    ]  # fmt: skip
+    assert ray_engine._tasks([3, 4, 5, 6], groups, 25) == [[3, 4], [5, 6]]
+    assert ray_engine._tasks([3, 4], groups, 1000) == [[3], [4]]
 
 
 @pytest.mark.slow
@@ -363,16 +388,20 @@ def test_a_cluster_that_does_not_answer_is_said_at_once(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@NEEDS_PROC
-def test_a_killed_and_an_interrupted_driver_of_ray_lose_nothing(matches, uninterrupted, tmp_path):
-    pytest.importorskip("ray")
+def test_killed_and_interrupted_drivers_of_ray_lose_nothing(
+    matches, uninterrupted, ray_session, tmp_path
+):
+    # The first driver starts a Ray of its own, the second goes on with the one that runs.
     output, finished = tmp_path / "poses.parquet", {}
-    for blow in (signal.SIGKILL, signal.SIGINT):
-        child = start(matches, output, "--engine", "ray")
+    for blow, words in ((signal.SIGKILL, []), (signal.SIGINT, ["--address", ray_session])):
+        child = start(matches, output, "--engine", "ray", *words)
         wait_for_a_new_part(child, output)
-        workers = set(busy_workers(child.pid))
+        workers = set(busy_workers(os.getpid() if words else child.pid))
         child.send_signal(blow)
-        assert outcome(child) in ((-signal.SIGKILL, ""), (130, "epi360: interrupted\n"))
+        code, said = outcome(child)
+        checked, *last = said.splitlines()
+        assert checked.startswith("epi360: checked pairs: ")
+        assert (code, last) in ((-signal.SIGKILL, []), (130, ["epi360: interrupted"]))
         wait_until_gone(workers)
         assert finished.items() < seconds_of_parts(output).items()
         finished = seconds_of_parts(output)

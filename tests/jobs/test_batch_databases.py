@@ -12,7 +12,7 @@ from batch_inputs import array_of, pose_rows, version_of
 from epi360 import cli
 from epi360.cameras import Equirectangular
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
-from epi360.jobs.batch import BatchJob, MatchSource, estimate_part, missing_parts, run_batch
+from epi360.jobs.batch import BatchJob, MatchSource, estimate_parts, missing_parts, run_batch
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -130,7 +130,7 @@ def test_parts_do_not_change_the_poses_and_a_restart_goes_on(database, tmp_path)
     run_batch(whole)
     source = MatchSource("colmap", str(database), pairs_per_part=3)
     cut = BatchJob(source, str(tmp_path / "cut.parquet"))
-    estimate_part(cut, 2)
+    estimate_parts(cut, [2])
     assert missing_parts(cut) == [0, 1, 3]
     assert run_batch(cut).num_estimated == 7
     assert pose_rows(cut.output) == pose_rows(whole.output)
@@ -139,7 +139,7 @@ def test_parts_do_not_change_the_poses_and_a_restart_goes_on(database, tmp_path)
 def test_a_changed_database_is_another_input(world, database, tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     job = BatchJob(MatchSource("colmap", str(database), pairs_per_part=3), str(tmp_path / "o"))
-    estimate_part(job, 0)
+    estimate_parts(job, [0])
     with pycolmap.Database.open(database) as opened:
         opened.delete_matches(1, 2)
         opened.write_matches(1, 2, np.column_stack([np.arange(50, dtype=np.uint32)] * 2))
@@ -186,7 +186,10 @@ def test_geometries_that_were_there_are_replaced(world, database, tmp_path):
         old.inlier_matches = np.zeros((7, 2), np.uint32)
         opened.write_two_view_geometry(1, 2, old)
     job = BatchJob(MatchSource("colmap", str(database)), str(tmp_path / "poses.parquet"))
+    for name in (".out.db.12ab34cd.tmp", ".out.db.12ab34cd.tmp-wal"):  # a run was killed here
+        (tmp_path / name).touch()
     run_batch(job, database=str(tmp_path / "out.db"))
+    assert sorted(os.listdir(tmp_path)) == ["in.db", "out.db", "poses.parquet"]
     geometry = geometries_in(tmp_path / "out.db")["a/ä 0.jpg", "a/1.jpg"]
     assert geometry.status == "ok" and len(geometry.inliers) > 70
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Parts and the output that they are joined to: written whole, known by their job, kept."""
 
+import errno
 import os
 
 import numpy as np
@@ -11,7 +12,7 @@ from epi360 import estimate_relative_poses
 from epi360.jobs.batch import (
     BatchJob,
     MatchSource,
-    estimate_part,
+    estimate_parts,
     local_engine,
     merge_parts,
     missing_parts,
@@ -108,7 +109,7 @@ def test_another_seed_gives_other_samples(matches, tmp_path, expected):
 
 def test_a_restart_estimates_only_what_is_missing(job, expected, monkeypatch):
     assert missing_parts(job) == [0, 1, 2]
-    estimate_part(job, 1)
+    estimate_parts(job, [1])
     assert missing_parts(job) == [0, 2]
     read = []
     monkeypatch.setattr(
@@ -121,10 +122,21 @@ def test_a_restart_estimates_only_what_is_missing(job, expected, monkeypatch):
     calls = []
     summary = run_batch(job, progress=lambda *call: calls.append(call))
     assert read == [0, 2]
-    assert calls == [("pairs", 5, 12), ("pairs", 10, 12), ("pairs", 12, 12)]
+    assert calls == [
+        ("checked pairs", 0, 7), ("checked pairs", 5, 7), ("checked pairs", 7, 7),
+        ("pairs", 5, 12), ("pairs", 10, 12), ("pairs", 12, 12),
+    ]  # fmt: skip
     assert (summary.num_pairs, summary.num_estimated) == (12, 7)
     assert pose_rows(job.output) == expected
     assert names_beside(job) == ["poses.parquet"]
+
+
+def test_parts_that_are_there_are_not_estimated_again(job):
+    estimate_parts(job, [1])
+    before = version_of(job.part_path(1))
+    estimate_parts(job, [0, 1])
+    assert missing_parts(job) == [2]
+    assert version_of(job.part_path(1)) == before
 
 
 def test_a_finished_output_is_left_as_it_is_also_with_other_parts(job, matches):
@@ -139,7 +151,7 @@ def test_a_finished_output_is_left_as_it_is_also_with_other_parts(job, matches):
 @pytest.mark.parametrize("damage", ["truncated", "empty", "garbage", "bit"])
 def test_a_damaged_part_is_estimated_again(job, expected, damage):
     for index in range(3):
-        estimate_part(job, index)
+        estimate_parts(job, [index])
     content = bytearray(open(job.part_path(1), "rb").read())
     if damage == "truncated":
         content = content[: len(content) // 2]
@@ -161,7 +173,7 @@ def test_a_damaged_part_is_estimated_again(job, expected, damage):
     [("seed", "seed 4, now 9"), ("input", "input "), ("size", "pairs per part 5, now 3")],
 )
 def test_parts_of_another_job_are_an_error_and_stay(job, tmp_path, change, fragment):
-    estimate_part(job, 0)
+    estimate_parts(job, [0])
     other = tmp_path / "other.parquet"
     write_matches(other, {name: values[1:] for name, values in columns_of(NUM_PAIRS).items()})
     source = {
@@ -204,8 +216,8 @@ def test_the_parts_of_a_run_that_was_killed_after_the_merge_are_removed(job, mon
 
 
 def test_the_merge_needs_all_parts_and_leaves_nothing_without_them(job):
-    estimate_part(job, 0)
-    estimate_part(job, 2)
+    estimate_parts(job, [0])
+    estimate_parts(job, [2])
     with pytest.raises(FileNotFoundError, match="part-000001.parquet"):
         merge_parts(job)
     assert names_beside(job) == ["poses.parquet.parts"]
@@ -218,10 +230,10 @@ def test_parts_of_two_inputs_are_not_merged(job, tmp_path):
     write_matches(input_path, columns)
     source = MatchSource("parquet", str(input_path), pairs_per_part=6)
     job = BatchJob(source, job.output)
-    estimate_part(job, 0)
+    estimate_parts(job, [0])
     columns["bearings1"][0][0] += 1e-6
     write_matches(input_path, columns)
-    estimate_part(job, 1)
+    estimate_parts(job, [1])
     with pytest.raises(ValueError, match="part-000000.parquet holds poses of another job"):
         merge_parts(job)
     assert not os.path.exists(job.output)
@@ -291,6 +303,25 @@ def test_what_killed_runs_have_left_is_removed_but_nothing_else(tmp_path):
     assert left == [".a.parquet", ".b.parquet.12ab34cd.tmp", "a.parquet"]
 
 
+def test_the_lock_of_a_killed_run_blocks_nobody(job):
+    lock = os.path.join(os.path.dirname(job.output), ".poses.parquet.lock")
+    with open(lock, "w") as file:
+        file.write(" (process 1 on another machine)")
+    assert run_batch(job).num_pairs == NUM_PAIRS
+    assert names_beside(job) == ["poses.parquet"]
+
+
+def test_a_disk_without_locks_is_used_without(job, monkeypatch):
+    fcntl = pytest.importorskip("fcntl")
+
+    def refuse(descriptor, operation):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert run_batch(job).num_pairs == NUM_PAIRS
+    assert names_beside(job) == ["poses.parquet"]
+
+
 @pytest.mark.parametrize("scheme", ["memory", "file"])
 def test_input_and_output_may_be_urls(matches, tmp_path, expected, scheme):
     fsspec = pytest.importorskip("fsspec")
@@ -299,7 +330,7 @@ def test_input_and_output_may_be_urls(matches, tmp_path, expected, scheme):
         file.write(matches.read_bytes())
     source = MatchSource("parquet", f"{folder}/in.parquet", pairs_per_part=5)
     job = BatchJob(source, f"{folder}/poses.parquet", seed=4)
-    estimate_part(job, 1)
+    estimate_parts(job, [1])
     assert missing_parts(job) == [0, 2]
     summary = run_batch(job)
     assert summary.num_estimated == 7

@@ -10,13 +10,13 @@ from epi360.interop import Observations, PosedImage, Reconstruction
 from epi360.jobs.cube_faces import (
     FACES,
     CubemapOptions,
-    FaceSampler,
     cubemap_reconstruction,
     face_camera,
     face_from_cam,
     face_image_names,
     visible_faces,
 )
+from epi360.jobs.face_sampler import FaceSampler
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import furnished_room
 
@@ -256,6 +256,55 @@ class TestExport:
         assert not down[away < radius - 2].any() and down[away > radius + 2].all()
         assert read_picture(out / "masks" / "b_up.jpg.png").all()
 
+    def test_every_face_has_a_mask_that_nerfstudio_is_told_of_or_none_has(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path, ("sub/ä.png", "b.png"))
+        write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))
+        out = tmp_path / "out"
+        export_cubemap(folder, source, out)
+        assert "mask_path" not in (out / "transforms.json").read_text()
+        export_cubemap(folder, source, out, masks={"sub/ä.png": tmp_path / "mask.png"})
+        frames = json.loads((out / "transforms.json").read_text(encoding="utf-8"))["frames"]
+        assert len(frames) == 12
+        for frame in frames:
+            assert frame["mask_path"] == frame["file_path"].replace("images/", "masks/") + ".png"
+            mask = cv2.imdecode(np.fromfile(out / frame["mask_path"], np.uint8), -1)
+            assert mask.shape == (64, 64) and mask.all()  # nerfstudio wants one channel
+
+    def test_a_camera_that_does_not_see_all_around_gets_masks(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        write_png(tmp_path / "in" / "a.png", np.full((200, 200, 3), 200, np.uint8))
+        source = plain_reconstruction(["a.png"], FISHEYE)
+        export_cubemap(tmp_path / "in", source, tmp_path / "out")
+        frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+        assert len(frames) == 5 and all("mask_path" in frame for frame in frames)
+
+    def test_a_mask_of_all_panoramas_is_cut_once(self, tmp_path, monkeypatch):
+        from epi360.jobs.cubemap import export_cubemap
+
+        cuts = []
+        mask_of = FaceSampler.mask
+        monkeypatch.setattr(FaceSampler, "mask", lambda *a: cuts.append(1) or mask_of(*a))
+        folder, source = two_panoramas(tmp_path)
+        write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))
+        masks = dict.fromkeys(("a.png", "b.png"), tmp_path / "mask.png")
+        export_cubemap(folder, source, tmp_path / "out", masks=masks, mask_nadir_deg=20.0)
+        assert len(cuts) == 6
+        for face in ("a_down.jpg.png", "b_down.jpg.png"):
+            assert not read_picture(tmp_path / "out" / "masks" / face).all()
+
+    def test_a_damaged_record_is_named(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        export_cubemap(folder, source, tmp_path / "out")
+        for content in ("{}", "[1", "[]", '{"options": {}, "made_from": 3}'):
+            (tmp_path / "out" / "cubemap.json").write_text(content)
+            with pytest.raises(ValueError, match=r"cubemap.json is damaged; delete"):
+                export_cubemap(folder, source, tmp_path / "out")
+
     def test_a_second_run_cuts_only_what_changed(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap
 
@@ -274,16 +323,30 @@ class TestExport:
         from epi360.jobs.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
-        write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))
+        one, other = tmp_path / "one.png", tmp_path / "other.png"
+        for path in (one, other):
+            write_png(path, np.full((128, 256), 255, np.uint8))
         out = tmp_path / "out"
-        export_cubemap(folder, source, out, masks={"a.png": tmp_path / "mask.png"})
+        export_cubemap(folder, source, out, masks={"a.png": one, "b.png": one})
         assert (out / "masks" / "a_front.jpg.png").exists()
-        second = export_cubemap(folder, source, out)
+        second = export_cubemap(folder, source, out, masks={"a.png": other, "b.png": one})
         assert (second.num_written, second.num_kept) == (1, 1)
+        export_cubemap(folder, source, out)
         assert not (out / "masks" / "a_front.jpg.png").exists()
         turned = Equirectangular(256, 128, center_longitude_deg=90.0)
         third = export_cubemap(folder, plain_reconstruction(["a.png", "b.png"], turned), out)
         assert (third.num_written, third.num_kept) == (2, 0)
+
+    def test_faces_of_a_panorama_that_left_the_model_are_removed(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out = tmp_path / "out"
+        export_cubemap(folder, source, out, mask_nadir_deg=20.0)
+        again = export_cubemap(folder, plain_reconstruction(["b.png"]), out, mask_nadir_deg=20.0)
+        assert again.num_kept == 1
+        left = {path.name[:2] for part in ("images", "masks") for path in (out / part).iterdir()}
+        assert left == {"b_"}
 
     def test_nothing_that_is_there_is_overwritten(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap

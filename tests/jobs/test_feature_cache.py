@@ -2,7 +2,9 @@
 """Key points are found once for each content and come back as they were."""
 
 import dataclasses
+import struct
 
+import cv2
 import numpy as np
 import pytest
 from rendered_views import SIZES, pictures, write_png, write_views
@@ -10,6 +12,7 @@ from rendered_views import SIZES, pictures, write_png, write_views
 from epi360.cameras import Equirectangular
 from epi360.features import extract_features
 from epi360.jobs import feature_cache
+from epi360.jobs.array_files import read_arrays
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache, UnreadableImageError
 from epi360.jobs.image_set import SourceImage
 
@@ -51,9 +54,23 @@ def test_descriptors_in_bytes_lose_nothing(cache, image):
     np.testing.assert_allclose(found.keypoints, expected.keypoints, atol=2e-5)
 
 
-def test_a_key_point_takes_144_bytes(cache, image):
+def test_a_key_point_takes_147_bytes(cache, image):
     cache.extract("k", image, CAMERA)
-    assert (cache.folder / "k.npz").stat().st_size < 400 * 144 + 2000
+    assert (cache.folder / "k.npz").stat().st_size < 400 * 147 + 2000
+
+
+def test_colors_are_those_of_the_upright_picture(cache, tmp_path):
+    turned = np.ascontiguousarray(pictures()[0][::-1, ::-1, ::-1])
+    jpeg = cv2.imencode(".jpg", turned, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].tobytes()
+    by_180_degrees = struct.pack(">IHHHIHHI", 8, 1, 0x112, 3, 1, 3, 0, 0)
+    exif = b"Exif\0\0MM\0*" + by_180_degrees
+    segment = b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + segment + jpeg[2:])
+    found = cache.extract("k", SourceImage("a.jpg", tmp_path / "a.jpg", "c"), CAMERA)
+    colors = read_arrays(cache.folder / "k.npz")["colors"].astype(int)
+    columns, rows = found.pixels.astype(int).T
+    errors = np.abs(colors - pictures()[0][rows, columns])
+    assert np.median(errors) < 8  # what JPEG leaves; of the picture upside down about 40
 
 
 def test_the_name_of_an_image_is_not_part_of_its_key(cache, image, tmp_path):
@@ -99,6 +116,7 @@ def test_a_damaged_file_counts_as_missing(cache, image, damage):
         data[60] ^= 64
     changed = {"cut": data[:-100], "empty": b"", "garbage": b"no npz at all"}
     path.write_bytes(changed.get(damage, data))
+    assert not cache.has("k")
     assert cache.load("k") is None
 
 

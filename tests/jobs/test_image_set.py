@@ -199,15 +199,13 @@ def test_gpano_metadata_give_camera_and_gravity(folder):
         "panorama 80x40": Equirectangular(80, 40),
     }
     assert [image.camera[14:] for image in images.images] == [" part 1", " part 2", " part 1", ""]
-    np.testing.assert_allclose(images.images[0].down, [0, 0, -1], atol=1e-12)
-    assert images.images[3].down is None
 
 
 def test_gpano_metadata_say_nothing_of_an_image_that_is_no_panorama(folder, tmp_path):
     content = with_gpano(encoded(".jpg", 40, 30), gpano_packet(Equirectangular(80, 40), roll_deg=5))
     add(folder, "view.jpg", content=content)
     source = write_cameras(tmp_path / "cameras.json", front=pinhole())
-    assert find_images(folder, camera=source).images[0].down is None
+    assert find_images(folder, camera=source).images[0].camera == "front"
 
 
 def test_gpano_metadata_that_contradict_the_image_skip_it(folder):
@@ -267,6 +265,20 @@ def test_images_of_a_rig_share_a_frame(folder, tmp_path):
     ]  # fmt: skip
     np.testing.assert_array_equal(images.cam_from_rig["right"].rotation, RIGHT_TURN)
     np.testing.assert_array_equal(images.cam_from_rig["right"].translation, [0, 0, -1])
+
+
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ({"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "translation": [0, 0, 0]}, "rotation"),
+        ({"translation": [0, 0, 0]}, "cam_from_rig must have translation and rotation"),
+    ],
+)
+def test_a_rig_that_is_said_wrongly_is_no_heap_of_cameras(folder, tmp_path, pose, message):
+    add(folder, "front/1.jpg", 40, 30)
+    source = write_cameras(tmp_path / "rig.json", front=pinhole(), right=pinhole(cam_from_rig=pose))
+    with pytest.raises(ValueError, match=message):
+        find_images(folder, camera=source)
 
 
 def test_folders_of_a_colmap_rig_may_lie_in_folders(folder, tmp_path):
@@ -368,3 +380,24 @@ def test_pair_names_the_image_whose_metadata_contradict_it(tmp_path, capsys):
     path.write_bytes(with_gpano(encoded(".jpg", 80, 50), packet))
     assert cli.main(["pair", str(path), str(path)]) == 2
     assert "image1: the image is 80x50 but its GPano" in capsys.readouterr().err
+
+
+def test_a_mask_of_another_size_is_noticed_before_the_work(folder, tmp_path):
+    add(folder, "1.jpg", 80, 40)
+    add(folder, "2.jpg", 120, 60)
+    mask = tmp_path / "mask.png"
+    mask.write_bytes(encoded(".png", 80, 40))
+    images = find_images(folder, mask=mask)
+    assert [image.name for image in images.images] == ["1.jpg"]
+    ((name, reason),) = images.skipped
+    assert name == "2.jpg" and "is 120x60 but its mask" in reason and "80x40" in reason
+    mask.write_bytes(encoded(".png", 40, 20))
+    with pytest.raises(ValueError, match=r"no usable image: 1.jpg \(and 1 more\).* is 40x20"):
+        find_images(folder, mask=mask)
+
+
+def test_a_folder_of_videos_says_what_to_do(folder):
+    folder.mkdir(exist_ok=True)
+    (folder / "walk.MP4").write_bytes(b"....ftyp")
+    with pytest.raises(FileNotFoundError, match=r"take frames from walk\.MP4 first"):
+        find_images(folder)

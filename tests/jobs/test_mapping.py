@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from epi360 import cli
-from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.cameras import DoubleSphere, Equirectangular, KannalaBrandt, Pinhole
 from epi360.datasets.tables import read_table
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, rotation_from_vector
 from epi360.synthetic import furnished_room
@@ -20,15 +20,18 @@ from epi360.interop import (  # noqa: E402
     MatchedImage,
     MatchedPair,
     MatchGraph,
+    PosedImage,
+    Reconstruction,
     TwoViewGeometry,
 )
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
 from epi360.jobs.colmap_mapper import MapperOptions, run_mapper  # noqa: E402
-from epi360.jobs.image_set import find_images  # noqa: E402
-from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
-from epi360.jobs.matching import MatchOptions  # noqa: E402
+from epi360.jobs.image_set import ImageSet, SourceImage, find_images  # noqa: E402
+from epi360.jobs.mapped_models import MappedModel, write_transforms  # noqa: E402
+from epi360.jobs.mapping import MapOptions, MapRun, map_images  # noqa: E402
+from epi360.jobs.matching import MatchOptions, MatchRun  # noqa: E402
 
 CAMERA = Equirectangular(512, 256)
 
@@ -149,6 +152,7 @@ def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, r
     again = map_images(images, output, MapOptions(MatchOptions(num_threads=2)))
     assert [path.stat().st_mtime_ns for path in files] == before
     assert again.seconds["mapping"] == first.seconds["mapping"]
+    assert again.was_mapped and not first.was_mapped
     assert again.unregistered == first.unregistered
     other = map_images(images, output, MapOptions(MatchOptions(num_threads=1), mapper="global"))
     assert [path.stat().st_mtime_ns for path in files] != before
@@ -196,9 +200,12 @@ def test_the_cameras_of_a_rig_stay_where_they_are_and_give_the_scale(tmp_path, m
     back_from_front = Pose(rotation_from_vector([0.0, 2.0, 0.0]), np.array([0.0, 0.0, -0.3]))
     graph, poses = rig_graph(back_from_front)
     write_colmap_database(tmp_path / "database.db", graph)
-    (model,) = run_mapper(
-        tmp_path / "database.db", tmp_path, MapperOptions(mapper), num_images=len(graph.images)
-    )
+    colors = {
+        name: np.full((len(image.keypoints), 3), (9, 8, 7), np.uint8)
+        for name, image in graph.images.items()
+    }
+    (model,) = run_mapper(tmp_path / "database.db", MapperOptions(mapper), colors=colors)
+    assert {tuple(point.color) for point in model.points3D.values()} == {(9, 8, 7)}
     assert model.num_reg_images() == 8
     found = {
         image.name: Pose.from_matrix(image.cam_from_world().matrix())
@@ -253,7 +260,10 @@ def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp
         (["map", "NOWHERE"], "does not exist"),
         (["cubemap", "DATABASE", "IMAGES", "OUT"], "holds matches"),
         (["cubemap", "MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
-        (["cubemap", "MODEL", "IMAGES", "OUT", "--fov-deg", "180"], "fov_deg must be"),
+        (["cubemap", "MODEL", "IMAGES", "OUT", "--fov-deg", "180"], " --fov-deg must be"),
+        (["cubemap", "MODEL", "IMAGES", "OUT", "--mask-nadir-deg=-5"], " --mask-nadir-deg must"),
+        (["map", "IMAGES", "--jobs", "0"], " --jobs must be at least 1, got 0"),
+        (["map", "IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_code_2(
@@ -279,6 +289,76 @@ def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
     assert cli.main(words) == 1
     assert "registered   0 of 2 images" in capsys.readouterr().out
     assert not (tmp_path / "out" / "sparse").exists()
+
+
+def written_transforms(tmp_path, cameras, masks=None, mask_nadir_deg=0.0):
+    """Remarks, and the frames of a file for one image of each camera."""
+    sources = tuple(
+        SourceImage(f"{name}.jpg", tmp_path / "in" / f"{name}.jpg", name, (masks or {}).get(name))
+        for name in cameras
+    )
+    posed = tuple(
+        PosedImage(image.name, image.camera, Pose(np.eye(3), np.zeros(3))) for image in sources
+    )
+    remarks = write_transforms(
+        ImageSet(tmp_path / "in", cameras, sources),
+        tmp_path,
+        (MappedModel(tmp_path, Reconstruction(cameras, posed), 0.5),),
+        mask_nadir_deg,
+    )
+    path = tmp_path / "transforms.json"
+    return remarks, json.loads(path.read_text())["frames"] if path.exists() else []
+
+
+def test_transforms_name_the_masks_where_every_image_has_one(tmp_path):
+    cameras = {"a": CAMERA, "b": CAMERA}
+    both = {name: tmp_path / "masks" / f"{name}.png" for name in cameras}
+    remarks, frames = written_transforms(tmp_path, cameras, both)
+    assert [frame["mask_path"] for frame in frames] == ["masks/a.png", "masks/b.png"]
+    assert remarks == ()
+    remarks, frames = written_transforms(tmp_path, cameras, {"a": both["a"]})
+    assert not any("mask_path" in frame for frame in frames)
+    assert remarks == ("transforms.json does not name all masks; that of --cubemap does",)
+    assert written_transforms(tmp_path, cameras, mask_nadir_deg=20.0)[0] == remarks
+    assert written_transforms(tmp_path, cameras)[0] == ()
+
+
+def test_cameras_of_two_kinds_are_pointed_to_the_cube_faces(tmp_path):
+    (remark,), frames = written_transforms(tmp_path, {"a": CAMERA, "b": Pinhole(9, 9, 5, 5, 4, 4)})
+    assert remark.startswith("transforms.json was not written: nerfstudio has one camera model")
+    assert remark.endswith("that of --cubemap has one camera model")
+    assert frames == []
+
+
+def test_a_camera_that_colmap_lacks_is_refused_before_the_matching(tmp_path):
+    camera = DoubleSphere(64, 64, 30, 30, 32, 32, -0.2, 0.6)
+    image = SourceImage("a.png", tmp_path / "a.png", "c")
+    with pytest.raises(ValueError, match="DoubleSphere"):
+        map_images(ImageSet(tmp_path, {"c": camera}, (image,)), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monkeypatch):
+    models = tuple(
+        MappedModel(tmp_path / "sparse" / str(number), Reconstruction({}, ()), 0.5)
+        for number in range(2)
+    )
+    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    run = MapRun(matched, models, {}, 5, {}, ())
+    monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, **__: run)
+    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
+    assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "models       2 that do not connect: 0, 0 images" in printed
+    assert f"epi360 cubemap {tmp_path / 'sparse' / '1'} {tmp_path / 'in'} NEW" in printed
+
+
+@pytest.mark.parametrize("content", ["[1, 2]", "{", "3"])
+def test_a_damaged_record_is_named(tmp_path, content):
+    (tmp_path / "mapping.json").write_text(content)
+    image = SourceImage("a.png", tmp_path / "a.png", "c")
+    with pytest.raises(ValueError, match=r"mapping.json is damaged; delete it"):
+        map_images(ImageSet(tmp_path, {"c": CAMERA}, (image,)), tmp_path)
 
 
 def test_files_of_something_else_are_not_replaced(tmp_path, room_folder):

@@ -52,8 +52,9 @@ def test_no_pose_at_all_is_an_honest_failure(here, capsys):
     [
         (["nowhere"], "nowhere"),
         (["tour", "--pairs", "none.txt"], "none.txt"),
-        (["tour", "--max-width", "1"], "max_width must be at least"),
-        (["tour", "--jobs", "0"], "num_threads must be at least 1"),
+        (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
+        (["tour", "--jobs", "0"], " --jobs must be at least 1, got 0"),
+        (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),
         (["tour", "--output", "tour"], "was not made by epi360 match"),
         (["tour", "--output", "taken"], "must be a folder"),
         (["tour", "--output", "taken/below"], "taken"),

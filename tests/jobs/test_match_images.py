@@ -163,13 +163,17 @@ def test_half_a_part_is_done_again(run, folder, output, tmp_path, verified):
     load_matches(tmp_path)
 
 
-def test_damaged_key_points_are_found_again(views, tmp_path, extractions):
+@pytest.mark.parametrize("pairs_are_there", [True, False])
+def test_damaged_key_points_are_found_again(views, tmp_path, extractions, pairs_are_there):
     output = tmp_path / "out"
     first = match_images(image_set(views, NAMES[:3]), output)
     for path in (output / "features").iterdir():
         path.write_bytes(b"damaged")
+    with pytest.raises(ValueError, match="missing or damaged; run epi360 match"):
+        load_matches(output)
     for path in (output / "pairs").iterdir():
-        path.unlink()
+        if not pairs_are_there:
+            path.unlink()
     extractions.clear()
     again = match_images(image_set(views, NAMES[:3]), output)
     assert set(extractions) == {"küche 1.png", "küche 2.png", "10.png"}
@@ -313,6 +317,21 @@ def test_a_folder_of_something_else_is_left_alone(views, tmp_path):
     assert sorted(path.name for path in views.iterdir()) == ["Zimmer", "b"]
 
 
+def test_a_run_that_was_stopped_at_its_very_start_goes_on(views, tmp_path, monkeypatch):
+    output = tmp_path / "out"
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(match_store, "write_file", stop)
+        with pytest.raises(KeyboardInterrupt):  # the folder is there, its marker is not
+            match_images(image_set(views, NAMES[:2]), output)
+    (output / ".epi360-match.json.1.tmp").write_bytes(b"half")
+    (output / ".DS_Store").write_bytes(b"")
+    assert match_images(image_set(views, NAMES[:2]), output).verdicts[0].accepted
+
+
 def test_a_damaged_marker_is_named(views, tmp_path):
     (tmp_path / match_store.MARKER).write_text("{")
     with pytest.raises(ValueError, match="epi360-match.json is damaged"):
@@ -334,8 +353,12 @@ def test_a_damaged_index_is_named(views, tmp_path):
     match_images(image_set(views, NAMES[:2]), tmp_path / "out")
     index = tmp_path / "out" / match_store.IMAGES
     record = json.loads(index.read_text(encoding="utf-8"))
-    del record["images"][0]["key"]
-    index.write_text(json.dumps(record))
+    no_key = [{**record["images"][0], "key": None}, {"name": "b"}]
+    for damaged in ({"images": no_key}, {"pairs": [["a", "b"]]}, {"pairs": [["a"]]}):
+        index.write_text(json.dumps({**record, **damaged}))
+        with pytest.raises(ValueError, match=r"images.json is damaged|key points of .* missing"):
+            load_matches(tmp_path / "out")
+    index.write_text("{")
     with pytest.raises(ValueError, match="images.json is damaged"):
         load_matches(tmp_path / "out")
 

@@ -21,7 +21,7 @@ class BatchInput:
     """What belongs to the matches."""
 
     camera: str | None = None
-    """Calibration file, for pixels: one camera for all images, or each called like a top folder."""
+    """Calibration file, for pixels: one camera for all images, or one a folder, called like it."""
     features: str | None = None
     """With hloc's matches: the file of the key points."""
     pairs: str | None = None
@@ -60,8 +60,9 @@ def batch(
 ) -> int:
     """Relative poses of many pairs of images, from their matches.
 
-    Finished parts are kept in OUTPUT.parts until all are there: a run that was stopped goes on from
-    there. Exit code 0 when the output is written, 1 if not one of its pairs is ok, 2 for wrong use.
+    First all rows are checked. Finished parts are kept in OUTPUT.parts until all are there: a run
+    that was stopped goes on from there. Exit code 0 when the output is written, 1 if not one of its
+    pairs is ok, 2 for wrong use.
 
     Parameters
     ----------

@@ -31,6 +31,7 @@ def convert(
     camera: str | None = None,
     output_format: Annotated[FormatName | None, Parameter(name="--format")] = None,
     features: Path | None = None,
+    pairs: Path | None = None,
 ) -> int:
     """Convert a reconstruction or a match database to the format of another tool.
 
@@ -56,6 +57,9 @@ def convert(
         Format of the target where its name does not say it.
     features
         hloc's file of key points, beside the one of the matches; read or written.
+    pairs
+        hloc's file of the pairs that were matched, beside the others; read or written. Without it
+        the names of the matches must say which images they are of: hloc writes "-" for "/".
 
     Returns
     -------
@@ -63,20 +67,28 @@ def convert(
         Exit code.
     """
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
-    from epi360.interop.formats import format_of_name
+    from epi360.interop.formats import FORMATS, format_of_name
     from epi360.interop.reconstruction import Reconstruction
 
+    content: MatchGraph | Reconstruction
     source_name = _format_of_source(source)
     target_name = output_format or format_of_name(target)
     _check_kinds(source, source_name, target, target_name)
-    _check_options((source_name, target_name), images, camera, features)
-    _check_free(files_written(target, target_name, features=features), target_name)
+    _check_options((source_name, target_name), images, camera, features, pairs)
+    _check_free(files_written(target, target_name, features, pairs), target_name)
     folder = "images" if images is None else images
-    content = _read(source, source_name, folder, camera, features)
+    wanted = FORMATS[target_name]
+    if wanted.kind == "matches":
+        with_descriptors = "descriptors" in wanted.keeps
+        content = _read_matches(source, source_name, camera, features, pairs, with_descriptors)
+    else:
+        content = _read_reconstruction(source, source_name, folder, camera)
+    if not content.images:
+        raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
         write_reconstruction(target, target_name, content, images=folder)
     else:
-        write_matches(target, target_name, content, features=features)
+        write_matches(target, target_name, content, features=features, pairs=pairs)
     print(_summary(target, target_name, content))
     return SUCCESS
 
@@ -116,34 +128,56 @@ def _check_kinds(source: Path, source_name: str, target: Path, target_name: str)
 
 
 def _check_options(
-    names: tuple[str, str], images: str | None, camera: str | None, features: Path | None
+    names: tuple[str, str],
+    images: str | None,
+    camera: str | None,
+    features: Path | None,
+    pairs: Path | None,
 ) -> None:
     """Raise where an option is missing or says nothing about these formats."""
     if images is not None and "nerfstudio" not in names:
         raise ValueError("--images is for nerfstudio's transforms.json; the others have no folder")
     if features is not None and "hloc" not in names:
         raise ValueError("--features is for hloc, which keeps key points in a file of their own")
+    if pairs is not None and "hloc" not in names:
+        raise ValueError("--pairs is for hloc, which puts '-' for '/' into the names of pairs")
     if features is None and "hloc" in names:
         raise ValueError("hloc keeps key points in a file of their own; name it with --features")
     if camera is not None and names[0] in ("colmap-database", MATCH_FOLDER):
         raise ValueError("--camera is for images without one; those of a database have theirs")
 
 
-def _read(
-    source: Path, name: str, images: str, camera: str | None, features: Path | None
-) -> Reconstruction | MatchGraph:
-    from epi360.interop.convert import read_matches, read_reconstruction, with_camera
-    from epi360.interop.formats import FORMATS
+def _read_matches(
+    source: Path,
+    name: str,
+    camera: str | None,
+    features: Path | None,
+    pairs: Path | None,
+    with_descriptors: bool,
+) -> MatchGraph:
+    from epi360.interop.convert import read_matches
     from epi360.jobs.given_cameras import read_given_cameras
+    from epi360.jobs.matching import load_matches
 
     if name == MATCH_FOLDER:
-        from epi360.jobs.matching import load_matches
-
         return load_matches(source)
+    return read_matches(
+        source,
+        name,
+        features=features,
+        pairs=pairs,
+        cameras=None if camera is None else read_given_cameras(camera).cameras,
+        with_descriptors=with_descriptors,
+    )
+
+
+def _read_reconstruction(
+    source: Path, name: str, images: str, camera: str | None
+) -> Reconstruction:
+    from epi360.interop.convert import read_reconstruction, with_camera
+    from epi360.jobs.given_cameras import read_given_cameras
+
     given = None if camera is None else read_given_cameras(camera)
-    if FORMATS[name].kind == "matches":
-        cameras = given.cameras if given else None
-        return read_matches(source, name, features=features, cameras=cameras)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         reconstruction = read_reconstruction(source, name, images=images)

@@ -17,12 +17,13 @@ from epi360.cli.match import (
     MatchWork,
     default_output,
     match_options,
+    options_as_typed,
     write_pairs_table,
 )
 
 if TYPE_CHECKING:
+    from epi360.interop import Reconstruction
     from epi360.jobs.cube_faces import CubemapOptions
-    from epi360.jobs.cubemap import Cubemap
     from epi360.jobs.image_set import ImageSet
     from epi360.jobs.mapping import MapOptions, MapRun
 
@@ -118,19 +119,9 @@ def map_folder(
         return FAILURE
     print(f"wrote {run.models[0].folder}")
     if cubemap:
-        from epi360.jobs.cubemap import export_cubemap
-
-        with show_bars() as progress:
-            cube = export_cubemap(
-                folder,
-                run.models[0].reconstruction,
-                output / "cubemap",
-                cutting,
-                masks={image.name: image.mask for image in images.images},
-                mask_nadir_deg=given.mask_nadir_deg,
-                progress=progress,
-            )
-        print(_describe_cubemap(cube, output / "cubemap"))
+        masks = {image.name: image.mask for image in images.images}
+        model = run.models[0].reconstruction
+        _cut(folder, model, output / "cubemap", cutting, masks, given.mask_nadir_deg)
     return SUCCESS
 
 
@@ -170,7 +161,6 @@ def cubemap(
     """
     from epi360.interop.convert import read_reconstruction
     from epi360.interop.formats import FORMATS, format_of_file
-    from epi360.jobs.cubemap import export_cubemap
     from epi360.jobs.masks import MaskSource
 
     options = _cubemap_options(cube_faces)
@@ -181,17 +171,7 @@ def cubemap(
     source = MaskSource(mask)
     masks = {image.name: source.of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
-    with show_bars() as progress:
-        cube = export_cubemap(
-            images,
-            reconstruction,
-            output,
-            options,
-            masks=masks,
-            mask_nadir_deg=mask_nadir_deg,
-            progress=progress,
-        )
-    print(_describe_cubemap(cube, output))
+    _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
     return SUCCESS
 
 
@@ -199,19 +179,21 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
     from epi360.jobs.mapping import MapOptions
 
     match = match_options(given, work)
-    return MapOptions(match, mapping.mapper, mapping.refine_cameras, mapping.mapper_threads)
+    with options_as_typed():
+        return MapOptions(match, mapping.mapper, mapping.refine_cameras, mapping.mapper_threads)
 
 
 def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
     from epi360.jobs.cube_faces import CubemapOptions
 
-    return CubemapOptions(
-        face_size=cube_faces.face_size,
-        fov_deg=cube_faces.fov_deg,
-        faces=cube_faces.faces,
-        image_format=cube_faces.image_format,
-        jpeg_quality=cube_faces.jpeg_quality,
-    )
+    with options_as_typed():
+        return CubemapOptions(
+            face_size=cube_faces.face_size,
+            fov_deg=cube_faces.fov_deg,
+            faces=cube_faces.faces,
+            image_format=cube_faces.image_format,
+            jpeg_quality=cube_faces.jpeg_quality,
+        )
 
 
 def _describe(run: MapRun, images: ImageSet) -> str:
@@ -227,10 +209,14 @@ def _describe(run: MapRun, images: ImageSet) -> str:
         ]
     if len(run.models) > 1:
         sizes = ", ".join(str(len(model.reconstruction.images)) for model in run.models)
-        lines.append(f"models       {len(run.models)} that do not connect: {sizes} images")
-    lines.append(
-        "time         " + ", ".join(f"{name} {value:.1f} s" for name, value in run.seconds.items())
-    )
+        lines += [
+            f"models       {len(run.models)} that do not connect: {sizes} images; all but COLMAP's "
+            "own files are of the first",
+            f"             another one: epi360 cubemap {run.models[1].folder} {images.folder} NEW, "
+            f"epi360 convert {run.models[1].folder} NEW.json",
+        ]
+    times = ", ".join(f"{name} {value:.1f} s" for name, value in run.seconds.items())
+    lines.append(f"time         {times}" + (" (by an earlier run)" if run.was_mapped else ""))
     reasons = [*run.unregistered.items(), *images.skipped]
     lines += [f"left out     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
@@ -238,6 +224,26 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     return "\n".join([*lines, *run.remarks])
 
 
-def _describe_cubemap(cube: Cubemap, output: Path) -> str:
+def _cut(
+    images: Path,
+    reconstruction: Reconstruction,
+    output: Path,
+    options: CubemapOptions,
+    masks: dict[str, Path | None],
+    mask_nadir_deg: float,
+) -> None:
+    """Cut the images of a model into cube faces, and say so."""
+    from epi360.jobs.cubemap import export_cubemap
+
+    with options_as_typed(), show_bars() as progress:
+        cube = export_cubemap(
+            images,
+            reconstruction,
+            output,
+            options,
+            masks=masks,
+            mask_nadir_deg=mask_nadir_deg,
+            progress=progress,
+        )
     kept = f", {cube.num_kept} panoramas were there" if cube.num_kept else ""
-    return f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})"
+    print(f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})")

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -103,15 +105,29 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
     """Options of `match_images` in the words of the command."""
     from epi360.jobs.matching import MatchOptions
 
-    return MatchOptions(
-        pairs=work.pairs,
-        overlap=work.overlap,
-        max_width=work.max_width,
-        max_features=work.max_features,
-        mask_nadir_deg=given.mask_nadir_deg,
-        seed=work.seed,
-        num_threads=work.jobs,
-    )
+    with options_as_typed():
+        return MatchOptions(
+            pairs=work.pairs,
+            overlap=work.overlap,
+            max_width=work.max_width,
+            max_features=work.max_features,
+            mask_nadir_deg=given.mask_nadir_deg,
+            seed=work.seed,
+            num_threads=work.jobs,
+        )
+
+
+@contextmanager
+def options_as_typed() -> Iterator[None]:
+    """Errors that begin with the name of a parameter begin with that of the option."""
+    try:
+        yield
+    except ValueError as error:
+        name, must, rest = str(error).partition(" must ")
+        if not (must and name.isidentifier()):
+            raise
+        option = "jobs" if name == "num_threads" else name.replace("_", "-")
+        raise ValueError(f"--{option} must {rest}") from None
 
 
 def default_output(folder: Path) -> Path:

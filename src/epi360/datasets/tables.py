@@ -59,7 +59,8 @@ class Table:
     def quaternions(self, start: int) -> NDArray[np.float64]:
         """Four columns as quaternions of unit length; ``ValueError`` where they are far from it."""
         numbers = self.floats(start, start + 4)
-        lengths = np.linalg.norm(numbers, axis=1)
+        with np.errstate(over="ignore"):  # infinite is far from one
+            lengths = np.linalg.norm(numbers, axis=1)
         bad = np.flatnonzero(np.abs(lengths - 1) > UNIT_TOLERANCE)
         if len(bad):
             raise self.error(bad[0], f"a unit quaternion {','.join(self.columns[start:])}")

@@ -22,7 +22,7 @@ _SIGNATURES = (_JPEG_SIGNATURE, _PNG_SIGNATURE, b"II*\0", b"MM\0*", b"RIFF", b"B
 _RAW_FILES = {
     ".insp": "a raw dual fisheye file; export a stitched panorama first",
     ".insv": "a raw dual fisheye video; export stitched panoramas first",
-    ".360": "a raw dual fisheye video; export stitched panoramas first",
+    ".360": "a raw 360 video; export stitched panoramas first",
     ".dng": "a camera raw file; export a JPEG, PNG or TIFF first",
 }
 # The next marker inside JPEG scan data: FF 00 is a stuffed byte, FF D0..D7 restart, FF FF filling.

@@ -264,10 +264,15 @@ def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
         "WHERE image_id = (SELECT image_id FROM images WHERE name = ?)"
     )
     for kind, *blob in pairs.rows(query, name):
-        stored = pairs.array((blob[0], blob[1], blob[2]), np.uint8, f"descriptors of {name}")
+        what = f"descriptors of {name}"
+        stored = pairs.array((blob[0], blob[1], blob[2]), np.uint8, what)
         if len(stored) != len(pairs.keypoints(name)):
             raise pairs.error(f"{name} must have one descriptor a key point, got {len(stored)}")
-        return stored.astype(np.float32) if kind in TYPES_OF_BYTES else stored.view(np.float32)
+        if not len(stored) or kind in TYPES_OF_BYTES:
+            return stored.astype(np.float32)
+        if stored.shape[1] % 4:
+            raise pairs.error(f"{what} must be floats of 4 bytes, got {stored.shape[1]} bytes each")
+        return stored.view(np.float32)
     return None
 
 
@@ -276,7 +281,7 @@ def _geometries(
 ) -> Iterator[tuple[tuple[str, str], NDArray[np.int64], TwoViewGeometry | None]]:
     """Names, inliers and geometry of each row."""
     columns = [
-        name if pairs.has_columns("two_view_geometries", name) else "NULL"
+        name if pairs.has_columns("two_view_geometries", name) else f"NULL AS {name}"
         for name in ("E", "qvec", "tvec")
     ]
     query = (
@@ -311,10 +316,12 @@ def _stored_pose(
     what = f"pose of pair {names[0]} {names[1]}"
     wxyz = pairs.array((1, 4, quaternion), np.float64, what)[0]
     t = pairs.array((1, 3, translation), np.float64, what)[0]
-    lengths = np.linalg.norm(wxyz), np.linalg.norm(t)
-    if status == "pure_rotation" and lengths[0] > 0 and wxyz[0] != lengths[0]:
+    lengths = float(np.linalg.norm(wxyz)), float(np.linalg.norm(t))
+    if not np.isfinite(lengths).all() or lengths[0] == 0:
+        return None
+    if status == "pure_rotation" and wxyz[0] != lengths[0]:
         return pose_from_quaternion(np.full(3, np.nan), wxyz / lengths[0])
-    if status != "pure_rotation" and min(lengths) > 0:
+    if status != "pure_rotation" and lengths[1] > 0:
         return pose_from_quaternion(t / lengths[1], wxyz / lengths[0])
     return None
 
@@ -326,7 +333,7 @@ def _decomposed(
     if not E or not len(inliers):
         return None
     matrix = pairs.array((3, 3, E), np.float64, f"matrix of pair {names[0]} {names[1]}")
-    if not matrix.any():
+    if not (matrix.any() and np.isfinite(matrix).all()):
         return None
     bearings = [
         pairs.camera(name).bearings_from_pixels(pairs.keypoints(name)[indices])

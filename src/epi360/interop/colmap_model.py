@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.interop.colmap_model_bytes import model_files
-from epi360.interop.colmap_model_files import PIXEL, ImageEntry, read_model_files
+from epi360.interop.colmap_model_files import PIXEL, ImageEntry, PointEntry, read_model_files
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
 from epi360.poses import pose_from_quaternion
 
@@ -42,7 +42,7 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
         return Reconstruction(
             cameras,
             tuple(_posed(image) for image in images),
-            np.array([point.xyz for point in points]).reshape(-1, 3),
+            _positions(points),
             np.array([point.color for point in points], np.uint8).reshape(-1, 3),
             _observations(images, np.array([point.id for point in points], np.int64)),
         )
@@ -87,11 +87,22 @@ def write_colmap_model(
 
 
 def _posed(image: ImageEntry) -> PosedImage:
-    length = np.linalg.norm(image.wxyz)
-    if not length > 0:
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(image.wxyz)
+    if not 0 < length < np.inf:
         raise ValueError(f"image {image.name} must have a rotation, got {image.wxyz.tolist()}")
+    if not (np.isfinite(image.translation).all() and np.isfinite(image.pixels["pixel"]).all()):
+        raise ValueError(f"translation and key points of image {image.name} must be finite")
     pose = pose_from_quaternion(image.translation, image.wxyz / length)
     return PosedImage(image.name, image.camera, pose)
+
+
+def _positions(points: list[PointEntry]) -> NDArray[np.float64]:
+    positions = np.array([point.xyz for point in points]).reshape(-1, 3)
+    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if len(bad):
+        raise ValueError(f"point {points[bad[0]].id} must be finite")
+    return positions
 
 
 def _observations(images: list[ImageEntry], point_ids: NDArray[np.int64]) -> Observations | None:

@@ -6,6 +6,7 @@ They are written here, not by pycolmap, which says nothing where the disk is ful
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 from typing import Any
@@ -71,7 +72,7 @@ def model_files(reconstruction: Reconstruction, *, text: bool) -> dict[str, byte
     parts = _parts(reconstruction)
     if not text:
         return {f"{name}.bin": data for name, data in _binary(*parts).items()}
-    spaced = [image.name for image in parts[1] if len(image.name.split()) > 1]
+    spaced = [image.name for image in parts[1] if re.search(r"[ \t\r\n]", image.name)]
     if spaced:
         raise ValueError(f"COLMAP's text ends names at a space: write {spaced[0]!r} in binary")
     contents = _text(*parts)

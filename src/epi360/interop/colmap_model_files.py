@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -45,6 +46,9 @@ class PointEntry:
     color: tuple[int, ...]
 
 
+Entry = TypeVar("Entry", ImageEntry, PointEntry)
+
+
 def read_model_files(folder: Path) -> tuple[dict[str, Camera], list[ImageEntry], list[PointEntry]]:
     """Cameras by id, images and points of a folder, each in the order of the ids.
 
@@ -68,14 +72,14 @@ def read_model_files(folder: Path) -> tuple[dict[str, Camera], list[ImageEntry],
     else:
         cameras = load_cameras(paths[0])
         images, points = _used(_images_of_text, paths[1]), _used(_points_of_text, paths[2])
-    return cameras, sorted(images, key=_by_id), sorted(points, key=_by_id)
+    return cameras, images, points
 
 
 def _used(read: Callable[[bytes], T], path: Path) -> T:
     """What ``read`` makes of a file; its errors name the file."""
     try:
         return read(path.read_bytes())
-    except (ValueError, struct.error) as error:
+    except (ValueError, OverflowError, struct.error) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"COLMAP model file {path} cannot be used: {reason}") from None
 
@@ -92,8 +96,15 @@ def _kind(folder: Path) -> str:
     )
 
 
-def _by_id(entry: ImageEntry | PointEntry) -> int:
-    return entry.id
+def _by_id(entries: list[Entry]) -> list[Entry]:
+    """Entries in the order of their ids, each of which is there once."""
+    entries.sort(key=lambda entry: entry.id)
+    for entry, after in pairwise(entries):
+        if entry.id == after.id:
+            raise ValueError(f"id {entry.id} is there twice")
+    if entries and not 0 <= entries[0].id <= entries[-1].id < 2**63:
+        raise ValueError(f"ids must be 0 to 2^63 - 1, got {entries[0].id} to {entries[-1].id}")
+    return entries
 
 
 class _Cursor:
@@ -128,15 +139,18 @@ class _Cursor:
 
 
 def _cameras_of_bytes(data: bytes) -> dict[str, Camera]:
-    cameras, cursor = {}, _Cursor(data)
+    cameras: dict[str, Camera] = {}
+    cursor = _Cursor(data)
     for _ in range(cursor.count()):
         camera_id, number, width, height = cursor.values("IiQQ")
         model = model_of_number(number)
         try:
             parameters = cursor.values(f"{num_parameters(model)}d")
-            cameras[str(camera_id)] = camera_of_model(model, width, height, list(parameters))
+            camera = camera_of_model(model, width, height, list(parameters))
         except ValueError as error:
             raise ValueError(f"camera {camera_id}: {error}") from None
+        if cameras.setdefault(str(camera_id), camera) is not camera:
+            raise ValueError(f"camera {camera_id} is there twice")
     cursor.check_is_at_end()
     return dict(sorted(cameras.items(), key=lambda item: int(item[0])))
 
@@ -150,7 +164,7 @@ def _images_of_bytes(data: bytes) -> list[ImageEntry]:
         numbers = np.array(pose)
         entries.append(ImageEntry(image_id, name, str(camera_id), numbers[:4], numbers[4:], pixels))
     cursor.check_is_at_end()
-    return entries
+    return _by_id(entries)
 
 
 def _points_of_bytes(data: bytes) -> list[PointEntry]:
@@ -160,12 +174,12 @@ def _points_of_bytes(data: bytes) -> list[PointEntry]:
         cursor.take(8 * cursor.count())  # the track is in the images as well
         points.append(PointEntry(point_id, (x, y, z), (red, green, blue)))
     cursor.check_is_at_end()
-    return points
+    return _by_id(points)
 
 
 def _images_of_text(data: bytes) -> list[ImageEntry]:
     entries = []
-    lines = iter(data.decode("utf-8").splitlines())
+    lines = iter(data.decode("utf-8").split("\n"))  # names may hold other line breaks
     for line in lines:
         if not line.strip() or line.startswith("#"):
             continue
@@ -180,7 +194,7 @@ def _images_of_text(data: bytes) -> list[ImageEntry]:
         entries.append(
             ImageEntry(int(image_id), name, str(int(camera_id)), numbers[:4], numbers[4:], pixels)
         )
-    return entries
+    return _by_id(entries)
 
 
 def _points_of_text(data: bytes) -> list[PointEntry]:
@@ -195,4 +209,4 @@ def _points_of_text(data: bytes) -> list[PointEntry]:
         if not 0 <= min(color) <= max(color) <= 255:
             raise ValueError(f"the color of point {words[0]} must be three numbers up to 255")
         points.append(PointEntry(int(words[0]), tuple(float(word) for word in words[1:4]), color))
-    return points
+    return _by_id(points)

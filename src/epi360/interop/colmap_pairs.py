@@ -107,6 +107,8 @@ class ColmapPairs(ColmapTables):
             array = self.array(blobs[0], np.float32, what)
             if array.shape[1] < 2:
                 raise self.error(f"{what} must have 2, 4 or 6 columns, got {array.shape[1]}")
+            if not np.isfinite(array[:, :2]).all():
+                raise self.error(f"{what} must be finite")
             self._cached[name] = array[:, :2].astype(np.float64)
             self._cached[name].flags.writeable = False
             if len(self._cached) > CACHED_IMAGES:

@@ -113,8 +113,8 @@ def read_rigs(pairs: ColmapPairs) -> tuple[dict[str, Pose], dict[str, str]]:
     if not (pairs.has_columns("rigs", "rig_id") and pairs.has_columns("frame_data", "frame_id")):
         return {}, {}
     query = (
-        "SELECT ref_sensor_id, NULL FROM rigs WHERE ref_sensor_type = ? AND rig_id IN "
-        "(SELECT rig_id FROM rig_sensors) "
+        "SELECT ref_sensor_id, NULL AS sensor_from_rig FROM rigs "
+        "WHERE ref_sensor_type = ? AND rig_id IN (SELECT rig_id FROM rig_sensors) "
         "UNION ALL SELECT sensor_id, sensor_from_rig FROM rig_sensors "
         "WHERE sensor_type = ? AND sensor_from_rig NOT NULL"
     )
@@ -133,7 +133,10 @@ def _pose(pairs: ColmapPairs, camera_id: int, blob: bytes | None) -> Pose:
     """Pose of a sensor's quaternion and translation; the reference sensor has none."""
     if blob is None:
         return Pose(np.eye(3), np.zeros(3))
-    numbers = pairs.array((1, 7, blob), np.float64, f"pose of camera {camera_id} on its rig")[0]
+    what = f"pose of camera {camera_id} on its rig"
+    numbers = pairs.array((1, 7, blob), np.float64, what)[0]
+    if not (np.isfinite(numbers).all() and numbers[:4].any()):
+        raise pairs.error(f"{what} must be a quaternion and a translation, got {numbers.tolist()}")
     return pose_from_quaternion(numbers[4:], numbers[:4] / np.linalg.norm(numbers[:4]))
 
 

@@ -17,6 +17,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras.calibration import fields
+
 Blob = tuple[int, int, bytes | None]  # rows, columns, data
 
 NEEDED_COLUMNS = {
@@ -27,6 +29,10 @@ NEEDED_COLUMNS = {
     "matches": {"pair_id", "rows", "cols", "data"},
     "two_view_geometries": {"pair_id", "rows", "cols", "data", "config"},
 }
+# SQLite keeps whatever it is given. Columns that are in neither of these hold integers.
+TEXTS = {"name"}
+BLOBS = {"params", "data", "E", "qvec", "tvec", "sensor_from_rig"}  # or nothing
+LONGEST_REASON = 200  # SQLite's messages may quote a whole table
 
 
 class ColmapTables:
@@ -74,15 +80,24 @@ class ColmapTables:
         self._connection.close()
 
     def rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
-        """Rows of an SQL query; what SQLite cannot read is a ValueError."""
+        """Rows of an SQL query; what SQLite cannot read, or is of another type, is a ValueError."""
         try:
-            yield from self._connection.execute(query, values)
-        except sqlite3.DatabaseError as error:
-            raise self.error(f"it cannot be read: {error}") from None
+            cursor = self._connection.execute(query, values)
+            columns = [(name, *_type_of(name)) for name, *_ in cursor.description]
+            for row in cursor:
+                for value, (name, kind, words) in zip(row, columns, strict=True):
+                    if not isinstance(value, kind):
+                        got = fields.shortened(value)
+                        raise self.error(f"column {name} must hold {words}, got {got}")
+                yield row
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
+            reason = " ".join(str(error).split())[:LONGEST_REASON]
+            raise self.error(f"it cannot be read: {reason}") from None
 
     def has_columns(self, table: str, *columns: str) -> bool:
         """Whether the database has these columns: older ones lack some."""
-        return {row[1] for row in self.rows(f"PRAGMA table_info({table})")} >= set(columns)
+        query = "SELECT name FROM pragma_table_info(?)"
+        return {name for (name,) in self.rows(query, table)} >= set(columns)
 
     def array(self, blob: Blob, dtype: Any, what: str) -> NDArray[Any]:
         """Array of (rows, cols, data), empty ones with two columns."""
@@ -97,6 +112,13 @@ class ColmapTables:
     def error(self, what: str) -> ValueError:
         """Error that names the database."""
         return ValueError(f"COLMAP database {self.path}: {what}")
+
+
+def _type_of(column: str) -> tuple[Any, str]:
+    """Type of what a column holds, and its name."""
+    if column in TEXTS:
+        return str, "text"
+    return (bytes | None, "bytes") if column in BLOBS else (int, "an integer")
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -88,7 +88,9 @@ def read_matches(
     name: str,
     *,
     features: PathLike | None = None,
+    pairs: PathLike | None = None,
     cameras: Mapping[str, Camera] | None = None,
+    with_descriptors: bool = False,
 ) -> MatchGraph:
     """Match graph of a file in one of the formats.
 
@@ -98,10 +100,12 @@ def read_matches(
         COLMAP database, or matches file of hloc.
     name : str
         Key of `FORMATS`, of kind "matches".
-    features : path-like, optional
-        Features file of hloc.
+    features, pairs : path-like, optional
+        Features file and pairs file of hloc.
     cameras : mapping of str to Camera, optional
         As in `read_hloc`.
+    with_descriptors : bool
+        Read them too, mostly the largest part of the files.
 
     Returns
     -------
@@ -113,14 +117,21 @@ def read_matches(
         As the reader of the format; ``ValueError`` also if hloc's features are not given.
     """
     if name == "colmap-database":
-        return read_colmap_database(path, with_descriptors=True)
+        return read_colmap_database(path, with_descriptors=with_descriptors)
     if features is None:
         raise ValueError(f"{path} holds hloc's matches; give its features file too")
-    return read_hloc(features, path, cameras=cameras)
+    return read_hloc(
+        features, path, pairs=pairs, cameras=cameras, with_descriptors=with_descriptors
+    )
 
 
 def write_matches(
-    path: PathLike, name: str, graph: MatchGraph, *, features: PathLike | None = None
+    path: PathLike,
+    name: str,
+    graph: MatchGraph,
+    *,
+    features: PathLike | None = None,
+    pairs: PathLike | None = None,
 ) -> None:
     """Write a match graph in one of the formats.
 
@@ -132,8 +143,8 @@ def write_matches(
         Key of `FORMATS`, of kind "matches".
     graph : MatchGraph
         What the format has no place for is left out: see `lost`.
-    features : path-like, optional
-        Features file of hloc, written as well.
+    features, pairs : path-like, optional
+        Features file and pairs file of hloc, written as well.
 
     Raises
     ------
@@ -145,7 +156,7 @@ def write_matches(
     elif features is None:
         raise ValueError(f"hloc keeps key points beside {path}; name the features file too")
     else:
-        write_hloc(features, path, graph)
+        write_hloc(features, path, graph, pairs=pairs)
 
 
 def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Reconstruction:
@@ -205,6 +216,7 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
     else:
         there = {
             "cameras": bool(content.cameras),
+            "descriptors": any(image.descriptors is not None for image in content.images.values()),
             "poses of pairs": any(pair.geometry is not None for pair in content.pairs),
             "rig": bool(content.cam_from_rig),
         }
@@ -213,7 +225,7 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
     ]
 
 
-def files_written(path: PathLike, name: str, *, features: PathLike | None = None) -> list[Path]:
+def files_written(path: PathLike, name: str, *besides: PathLike | None) -> list[Path]:
     """Files that may be written, so that none that is there need be replaced.
 
     Parameters
@@ -222,8 +234,8 @@ def files_written(path: PathLike, name: str, *, features: PathLike | None = None
         Output.
     name : str
         Key of `FORMATS`.
-    features : path-like, optional
-        Features file of hloc.
+    *besides : path-like or None
+        Features file and pairs file of hloc.
 
     Returns
     -------
@@ -233,6 +245,6 @@ def files_written(path: PathLike, name: str, *, features: PathLike | None = None
     paths = [Path(path)]
     if name == "nerfstudio":
         paths.append(paths[0].parent / POINTS_FILE)
-    if name == "hloc" and features is not None:
-        paths.append(Path(features))
+    if name == "hloc":
+        paths += [Path(file) for file in besides if file is not None]
     return paths

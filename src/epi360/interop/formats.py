@@ -47,7 +47,7 @@ FORMATS = {
     "colmap-database": Format(
         "COLMAP database", "matches", frozenset(("cameras", "poses of pairs", "rig"))
     ),
-    "hloc": Format("hloc matches", "matches", frozenset()),
+    "hloc": Format("hloc matches", "matches", frozenset(("descriptors",))),
 }
 SUFFIXES = {
     ".db": "colmap-database", ".h5": "hloc", ".hdf5": "hloc", ".txt": "tum", ".tum": "tum",

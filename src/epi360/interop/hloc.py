@@ -150,8 +150,9 @@ def write_hloc(
     Raises
     ------
     ValueError
-        If a pair matches a key point of image 1 twice, or two pairs are called the same once "/"
-        becomes "-": hloc's layout has no place for them.
+        If a pair matches a key point of image 1 twice, two pairs are called the same once "/"
+        becomes "-", or HDF5 would change a name ("./a", "a//b"): hloc's layout has no place for
+        them.
     OSError
         If a file cannot be written.
     ImportError
@@ -190,6 +191,8 @@ def _written_together(*paths: Path) -> Iterator[list[Any]]:
 
 
 def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) -> None:
+    if not {"", "."}.isdisjoint(image.name.split("/")):  # HDF5 drops these parts of a path
+        raise ValueError(f"image name {image.name!r} cannot stand in hloc's files; rename it")
     group = file.create_group(image.name)
     keypoints = image.keypoints - HLOC_TO_CONTINUOUS
     group["keypoints"] = keypoints.astype(np.float32)  # half, hloc's default, is too coarse

@@ -16,9 +16,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from epi360.extras import extra_library
 
 HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
+
+LARGEST_DATASET = 2**28  # numbers; descriptors of a million key points are as many
 
 # Of a pair: the path of its group, and whether that has the images the other way.
 PairGroups = dict[tuple[str, str], tuple[str, bool]]
@@ -44,47 +49,58 @@ def reading(path: Path) -> Iterator[None]:
     """Turn what h5py raises in a damaged file into an error that names the file."""
     try:
         yield
-    except (OSError, RuntimeError, KeyError) as error:
+    except (OSError, RuntimeError, KeyError, UnicodeError, OverflowError, TypeError) as error:
         reason = " ".join(str(error.args[0] if error.args else error).split())
         raise ValueError(f"{path} is damaged: {reason}") from None
 
 
 def image_names(file: Any, path: Path) -> list[str]:
     """Paths of the groups that hold key points, sorted: the folders of a name are groups."""
-    names = []
-    waiting = [""]
-    with reading(path):
-        while waiting:
-            name = waiting.pop()
-            group = file[name or "/"]
-            inside = list(group)
-            if "keypoints" in inside and _is_dataset(group, "keypoints"):
-                names.append(name)
-            elif not inside or _is_dataset(group, inside[0]):
-                raise ValueError(
-                    f"{path}: {name or 'the file'} must have 'keypoints', got "
-                    f"{', '.join(inside) or 'nothing'}; extract local features again"
-                )
-            else:
-                waiting += [f"{name}/{part}".lstrip("/") for part in inside]
-    return sorted(names)
+    names = _groups_with("keypoints", file, path, "extract local features again")
+    if not names:
+        raise ValueError(f"{path} has no images; extract local features again")
+    return names
 
 
 def pair_groups(file: Any, path: Path) -> list[str]:
     """Paths of the groups of a matches file, sorted."""
-    groups = []
+    return _groups_with("matches0", file, path, "match again")
+
+
+def dataset(group: Any, name: str, path: Path) -> NDArray[Any] | None:
+    """Content of a dataset of a group, None where it has none."""
+    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
     with reading(path):
-        for name in file:
-            if _is_dataset(file, name):
-                raise ValueError(
-                    f"{path} must have a group for each pair, got the dataset {name!r}"
-                )
-            inside = list(file[name])
-            if inside and _is_dataset(file[name], inside[0]):
-                groups.append(name)
-            else:
-                groups += [f"{name}/{second}" for second in inside]
-    return sorted(groups)
+        if name not in group:
+            return None
+        found = group[name]
+        # What is left out of a file is read as zeros: a small one may claim any size.
+        if isinstance(found, h5py.Dataset) and (found.size or 0) <= LARGEST_DATASET:
+            return np.asarray(found[()])
+    raise ValueError(
+        f"{path}: {group.name}/{name} must be a dataset of {LARGEST_DATASET} numbers at most"
+    )
+
+
+def _groups_with(needed: str, file: Any, path: Path, remedy: str) -> list[str]:
+    """Paths of the groups with a dataset of this name; every dataset lies in one of them.
+
+    Each object is visited once, and no link, so that a file that holds itself comes to an end.
+    """
+    names: list[str] = []
+    with reading(path):
+        file.visit(names.append)
+        if not all(isinstance(name, str) for name in names):
+            raise KeyError("a name is no Unicode text")
+    groups = {name.rpartition("/")[0] for name in names}
+    datasets = [name.rpartition("/") for name in names if name not in groups]
+    found = {group for group, _, name in datasets if name == needed}
+    for group, _, name in datasets:
+        if group not in found:
+            raise ValueError(
+                f"{path}: {group or 'the file'} must have {needed!r}, got {name}; {remedy}"
+            )
+    return sorted(found)
 
 
 def listed_pairs(
@@ -128,10 +144,12 @@ def resolved_pairs(groups: Collection[str], images: Collection[str]) -> PairGrou
         if len(pairs) > 1:
             raise ValueError(
                 f"{path!r} may be the pair {' '.join(pairs[0])} or {' '.join(pairs[1])}; "
-                "give the pairs file"
+                "give the pairs file (--pairs)"
             )
         if pairs[0] in found or pairs[0][::-1] in found:
-            raise ValueError(f"the pair {' '.join(pairs[0])} is there twice; give the pairs file")
+            raise ValueError(
+                f"the pair {' '.join(pairs[0])} is there twice; give the pairs file (--pairs)"
+            )
         found[pairs[0]] = path, False
     return found
 
@@ -163,8 +181,3 @@ def _possible_pairs(path: str, by_flat_name: dict[str, list[str]]) -> list[tuple
         for image1 in by_flat_name.get(separator.join(parts[:i]), ())
         for image2 in by_flat_name.get(separator.join(parts[i:]), ())
     ]
-
-
-def _is_dataset(group: Any, name: str) -> bool:
-    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
-    return group.get(name, getclass=True) is h5py.Dataset

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from epi360.interop.hloc_layout import (
     HLOC_TO_CONTINUOUS,
+    dataset,
     image_names,
     listed_pairs,
     opened,
@@ -22,6 +23,8 @@ from epi360.interop.hloc_layout import (
     resolved_pairs,
 )
 from epi360.interop.pairs_file import read_pairs_file
+
+LARGEST_SIDE = 2**31  # of an image, in pixels
 
 
 class HlocPairs:
@@ -121,12 +124,16 @@ class HlocPairs:
         ValueError
             If there is no such image or its key points are not (N, 2) finite numbers.
         """
-        with reading(self._features_path):
-            values = np.asarray(self._image(image)["keypoints"][()])
-        if values.ndim != 2 or values.shape[1] != 2 or values.dtype.kind not in "fiu":
+        values = self._dataset(image, "keypoints")
+        if (
+            values is None
+            or values.ndim != 2
+            or values.shape[1] != 2
+            or values.dtype.kind not in "fiu"
+        ):
             raise ValueError(
                 f"{self._features_path}: keypoints of {image} must be numbers of shape (N, 2), "
-                f"got {values.dtype} {values.shape}"
+                f"got {_described(values)}"
             )
         if not np.isfinite(values).all():
             raise ValueError(f"{self._features_path}: keypoints of {image} must be finite")
@@ -145,15 +152,13 @@ class HlocPairs:
         ValueError
             If there is no such image or there is not one descriptor a key point.
         """
-        with reading(self._features_path):
-            group = self._image(image)
-            if "descriptors" not in group:
-                return None
-            values, count = np.asarray(group["descriptors"][()]), self._num_keypoints(image)
+        values, count = self._dataset(image, "descriptors"), self._num_keypoints(image)
+        if values is None:
+            return None
         if values.ndim != 2 or values.shape[1] != count or values.dtype.kind not in "fiu":
             raise ValueError(
                 f"{self._features_path}: descriptors of {image} must be numbers of shape "
-                f"(D, {count}), got {values.dtype} {values.shape}"
+                f"(D, {count}), got {_described(values)}"
             )
         return np.ascontiguousarray(values.T, dtype=np.float32)
 
@@ -170,15 +175,14 @@ class HlocPairs:
         ValueError
             If there is no such image or its size is not two positive numbers.
         """
-        with reading(self._features_path):
-            group = self._image(image)
-            if "image_size" not in group:
-                return None
-            values = np.asarray(group["image_size"][()])
-        if values.shape != (2,) or values.dtype.kind not in "fiu" or not (values > 0).all():
+        values = self._dataset(image, "image_size")
+        if values is None:
+            return None
+        is_pair = values.shape == (2,) and values.dtype.kind in "fiu"
+        if not (is_pair and ((values > 0) & (values < LARGEST_SIDE)).all()):
+            got = values.tolist() if is_pair else _described(values)
             raise ValueError(
-                f"{self._features_path}: image_size of {image} must be width and height, "
-                f"got {values.tolist()}"
+                f"{self._features_path}: image_size of {image} must be width and height, got {got}"
             )
         return int(values[0]), int(values[1])
 
@@ -215,15 +219,12 @@ class HlocPairs:
         what = f"{self._matches_path}: pair {image1} {image2}"
         with reading(self._matches_path):
             group = self._matches[path]
-            if "matches0" not in group:
-                raise ValueError(f"{what} has no dataset 'matches0'")
-            matches0 = np.asarray(group["matches0"][()])
-        with reading(self._features_path):
-            count1, count2 = self._num_keypoints(image1), self._num_keypoints(image2)
-        if matches0.shape != (count1,) or matches0.dtype.kind not in "iu":
+        matches0 = dataset(group, "matches0", self._matches_path)
+        count1, count2 = self._num_keypoints(image1), self._num_keypoints(image2)
+        if matches0 is None or matches0.shape != (count1,) or matches0.dtype.kind not in "iu":
             raise ValueError(
                 f"{what}: matches0 must be {count1} integers, one for each key point of {image1}, "
-                f"got {matches0.dtype} {matches0.shape}; were the features computed anew?"
+                f"got {_described(matches0)}; were the features computed anew?"
             )
         indices2 = matches0.astype(np.int64)
         if count1 and not -1 <= indices2.min() <= indices2.max() < count2:
@@ -242,5 +243,16 @@ class HlocPairs:
 
     def _num_keypoints(self, image: str) -> int:
         if image not in self._counts:  # half of the time of reading a pair's matches
-            self._counts[image] = int(self._image(image)["keypoints"].shape[0])
+            with reading(self._features_path):
+                self._counts[image] = int(self._image(image)["keypoints"].shape[0])
         return self._counts[image]
+
+    def _dataset(self, image: str, name: str) -> NDArray[Any] | None:
+        """Dataset of an image."""
+        with reading(self._features_path):
+            group = self._image(image)
+        return dataset(group, name, self._features_path)
+
+
+def _described(values: NDArray[Any] | None) -> str:
+    return "none" if values is None else f"{values.dtype} {values.shape}"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.interop.reconstruction import check_image_name
 from epi360.poses import Pose
 
 
@@ -96,7 +97,7 @@ class MatchGraph:
     ------
     ValueError
         If a pair names an image that is not there, occurs twice, or has a match beyond its key
-        points, or an image names an unknown camera.
+        points, an image names an unknown camera, or a name is no text.
     """
 
     cameras: Mapping[str, Camera]
@@ -107,6 +108,7 @@ class MatchGraph:
     def __post_init__(self) -> None:
         """Check that the parts fit together."""
         for image in self.images.values():
+            check_image_name(image.name)
             if image.camera is not None and image.camera not in self.cameras:
                 raise ValueError(f"image {image.name} has the unknown camera {image.camera!r}")
         seen: set[frozenset[str]] = set()

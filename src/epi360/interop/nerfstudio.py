@@ -82,7 +82,11 @@ def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> 
 
 
 def write_nerfstudio(
-    path: str | os.PathLike[str], reconstruction: Reconstruction, *, images: str = "images"
+    path: str | os.PathLike[str],
+    reconstruction: Reconstruction,
+    *,
+    images: str = "images",
+    masks: Mapping[str, str] | None = None,
 ) -> None:
     """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
 
@@ -97,12 +101,15 @@ def write_nerfstudio(
         COLMAP model beside the file.
     images : str
         Folder of the images, relative to that of the file.
+    masks : mapping of str to str, optional
+        Path of the mask of each image by the image's name, relative to the folder of the file.
+        nerfstudio wants pictures of one channel, black = ignore.
 
     Raises
     ------
     ValueError
-        If an image has no camera or no pose, nerfstudio has no model for a camera, or there are
-        panoramas beside other cameras.
+        If an image has no camera or no pose, nerfstudio has no model for a camera, there are
+        panoramas beside other cameras, or some images have a mask and others none.
     OSError
         If a file cannot be written.
     """
@@ -113,16 +120,9 @@ def write_nerfstudio(
         for name, camera in reconstruction.cameras.items()
         if name in used
     }
-    models = {entry.pop("camera_model") for entry in entries.values()}
-    if models == {"PINHOLE", "OPENCV"}:
-        models = {"OPENCV"}
-    if len(models) != 1:
-        raise ValueError(
-            "nerfstudio has one camera model a file, the reconstruction needs "
-            f"{', '.join(sorted(models)) or 'an image'}; write one file for each"
-        )
+    model = _one_model({entry.pop("camera_model") for entry in entries.values()})
     shared = next(iter(entries.values())) if len(entries) == 1 else {}
-    document: dict[str, Any] = {"camera_model": models.pop(), **shared}
+    document: dict[str, Any] = {"camera_model": model, **shared}
     document["applied_transform"] = np.eye(4)[:3].tolist()
     if len(reconstruction.points):
         document["ply_file_path"] = POINTS_FILE
@@ -130,6 +130,7 @@ def write_nerfstudio(
         {
             "file_path": posixpath.join(images, image.name),
             "transform_matrix": _matrix_of_image(image),
+            **_mask_path(image, masks or {}),
             **({} if shared else entries[str(image.camera)]),
         }
         for image in reconstruction.images
@@ -239,6 +240,27 @@ def _points(
         raise ValueError(f"ply_file_path must be a path, got {fields.shortened(name)}")
     saved, colors = read_ply_points(path.parent / name)
     return saved @ original_from_saved.rotation.T + original_from_saved.translation, colors
+
+
+def _one_model(models: set[str]) -> str:
+    if models == {"PINHOLE", "OPENCV"}:
+        return "OPENCV"
+    if len(models) != 1:
+        raise ValueError(
+            "nerfstudio has one camera model a file, the reconstruction needs "
+            f"{', '.join(sorted(models)) or 'an image'}; write one file for each"
+        )
+    return next(iter(models))
+
+
+def _mask_path(image: PosedImage, masks: Mapping[str, str]) -> dict[str, str]:
+    if not masks:
+        return {}
+    if image.name not in masks:
+        raise ValueError(
+            f"nerfstudio takes masks of all images or of none, image {image.name} has none"
+        )
+    return {"mask_path": masks[image.name]}
 
 
 def _matrix_of_image(image: PosedImage) -> list[list[float]]:

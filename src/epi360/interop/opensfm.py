@@ -13,6 +13,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,8 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
     Returns
     -------
     reconstruction : Reconstruction
-        Image names are those of the shots, time stamps their ``capture_time`` (seconds). Without
-        observations: OpenSfM keeps them in another file.
+        Image names are those of the shots, time stamps their ``capture_time`` (seconds), unless all
+        are 0: unknown. Without observations: OpenSfM keeps them in another file.
 
     Raises
     ------
@@ -59,6 +60,8 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
         chosen = _largest(document)
         cameras = cameras_from_document(chosen["cameras"])
         images = tuple(_image(name, shot) for name, shot in chosen["shots"].items())
+        if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 where it has none
+            images = tuple(replace(image, timestamp_s=None) for image in images)
         points, colors = _points(checks.mapping(chosen.get("points", {}), "points"))
         reconstruction = Reconstruction(cameras, images, points, colors)
     except ValueError as error:

@@ -14,6 +14,7 @@ from epi360.files import write_file
 BLANK = re.compile(r"[ \t]+")
 PLAIN_NAME = re.compile(r'[^"# \t][^ \t]*')
 NAME = rf'"(.+?)"|({PLAIN_NAME.pattern})'
+LONGEST_LINE = 2**13  # characters, two of the longest paths; what is longer is another file
 TWO_NAMES = re.compile(rf"(?:{NAME})[ \t]+(?:{NAME})")
 
 
@@ -106,6 +107,8 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _two_names(line: str, known: frozenset[str] | None) -> tuple[str, str]:
+    if len(line) > LONGEST_LINE:
+        raise ValueError(f"expected two image names, got {len(line)} characters")
     marked = TWO_NAMES.fullmatch(line)
     if marked:
         return marked[1] or marked[2], marked[3] or marked[4]

@@ -50,14 +50,19 @@ def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
         raise FileNotFoundError(f"{path} does not exist; it must hold the points as PLY") from None
     try:
         vertices = _vertices(data)
-    except (ValueError, KeyError, IndexError, OverflowError) as error:
+    except (KeyError, IndexError, OverflowError):
+        raise ValueError(f"{path} must be a PLY file of points; its header is damaged") from None
+    except ValueError as error:
         raise ValueError(f"{path} must be a PLY file of points: {error}") from None
     points = np.stack([vertices[name].astype(np.float64) for name in POSITION], axis=1)
     if not np.isfinite(points).all():
         raise ValueError(f"{path} must hold finite points, got NaN or infinity")
     colors = np.zeros((len(points), 3), np.uint8)
     if all(vertices.dtype.fields and name in vertices.dtype.fields for name in COLOR):
-        colors = np.stack([vertices[name].astype(np.uint8) for name in COLOR], axis=1)
+        given = np.stack([vertices[name].astype(np.float64) for name in COLOR], axis=1)
+        if not ((given >= 0) & (given <= 255)).all():
+            raise ValueError(f"{path} must hold colors from 0 to 255")
+        colors = given.astype(np.uint8)
     return points, colors
 
 
@@ -100,6 +105,8 @@ def _vertices(data: bytes) -> NDArray[np.void]:
         raise ValueError("its first element is not the vertices")
     count, order = int(lines[elements[0]][2]), BYTE_ORDERS[lines[1][1]]
     properties = lines[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
+    if count < 0 or any(len(words) != 3 for words in properties):
+        raise ValueError("its vertices must be a number of rows of plain numbers")
     kinds = [(name, order + TYPES[kind]) for _, kind, name in properties]
     if not {"x", "y", "z"} <= {name for name, _ in kinds}:
         raise ValueError("its vertices have no x, y, z")

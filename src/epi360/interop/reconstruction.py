@@ -74,7 +74,8 @@ class Reconstruction:
     Raises
     ------
     ValueError
-        If an image is there twice or names an unknown camera, or there is not one color a point.
+        If an image is there twice or names an unknown camera, a name is no text, or there is not
+        one color a point.
     """
 
     cameras: Mapping[str, Camera]
@@ -87,6 +88,7 @@ class Reconstruction:
         """Check that the parts fit together."""
         names = set()
         for image in self.images:
+            check_image_name(image.name)
             if image.name in names:
                 raise ValueError(f"image {image.name} is there twice")
             names.add(image.name)
@@ -97,3 +99,19 @@ class Reconstruction:
                 f"points must have shape ({len(self.colors)}, 3), one color each, "
                 f"got {self.points.shape}"
             )
+
+
+def check_image_name(name: str) -> None:
+    """Raise ``ValueError`` unless a file of another tool can hold the name.
+
+    Parameters
+    ----------
+    name : str
+        Of an image; Linux lets names of files be bytes that are no text.
+    """
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise ValueError(f"image name {name!r} must be Unicode text; rename the file") from None
+    if not name:
+        raise ValueError("an image must have a name, got an empty one")

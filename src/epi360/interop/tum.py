@@ -71,12 +71,20 @@ def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstru
     Raises
     ------
     ValueError
-        If an image has no pose.
+        If an image has no pose, or two have the same time stamp.
     OSError
         If the file cannot be written.
     """
     stamps = [image.timestamp_s for image in reconstruction.images]
     timed = all(stamp is not None for stamp in stamps)
+    by_stamp: dict[float | None, str] = {}
+    for image in reconstruction.images if timed else ():
+        other = by_stamp.setdefault(image.timestamp_s, image.name)
+        if other != image.name:
+            raise ValueError(
+                f"images {other} and {image.name} have the same time stamp; a trajectory is that "
+                "of one camera"
+            )
     lines = ["# " + " ".join(COLUMNS)]
     for index, image in enumerate(reconstruction.images):
         world_from_cam = checks.known_pose(image).inverse()

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from epi360.extras import extra_library
 from epi360.progress import Progress, no_progress
@@ -45,10 +48,9 @@ class MapperOptions:
 
 def run_mapper(
     database: Path,
-    images: Path,
     options: MapperOptions,
     *,
-    num_images: int,
+    colors: Mapping[str, NDArray[np.uint8]],
     progress: Progress = no_progress,
 ) -> list[Any]:
     """Models that COLMAP finds, the one with the most images first.
@@ -57,11 +59,9 @@ def run_mapper(
     ----------
     database : path
         COLMAP database with verified pairs.
-    images : path
-        Folder that the names of the images start from, for the colors of the points.
     options : MapperOptions
-    num_images : int
-        For the progress.
+    colors : mapping of str to ndarray, shape (N, 3), uint8
+        RGB of the key points of each image of the database, by the image's name.
     progress : Progress
         Told after each image of the incremental mapper; the global one says nothing before its end.
 
@@ -76,7 +76,7 @@ def run_mapper(
         If pycolmap is missing.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
-    placed = 0
+    num_images, placed = len(colors), 0
 
     def one_more() -> None:
         nonlocal placed
@@ -86,7 +86,9 @@ def run_mapper(
     progress(STAGE, 0, num_images)
     with _quiet(pycolmap), TemporaryDirectory() as scratch:
         pycolmap.set_random_seed(options.seed)
-        paths = (str(database), str(images), scratch)
+        # In place of the images a folder without any: COLMAP would decode each for the colors of
+        # the points, and not turn those that have an orientation tag.
+        paths = (str(database), scratch, scratch)
         if options.mapper == "global":
             found = pycolmap.global_mapping(*paths, _global_options(pycolmap, options))
         else:
@@ -95,7 +97,17 @@ def run_mapper(
             )
     progress(STAGE, num_images, num_images)
     models = [model for _, model in sorted(found.items()) if model.num_reg_images() > 1]
+    for model in models:
+        _color_points(model, colors)
     return sorted(models, key=lambda model: model.num_reg_images(), reverse=True)
+
+
+def _color_points(model: Any, colors: Mapping[str, NDArray[np.uint8]]) -> None:
+    """Give each point the mean color of the key points that see it."""
+    colors_of = {image_id: colors[image.name] for image_id, image in model.images.items()}
+    for point in model.points3D.values():
+        seen = [colors_of[each.image_id][each.point2D_idx] for each in point.track.elements]
+        point.color = np.round(np.mean(seen, axis=0)).astype(np.uint8)
 
 
 def mapper_settings(options: MapperOptions) -> str:
@@ -119,6 +131,7 @@ def _incremental_options(pycolmap: Any, options: MapperOptions) -> Any:
     chosen.min_model_size = _SMALLEST_MODEL
     chosen.random_seed = options.seed
     chosen.num_threads = options.num_threads
+    chosen.extract_colors = False  # ours are there
     chosen.ba_refine_focal_length = options.refine_cameras
     chosen.ba_refine_extra_params = options.refine_cameras
     chosen.ba_refine_sensor_from_rig = False

@@ -9,13 +9,15 @@ import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.features.images import nadir_mask, read_image, read_mask
 from epi360.files import write_file
 from epi360.interop.colmap_model import write_colmap_model
@@ -24,12 +26,12 @@ from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.cube_faces import (
     CubemapOptions,
     FaceName,
-    FaceSampler,
     cubemap_reconstruction,
     face_camera,
     face_image_names,
     visible_faces,
 )
+from epi360.jobs.face_sampler import FaceSampler
 from epi360.progress import Progress, no_progress
 
 RECORD_FILE = "cubemap.json"
@@ -72,8 +74,9 @@ def export_cubemap(
     reconstruction : Reconstruction
         Poses and cameras of the images, and their points; any camera with a wide view.
     output : path
-        Gets ``images/``, ``sparse/0`` (a COLMAP model), ``transforms.json`` (nerfstudio) and,
-        where there is a mask, ``masks/NAME.jpg.png`` for each ``images/NAME.jpg``.
+        Gets ``images/``, ``sparse/0`` (a COLMAP model) and ``transforms.json`` (nerfstudio). Where
+        something is masked or a camera does not see all around, there is a mask for every face,
+        ``masks/NAME.jpg.png`` for ``images/NAME.jpg``, and ``transforms.json`` names them.
     options : CubemapOptions, optional
     masks : mapping of str to path, optional
         Mask by the name of the image; white = use.
@@ -91,19 +94,22 @@ def export_cubemap(
     FileNotFoundError
         If an image or a mask is not there.
     ValueError
-        If an image has another size than its camera, ``output`` lies in ``folder`` or holds a
-        cubemap with other options, or there is no image.
+        If ``mask_nadir_deg`` is not in [0, 180), an image has another size than its camera,
+        ``output`` is ``folder`` or holds a cubemap with other options, or there is no image.
 
     Notes
     -----
     A panorama is not cut again while its faces are newer than itself and its mask.
     """
     options = options or CubemapOptions()
+    if not 0 <= mask_nadir_deg < 180:
+        raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
     folder, output = Path(folder), Path(output)
     cube = cubemap_reconstruction(reconstruction, options)
     if not cube.images:
         raise ValueError("there is no posed image to cut into faces")
-    cutter = _Cutter(folder, output, options, dict(masks or {}), mask_nadir_deg)
+    masked = mask_nadir_deg > 0 or any((masks or {}).values()) or not _see_all(reconstruction)
+    cutter = _Cutter(folder, output, options, dict(masks or {}), mask_nadir_deg, masked)
     names = face_image_names([image.name for image in reconstruction.images], options)
     cutter.prepare(reconstruction, names)
     kept = done = 0
@@ -121,7 +127,8 @@ def export_cubemap(
                 done += 1
                 progress(_STAGE, done, len(reconstruction.images))
     write_colmap_model(output / "sparse" / "0", cube)
-    write_nerfstudio(output / "transforms.json", cube, images="images")
+    mask_of = {face: f"masks/{face}.png" for face in names.values()} if cutter.masked else None
+    write_nerfstudio(output / "transforms.json", cube, images="images", masks=mask_of)
     return Cubemap(cube, done - kept, kept)
 
 
@@ -133,12 +140,19 @@ def _by_camera(reconstruction: Reconstruction) -> list[tuple[Camera, list[str]]]
     return list(groups.items())
 
 
+def _see_all(reconstruction: Reconstruction) -> bool:
+    """Whether every camera sees all around."""
+    used = {str(image.camera) for image in reconstruction.images}
+    cameras = [reconstruction.cameras[name] for name in used]
+    return all(camera == Equirectangular(camera.width, camera.height) for camera in cameras)
+
+
 def _samplers(camera: Camera, options: CubemapOptions) -> dict[FaceName, FaceSampler]:
     pinhole = face_camera(camera, options)
     return {face: FaceSampler(camera, pinhole, face) for face in visible_faces(camera, options)}
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Cutter:
     """Reads panoramas and writes their faces."""
 
@@ -147,6 +161,8 @@ class _Cutter:
     options: CubemapOptions
     masks: dict[str, Path | None]
     mask_nadir_deg: float
+    masked: bool  # every face gets a mask: nerfstudio takes those of all images or of none
+    _face_masks: tuple[Camera, Path | None, dict[FaceName, bytes]] | None = None
 
     def prepare(
         self, reconstruction: Reconstruction, names: Mapping[tuple[str, FaceName], str]
@@ -159,24 +175,36 @@ class _Cutter:
             "options": {**dataclasses.asdict(self.options), "mask_nadir_deg": self.mask_nadir_deg},
             "made_from": {
                 image.name: f"{reconstruction.cameras[str(image.camera)]}, "
-                f"mask {self.masks.get(image.name)}"
+                f"{self._mask_words(image.name)}"
                 for image in reconstruction.images
             },
         }
         record = json.loads(json.dumps(record))  # tuples become lists, as in the file
         path = self.output / RECORD_FILE
-        before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        before = _record_before(path)
         if before and before["options"] != record["options"]:
             raise ValueError(
                 f"{self.output} holds a cubemap with other options; delete it or name another"
             )
         if not before and any(self.output.iterdir()):
             raise ValueError(f"{self.output} holds other files; name a new or empty folder")
-        for (panorama, _), face in names.items():
-            if before and before["made_from"].get(panorama) != record["made_from"][panorama]:
-                (self.output / "images" / face).unlink(missing_ok=True)
-                self._mask_file(face).unlink(missing_ok=True)
+        for face in self._stale(before.get("made_from", {}), record["made_from"], names):
+            (self.output / "images" / face).unlink(missing_ok=True)
+            self._mask_file(face).unlink(missing_ok=True)
         write_file(path, json.dumps(record, indent=1, ensure_ascii=False).encode())
+
+    def _stale(
+        self,
+        before: Mapping[str, str],
+        now: Mapping[str, str],
+        names: Mapping[tuple[str, FaceName], str],
+    ) -> set[str]:
+        """Faces made from something else, and those of panoramas that left the model."""
+        names_before = face_image_names(list(before), self.options)
+        changed = {
+            face for (panorama, _), face in names.items() if before.get(panorama) != now[panorama]
+        }
+        return changed | (set(names_before.values()) - set(names.values()))
 
     def is_cut(self, panorama: str, faces: Iterable[str]) -> bool:
         """Whether the faces of a panorama are there and newer than what they are made from."""
@@ -185,9 +213,8 @@ class _Cutter:
         if not source.exists() or (mask is not None and not mask.exists()):
             return False  # cut() says so
         newest = max(path.stat().st_mtime_ns for path in (source, mask) if path is not None)
-        needs_mask = mask is not None or self.mask_nadir_deg > 0
         files = [self.output / "images" / face for face in faces]
-        if needs_mask:
+        if self.masked:
             files += [self._mask_file(face) for face in faces]
         return all(path.exists() and path.stat().st_mtime_ns >= newest for path in files)
 
@@ -207,33 +234,66 @@ class _Cutter:
                 f"{camera.width}x{camera.height}"
             )
         bgr = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
-        mask = self._mask(panorama, camera)
+        masks = self._masks_of_faces(panorama, camera, samplers) if self.masked else {}
 
         def write(face: FaceName) -> None:
-            sampler = samplers[face]
-            if mask is not None or not sampler.visible.all():
-                white = sampler.mask(mask).astype(np.uint8) * np.uint8(255)
-                _write_picture(self._mask_file(faces[face]), white, [])
+            if face in masks:
+                _write(self._mask_file(faces[face]), masks[face])
             quality = [cv2.IMWRITE_JPEG_QUALITY, self.options.jpeg_quality]
-            _write_picture(self.output / "images" / faces[face], sampler.picture(bgr), quality)
+            picture = samplers[face].picture(bgr)
+            file = self.output / "images" / faces[face]
+            _write(file, _encoded(file.suffix, picture, quality if file.suffix == ".jpg" else []))
 
         list(pool.map(write, faces))
+
+    def _masks_of_faces(
+        self, panorama: str, camera: Camera, samplers: Mapping[FaceName, FaceSampler]
+    ) -> dict[FaceName, bytes]:
+        """Encoded masks; one mask for all panoramas is cut once: 8 s of a panorama 11008 wide."""
+        file = self.masks.get(panorama)
+        if self._face_masks is None or self._face_masks[:2] != (camera, file):
+            mask = self._mask(panorama, camera)
+            cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
+            pngs = {face: _encoded(".png", cut[face].astype(np.uint8) * 255, []) for face in cut}
+            self._face_masks = camera, file, pngs
+        return self._face_masks[2]
 
     def _mask(self, panorama: str, camera: Camera) -> NDArray[np.bool_] | None:
         file = self.masks.get(panorama)
         shape = (camera.height, camera.width)
         mask = None if file is None else read_mask(file, shape, name=f"mask of {panorama}")
         if self.mask_nadir_deg > 0:
-            above = nadir_mask(camera, self.mask_nadir_deg)
+            above = _nadir_mask(camera, self.mask_nadir_deg)
             mask = above if mask is None else mask & above
         return mask
+
+    def _mask_words(self, panorama: str) -> str:
+        return f"mask {self.masks.get(panorama)}" if self.masked else "no masks"
 
     def _mask_file(self, face: str) -> Path:
         return self.output / "masks" / f"{face}.png"
 
 
-def _write_picture(path: Path, picture: NDArray[np.uint8], parameters: list[int]) -> None:
-    """Write a picture; OpenCV's own writer fails on non-ASCII paths."""
+_nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # 5 s of a panorama 11008 wide
+
+
+def _record_before(path: Path) -> dict[str, Any]:
+    """What an earlier run noted; empty where there was none."""
+    if not path.exists():
+        return {}
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        record["options"], record["made_from"].get("")
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise ValueError(f"{path} is damaged; delete {path.parent}") from None
+    return record
+
+
+def _encoded(suffix: str, picture: NDArray[Any], parameters: list[int]) -> bytes:
+    return cv2.imencode(suffix, picture, parameters)[1].tobytes()
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Write a file; OpenCV's own writer fails on non-ASCII paths."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    encoded = cv2.imencode(path.suffix, picture, parameters if path.suffix == ".jpg" else [])[1]
-    write_file(path, encoded.tobytes())
+    write_file(path, data)

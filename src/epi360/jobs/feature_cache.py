@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from hashlib import blake2b
 from pathlib import Path
 
@@ -15,16 +15,18 @@ from epi360.features import read_image, require_panorama
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, SiftKeypoints, find_keypoints
 from epi360.files import write_file
 from epi360.jobs.array_files import Arrays, npz_bytes, read_arrays
+from epi360.jobs.file_digests import FileDigests
 from epi360.jobs.image_set import SourceImage
 
 # Raise it when the same image and options give other key points than before.
-EXTRACTION_VERSION = 1
+EXTRACTION_VERSION = 2
 _TYPES = {
     "pixels": np.float32,
     "sizes": np.float32,
     "strengths": np.float32,
     "descriptors": np.uint8,
 }
+COLORS = "colors"  # RGB of each key point, for the points of a map
 
 
 class UnreadableImageError(ValueError):
@@ -55,7 +57,7 @@ class FeatureCache:
     """A folder with one file of key points for each image content that was searched.
 
     SIFT's descriptors are whole numbers from 0 to 255, so that a byte holds each without a loss:
-    144 bytes a key point in all.
+    147 bytes a key point in all.
 
     Parameters
     ----------
@@ -63,10 +65,13 @@ class FeatureCache:
         It exists.
     options : ExtractionOptions
         Of all its images.
+    digests : FileDigests
+        Of the image files and masks.
     """
 
     folder: Path
     options: ExtractionOptions
+    digests: FileDigests = field(default_factory=FileDigests)
 
     def key(self, image: SourceImage, camera: Camera) -> str:
         """Name of the key points of an image: a hash of all that they depend on.
@@ -74,7 +79,8 @@ class FeatureCache:
         Parameters
         ----------
         image : SourceImage
-            Its file and that of its mask are read; its name does not matter.
+            Its file and that of its mask are read, unless their hashes are known; its name does
+            not matter.
         camera : Camera
             Of the image.
 
@@ -87,14 +93,14 @@ class FeatureCache:
         digest = blake2b(repr((rules, self.options, camera)).encode(), digest_size=16)
         try:
             for path in (image.path, image.mask):
-                digest.update(b"" if path is None else blake2b(path.read_bytes()).digest())
+                digest.update(b"" if path is None else self.digests.of(path))
         except OSError as error:
             raise UnreadableImageError(f"{error.filename}: {error.strerror}") from None
         return digest.hexdigest()
 
     def has(self, key: str) -> bool:
-        """Whether there is a file for a key; `load` says whether it is whole."""
-        return self._path(key).is_file()
+        """Whether there is a whole file for a key."""
+        return self._read(key) is not None
 
     def extract(self, key: str, image: SourceImage, camera: Camera) -> SiftKeypoints:
         """Find the key points of an image and keep them.
@@ -134,6 +140,9 @@ class FeatureCache:
         except (OSError, ValueError, cv2.error) as error:
             raise UnreadableImageError(" ".join(str(error).split())) from None
         arrays: Arrays = {name: getattr(found, name).astype(t) for name, t in _TYPES.items()}
+        last = camera.width - 1, camera.height - 1
+        columns, rows = np.clip(found.pixels.astype(int), 0, last).T
+        arrays[COLORS] = picture[rows, columns]
         write_file(self._path(key), npz_bytes(arrays))
         return _as_found(arrays)
 
@@ -145,10 +154,12 @@ class FeatureCache:
         key : str
             Of the image.
         """
+        arrays = self._read(key)
+        return None if arrays is None else _as_found(arrays)
+
+    def _read(self, key: str) -> Arrays | None:
         arrays = read_arrays(self._path(key))
-        if arrays is None or set(arrays) != set(_TYPES):
-            return None
-        return _as_found(arrays)
+        return arrays if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}.npz"

@@ -10,6 +10,9 @@ from pathlib import Path
 from epi360.cameras import Camera, load_cameras, load_rig
 from epi360.poses import Pose
 
+# Files that have one of these mean to say where cameras sit on a rig.
+_POSE_KEYS = ("cam_from_rig", "T_cn_cnm1", "T_cam_imu", "T_imu_cam")
+
 
 @dataclass(frozen=True, eq=False)
 class GivenCameras:
@@ -68,7 +71,8 @@ def read_given_cameras(source: str) -> GivenCameras:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If the file cannot be read or has no camera of that name.
+        If the file cannot be read, has no camera of that name, or says wrongly or of some cameras
+        only where they sit.
     """
     path, name = camera_file(source)
     cameras = load_cameras(path)
@@ -80,5 +84,7 @@ def read_given_cameras(source: str) -> GivenCameras:
         return GivenCameras(source, cameras)
     try:
         return GivenCameras(source, cameras, load_rig(path).cam_from_rig)
-    except ValueError:  # several cameras of which the file does not say where they sit
-        return GivenCameras(source, cameras)
+    except ValueError:
+        if any(key in path.read_text(encoding="utf-8") for key in _POSE_KEYS):
+            raise
+        return GivenCameras(source, cameras)  # the file does not say where they sit

@@ -8,9 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from epi360.cameras import Camera, Equirectangular
 from epi360.datasets.image_folder import IMAGE_SUFFIXES, existing_folder
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
@@ -21,6 +18,7 @@ from epi360.jobs.given_cameras import GivenCameras, read_given_cameras
 from epi360.jobs.masks import MaskSource
 from epi360.poses import Pose
 
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".insv", ".360")
 RAW_SUFFIXES = (".insp", ".dng")  # refused by the decoder, which says what to do with them
 
 
@@ -38,9 +36,8 @@ class SourceImage:
     camera : str
         Key in the cameras of the set.
     mask : Path or None
-        Its mask, white = use; None: the whole image. Size and content are checked when it is read.
-    down : ndarray, shape (3,), or None
-        Unit direction of gravity in the camera frame; None where the file does not say.
+        Its mask, of the same size, white = use; None: the whole image. Its content is checked when
+        it is read.
     frame : str or None
         Images of a rig that share it were taken at one moment; None: a frame of its own.
     """
@@ -49,7 +46,6 @@ class SourceImage:
     path: Path
     camera: str
     mask: Path | None = None
-    down: NDArray[np.float64] | None = None
     frame: str | None = None
 
 
@@ -127,13 +123,20 @@ def find_images(
         except _Unusable as unusable:
             skipped.append((_printable(name), str(unusable)))
     if not images and not skipped:
-        raise FileNotFoundError(f"image folder {folder} has no JPEG, PNG, TIFF, WebP or BMP files")
+        raise FileNotFoundError(
+            f"image folder {folder} has no JPEG, PNG, TIFF, WebP or BMP files{_video_hint(folder)}"
+        )
     if not images:
         name, reason = skipped[0]
         more = f" (and {len(skipped) - 1} more)" if len(skipped) > 1 else ""
         raise ValueError(f"image folder {folder} has no usable image: {name}{more} {reason}")
     masks.check_used([image.mask for image in images])
     return ImageSet(folder, chosen.cameras, tuple(images), chosen.cam_from_rig, tuple(skipped))
+
+
+def _video_hint(folder: Path) -> str:
+    videos = [path.name for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES]
+    return f"; take frames from {videos[0]} first, with ffmpeg for example" if videos else ""
 
 
 class _Unusable(Exception):  # noqa: N818 - a reason, not an error
@@ -214,9 +217,14 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
         raise _Unusable("has a name that is not valid Unicode; rename it")
     size, gpano = _size_and_gpano(path)
     camera, frame = chosen.of(name, size, gpano)
-    is_panorama = isinstance(chosen.cameras[camera], Equirectangular)
-    down = gpano.down if gpano is not None and is_panorama else None
-    return SourceImage(name, path, camera, masks.of(name), down, frame)
+    mask = masks.of(name)
+    mask_size = None if mask is None else masks.size_of(mask)
+    if mask_size is not None and mask_size != size:
+        raise _Unusable(
+            f"is {size[0]}x{size[1]} but its mask {mask} is {mask_size[0]}x{mask_size[1]}; a mask "
+            "must have the size of its image"
+        )
+    return SourceImage(name, path, camera, mask, frame)
 
 
 def _size_and_gpano(path: Path) -> tuple[tuple[int, int], GPano | None]:

@@ -16,20 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from epi360.cameras import KannalaBrandt
 from epi360.extras import extra_library
 from epi360.files import write_file
+from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
-from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
-from epi360.interop.nerfstudio import write_nerfstudio
-from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings, run_mapper
 from epi360.jobs.image_set import ImageSet
+from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
+from epi360.jobs.match_result import load_colors
 from epi360.jobs.matching import MatchOptions, MatchRun, load_matches, match_images
 from epi360.progress import Progress, no_progress
 
-DATABASE, MODELS, RECORD, TRANSFORMS = "database.db", "sparse", "mapping.json", "transforms.json"
+DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
 
 
 @dataclass(frozen=True)
@@ -68,31 +67,6 @@ class MapOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class MappedModel:
-    """One connected model.
-
-    Attributes
-    ----------
-    folder : Path
-        COLMAP's files.
-    reconstruction : Reconstruction
-        Its content.
-    mean_error_px : float
-        Mean reprojection error over the observations, pixels of the images.
-    """
-
-    folder: Path
-    reconstruction: Reconstruction
-    mean_error_px: float
-
-    @property
-    def mean_track_length(self) -> float:
-        """Observations a point; NaN without points."""
-        seen = self.reconstruction.observations
-        return np.nan if seen is None else len(seen.points) / len(self.reconstruction.points)
-
-
-@dataclass(frozen=True, eq=False)
 class MapRun:
     """What `map_images` found.
 
@@ -107,9 +81,11 @@ class MapRun:
     num_images : int
         Images of the folder.
     seconds : mapping of str to float
-        Wall time of the "matching" of this run and of the "mapping", which may be an earlier one's.
+        Wall time of the "matching" of this run and of the "mapping".
     remarks : tuple of str
         Sentences about what could not be written.
+    was_mapped : bool
+        An earlier run mapped the same pairs: its models and its time.
     """
 
     matched: MatchRun
@@ -118,6 +94,7 @@ class MapRun:
     num_images: int
     seconds: Mapping[str, float]
     remarks: tuple[str, ...]
+    was_mapped: bool = False
 
 
 def map_images(
@@ -150,8 +127,8 @@ def map_images(
     Raises
     ------
     ValueError
-        If ``output`` has a COLMAP database or model that this function did not make, or as
-        `match_images`.
+        If ``output`` has a COLMAP database or model that this function did not make, COLMAP lacks
+        the model of a camera, or as `match_images`.
     OSError
         If it cannot be written.
     ImportError
@@ -160,39 +137,53 @@ def map_images(
     Notes
     -----
     Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. What
+    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
+    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
     was matched is not matched again, and what was mapped from the same matches with the same
     options is not mapped again.
     """
     options = options or MapOptions()
     extra_library("pycolmap", extra="colmap", purpose="maps")  # before hours of matching
+    for camera in images.cameras.values():
+        colmap_camera(camera)  # COLMAP has no double sphere
     output = Path(output)
     record = _read_record(output)
     start = time.perf_counter()
     matched = match_images(images, output, options.match, restart=restart, progress=progress)
-    graph = load_matches(output)
+    graph = _without_contradicted(load_matches(output), matched)
     matching_s = time.perf_counter() - start
     mapper = MapperOptions(
-        options.mapper,
-        options.refine_cameras,
-        options.mapper_threads,
-        options.match.seed,
+        options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
     )
     fingerprint = _fingerprint(graph, mapper)
-    if record.get("fingerprint") == fingerprint and _has_models(output, record):
+    was_mapped = record.get("fingerprint") == fingerprint and _has_models(output, record)
+    if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
     else:
-        record = _map(graph, images.folder, output, mapper, fingerprint, progress)
-    models = _read_models(output, record, graph)
-    remarks = _write_transforms(images.folder, output, models)
+        record = _map(graph, output, mapper, fingerprint, progress)
+    models = read_models(output / MODELS, record["mean_error_px"], graph)
+    remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     return MapRun(
         matched,
         models,
-        _reasons(images, graph, models, matched.unreadable),
+        _reasons(images, matched, models),
         len(images.images),
         {"matching": matching_s, "mapping": record["seconds"]},
         remarks,
+        was_mapped,
     )
+
+
+def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
+    # One triangle is not enough: of a pose that is 10 degrees off most inliers can be right
+    # matches, and where pairs are few, a map falls apart without them.
+    dropped = {
+        (pair.image1, pair.image2)
+        for pair in matched.verdicts
+        if pair.contradicted and pair.num_contradicted > 1
+    }
+    kept = tuple(pair for pair in graph.pairs if (pair.image1, pair.image2) not in dropped)
+    return replace(graph, pairs=kept)
 
 
 def _read_record(output: Path) -> dict[str, Any]:
@@ -200,8 +191,8 @@ def _read_record(output: Path) -> dict[str, Any]:
     path = output / RECORD
     if path.exists():
         try:
-            record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError:
+            record: dict[str, Any] = {**json.loads(path.read_text(encoding="utf-8"))}
+        except (ValueError, TypeError):
             raise ValueError(f"{path} is damaged; delete it with {DATABASE} and {MODELS}") from None
         return record
     for name in (DATABASE, MODELS):
@@ -237,7 +228,6 @@ def _fingerprint(graph: MatchGraph, options: MapperOptions) -> str:
 
 def _map(
     graph: MatchGraph,
-    folder: Path,
     output: Path,
     options: MapperOptions,
     fingerprint: str,
@@ -249,9 +239,8 @@ def _map(
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
     write_colmap_database(output / DATABASE, graph)
-    found = run_mapper(
-        output / DATABASE, folder, options, num_images=len(graph.images), progress=progress
-    )
+    colors = load_colors(output)
+    found = _distinct(run_mapper(output / DATABASE, options, colors=colors, progress=progress))
     temporary = output / f".{MODELS}.{os.getpid()}.tmp"
     try:
         for number, model in enumerate(found):
@@ -271,51 +260,20 @@ def _map(
     return record
 
 
-def _read_models(
-    output: Path, record: Mapping[str, Any], graph: MatchGraph
-) -> tuple[MappedModel, ...]:
-    models = []
-    for number, error_px in enumerate(record["mean_error_px"]):
-        folder = output / MODELS / str(number)
-        model = _with_given_cameras(read_colmap_model(folder), graph)
-        models.append(MappedModel(folder, model, error_px))
-    return tuple(models)
-
-
-def _with_given_cameras(model: Reconstruction, graph: MatchGraph) -> Reconstruction:
-    """Model whose cameras have their names again, and the limit of a lens that COLMAP lacks."""
-    given = dict(enumerate(graph.cameras.items(), start=1))  # as the database numbers them
-    cameras = {}
-    for number, camera in model.cameras.items():
-        name, original = given[int(number)]
-        if isinstance(camera, KannalaBrandt) and isinstance(original, KannalaBrandt):
-            camera = replace(camera, max_angle_deg=original.max_angle_deg)
-        cameras[name] = camera
-    images = tuple(
-        replace(image, camera=given[int(str(image.camera))][0]) for image in model.images
-    )
-    return replace(model, cameras=cameras, images=images)
-
-
-def _write_transforms(
-    folder: Path, output: Path, models: tuple[MappedModel, ...]
-) -> tuple[str, ...]:
-    """Write the first model for nerfstudio; sentences about what it has no place for."""
-    if not models:
-        return ()
-    images = Path(os.path.relpath(folder.resolve(), output.resolve())).as_posix()
-    try:
-        write_nerfstudio(output / TRANSFORMS, models[0].reconstruction, images=images)
-    except ValueError as error:
-        return (f"{TRANSFORMS} was not written: {error}",)
-    return ()
+def _distinct(models: list[Any]) -> list[Any]:
+    """Models without those whose images are all in a larger one: COLMAP may try a start twice."""
+    kept: list[Any] = []
+    names: list[set[str]] = []
+    for model in models:
+        own = {model.images[number].name for number in model.reg_image_ids()}
+        if not any(own <= other for other in names):
+            kept.append(model)
+            names.append(own)
+    return kept
 
 
 def _reasons(
-    images: ImageSet,
-    graph: MatchGraph,
-    models: tuple[MappedModel, ...],
-    unreadable: Mapping[str, str],
+    images: ImageSet, matched: MatchRun, models: tuple[MappedModel, ...]
 ) -> dict[str, str]:
     """Why each image without a pose in the first model has none."""
     model_of = {
@@ -324,17 +282,17 @@ def _reasons(
         for image in model.reconstruction.images
     }
     tried: dict[str, Counter[str]] = {image.name: Counter() for image in images.images}
-    for pair in graph.pairs:
-        status = "too_few_matches" if pair.geometry is None else pair.geometry.status
+    for pair in matched.verdicts:
+        status = "contradicted by other pairs" if pair.contradicted else pair.status
         for name in (pair.image1, pair.image2):
-            tried.setdefault(name, Counter())[status] += 1
+            tried[name][status] += 1
     reasons = {}
     for name, statuses in tried.items():
         number = model_of.get(name)
         if number == 0:
             continue
-        if name in unreadable:
-            reasons[name] = unreadable[name]
+        if name in matched.unreadable:
+            reasons[name] = matched.unreadable[name]
         elif number is not None:
             reasons[name] = f"is in {MODELS}/{number}, which does not connect to {MODELS}/0"
         elif not CONFIG_OF_STATUS.keys() & statuses:

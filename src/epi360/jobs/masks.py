@@ -7,6 +7,7 @@ import unicodedata
 from pathlib import Path
 
 from epi360.datasets.image_folder import IMAGE_SUFFIXES
+from epi360.features.image_headers import read_image_header
 from epi360.jobs.folder_files import files_below
 
 
@@ -28,6 +29,7 @@ class MaskSource:
     def __init__(self, path: Path | None) -> None:
         self._path = path
         self._masks: dict[str, Path] | None = None
+        self._sizes: dict[Path, tuple[int, int] | None] = {}
         if path is not None and not path.exists():
             raise FileNotFoundError(f"mask {path} does not exist")
         if path is not None and path.is_dir():
@@ -42,6 +44,15 @@ class MaskSource:
             return self._path
         by_colmap = self._masks.get(_key(name))
         return by_colmap or self._masks.get(_key(_without_suffix(name)))
+
+    def size_of(self, mask: Path) -> tuple[int, int] | None:
+        """Width and height that the header of a mask states; None where it states none."""
+        if mask not in self._sizes:
+            try:
+                self._sizes[mask] = read_image_header(mask).size
+            except OSError:  # said when it is read
+                self._sizes[mask] = None
+        return self._sizes[mask]
 
     def check_used(self, masks: list[Path | None]) -> None:
         """Raise ``ValueError`` where a folder of masks was given and no image has one."""

@@ -86,6 +86,7 @@ class MatchJob:
             self.keys[index] = self.cache.key(self.images[index], self.cameras[index])
 
         self._for_each_image(wanted, find_key, "images", 0)
+        self.cache.digests.save()
         contents = {key: index for index, key in self.keys.items()}  # equal images: once
         missing = [index for key, index in contents.items() if not self.cache.has(key)]
         self._for_each_image(missing, self._extract, "features", len(contents) - len(missing))

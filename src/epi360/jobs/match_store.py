@@ -5,6 +5,8 @@
     Format and options.
 ``features/KEY.npz``
     Key points of an image, see `FeatureCache`.
+``digests.json``
+    Hashes of the image files, see `FileDigests`; only saves time.
 ``pairs/part-HASH.npz``
     Some verified pairs, known by the keys of their images. Parts appear whole or not at all.
 ``images.json``, ``cameras.json``
@@ -25,17 +27,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import load_cameras
 from epi360.extras import package_version
 from epi360.files import write_file
-from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.array_files import npz_bytes, read_arrays
-from epi360.jobs.image_set import ImageSet
 from epi360.poses import Pose
 
 FORMAT = 1
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
-FEATURES, PAIRS = "features", "pairs"
+FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
 Keys = tuple[str, str]
 
 
@@ -124,16 +123,19 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
             shutil.rmtree(folder / PAIRS)
     elif found is not None:
         _check_same(folder, found, wanted)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_file(
+        folder / MARKER, json_bytes(wanted)
+    )  # before all else: a folder with more is not ours
     for part in (FEATURES, PAIRS):
-        (folder / part).mkdir(parents=True, exist_ok=True)
-    write_file(folder / MARKER, _json(wanted))
+        (folder / part).mkdir(exist_ok=True)
 
 
 def _marker(folder: Path) -> dict[str, Any] | None:
-    """Content of the marker, None for a folder that is new or empty."""
+    """Content of the marker, None for a folder that is new or has hidden files only."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"output must be a folder, {folder} is a file")
-    if not folder.exists() or not any(folder.iterdir()):
+    if not folder.exists() or all(path.name.startswith(".") for path in folder.iterdir()):
         return None
     try:
         found = json.loads((folder / MARKER).read_bytes())
@@ -242,103 +244,6 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
         yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)
 
 
-def write_index(
-    folder: Path, images: ImageSet, keys: Mapping[str, str], pairs: Iterable[tuple[str, str]]
-) -> None:
-    """Say which images and pairs are the result: a run is complete.
-
-    Parameters
-    ----------
-    folder : Path
-        The output.
-    images : ImageSet
-        All images of the run.
-    keys : mapping of str to str
-        Key of the key points of each readable image, by its name.
-    pairs : iterable of (str, str)
-        Names of the images of each finished pair, in order.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    """
-    cameras = {
-        name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
-        for name, camera in images.cameras.items()
-    }
-    listed = [
-        {"name": image.name, "camera": image.camera, "frame": image.frame, "key": keys[image.name]}
-        for image in images.images
-        if image.name in keys
-    ]
-    rig = {name: pose.matrix().tolist() for name, pose in images.cam_from_rig.items()}
-    write_file(folder / CAMERAS, _json({"cameras": cameras}))
-    index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
-    write_file(folder / IMAGES, _json(index))
-
-
-def load_matches(folder: Path) -> MatchGraph:
-    """Images, key points and verified pairs that `match_images` left in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Its output.
-
-    Returns
-    -------
-    graph : MatchGraph
-        Every pair has a geometry: look at its status.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or it holds no complete run.
-    ValueError
-        If a file is damaged.
-    """
-    folder = Path(folder)
-    if not (folder / IMAGES).is_file():
-        raise FileNotFoundError(
-            f"{folder} holds no complete result of epi360 match; run it with this --output first"
-        )
-    cameras = load_cameras(folder / CAMERAS)
-    try:
-        index = json.loads((folder / IMAGES).read_bytes())
-        keys = {image["name"]: image["key"] for image in index["images"]}
-        wanted = [(str(name1), str(name2)) for name1, name2 in index["pairs"]]
-        rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
-        images = {image["name"]: _matched_image(folder, image) for image in index["images"]}
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
-    finished = {pair.keys: pair for pair in read_parts(folder)}
-    pairs = tuple(_matched_pair(names, keys, finished) for names in wanted)
-    return MatchGraph(cameras, images, pairs, rig)
-
-
-_AGAIN = "run epi360 match with this --output again, it redoes what is missing"
-
-
-def _matched_image(folder: Path, image: Mapping[str, Any]) -> MatchedImage:
-    arrays = read_arrays(folder / FEATURES / f"{image['key']}.npz")
-    if arrays is None:
-        raise ValueError(f"the key points of {image['name']} are missing or damaged; {_AGAIN}")
-    pixels = arrays["pixels"].astype(np.float64)
-    return MatchedImage(image["name"], image["camera"], pixels, frame=image["frame"])
-
-
-def _matched_pair(
-    names: tuple[str, str], keys: Mapping[str, str], finished: Mapping[Keys, VerifiedPair]
-) -> MatchedPair:
-    pair = finished.get((keys[names[0]], keys[names[1]]))
-    if pair is None:
-        raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
-    geometry = TwoViewGeometry(
-        pair.verdict.status, pair.verdict.cam2_from_cam1, pair.matches[pair.inlier_mask]
-    )
-    return MatchedPair(*names, pair.matches, geometry)
-
-
-def _json(record: Mapping[str, Any]) -> bytes:
+def json_bytes(record: Mapping[str, Any]) -> bytes:
+    """Content of a JSON file."""
     return (json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

@@ -4,21 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from epi360.features.detection import check_options
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
+from epi360.jobs.file_digests import FileDigests
 from epi360.jobs.image_set import ImageSet
+from epi360.jobs.loop_check import check_loops
 from epi360.jobs.match_job import MatchJob
-from epi360.jobs.match_store import (
-    FEATURES,
-    Keys,
-    Verdict,
-    load_matches,
-    open_output,
-    write_index,
-)
+from epi360.jobs.match_result import load_matches, write_index
+from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
 from epi360.jobs.pair_selection import Pair, select_pairs
 from epi360.progress import Progress, no_progress
 
@@ -79,10 +75,20 @@ class PairVerdict(Verdict):
     ----------
     image1, image2 : str
         Names.
+    num_triangles, num_contradicted, contradicted
+        Of `LoopVerdict`.
     """
 
     image1: str
     image2: str
+    num_triangles: int = 0
+    num_contradicted: int = 0
+    contradicted: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the pose may be used."""
+        return super().accepted and not self.contradicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +162,15 @@ def match_images(
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
     warning.
     An image that cannot be read costs its pairs, not the run.
+    In the end the pairs are held against each other, see `check_loops`.
     """
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
     extraction = ExtractionOptions(
         options.max_width, options.max_features, float(options.mask_nadir_deg)
     )
     open_output(Path(output), {**vars(extraction), "seed": options.seed}, restart=restart)
-    cache = FeatureCache(Path(output) / FEATURES, extraction)
+    digests = FileDigests(Path(output) / DIGESTS)
+    cache = FeatureCache(Path(output) / FEATURES, extraction, digests)
     job = MatchJob(
         images,
         Path(output),
@@ -173,7 +181,7 @@ def match_images(
     )
     job.find_features(sorted({index for pair in pairs for index in pair}))
     finished, num_found = job.verify(pairs)
-    verdicts = tuple(_named(pair, job, finished) for pair in pairs)
+    verdicts = _with_loops(tuple(_named(pair, job, finished) for pair in pairs))
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
     write_index(job.output, images, job.readable_keys(), matched)
     names = tuple(image.name for image in images.images)
@@ -186,3 +194,17 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
     if not job.is_readable(pair):
         return PairVerdict(status="unreadable_image", image1=image1, image2=image2)
     return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
+
+
+def _with_loops(verdicts: tuple[PairVerdict, ...]) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the triangles of pairs say."""
+    loops = check_loops([(verdict.image1, verdict.image2) for verdict in verdicts], verdicts)
+    doubt = "most triangles with other pairs do not close: this pair or one of those is wrong"
+    return tuple(
+        replace(
+            verdict,
+            **vars(loop),
+            warnings=(*verdict.warnings, doubt) if loop.doubtful else verdict.warnings,
+        )
+        for verdict, loop in zip(verdicts, loops, strict=True)
+    )

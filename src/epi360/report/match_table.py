@@ -16,8 +16,9 @@ from epi360.report.text import LABEL_WIDTH, LINE_WIDTH, STATUS_SENTENCES
 COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
     "parallax_deg", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "rotation_sigma_deg",
-    "translation_sigma_deg", "warnings",
+    "translation_sigma_deg", "num_triangles", "num_contradicted", "warnings",
 )  # fmt: skip
+CONTRADICTED = "contradicted by other pairs"
 _MAX_LISTED = 10
 
 
@@ -33,7 +34,9 @@ def pairs_csv(run: MatchRun) -> bytes:
     -------
     table : bytes
         With a header. ``qw`` to ``tz`` are cam2_from_cam1, quaternion and unit translation; what is
-        not determined is empty. The same on every machine that finds the same.
+        not determined is empty. ``num_triangles`` counts those with two other accepted pairs,
+        ``num_contradicted`` those of them that do not close. The same on every machine that finds
+        the same.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -52,6 +55,8 @@ def pairs_csv(run: MatchRun) -> bytes:
                 verdict.num_matches,
                 verdict.num_inliers,
                 *(_number(value) for value in (*numbers, *pose.translation, *sigmas)),
+                verdict.num_triangles,
+                verdict.num_contradicted,
                 "; ".join(verdict.warnings),
             ]
         )
@@ -81,7 +86,11 @@ def describe_match(run: MatchRun) -> str:
     if accepted:
         inliers = np.median([verdict.num_inliers for verdict in accepted])
         rows.append(("", f"median of {inliers:.0f} inliers"))
-    counts = Counter(verdict.status for verdict in run.verdicts if not verdict.accepted)
+    counts = Counter(
+        CONTRADICTED if verdict.contradicted else verdict.status
+        for verdict in run.verdicts
+        if not verdict.accepted
+    )
     rows += [("Rejected", f"{count} {status}") for status, count in counts.most_common()]
     rows += _listed(
         "Unreadable", [f"{name}: {why}" for name, why in sorted(run.unreadable.items())]
@@ -92,7 +101,9 @@ def describe_match(run: MatchRun) -> str:
 
 
 def _reason(verdict: PairVerdict, run: MatchRun) -> str:
-    """Sentence for the status; of an image that cannot be read, why."""
+    """Why a pair is accepted or not; of an image that cannot be read, why."""
+    if verdict.contradicted:
+        return CONTRADICTED
     if verdict.status in STATUS_SENTENCES:
         return STATUS_SENTENCES[verdict.status]
     names = (verdict.image1, verdict.image2)

@@ -56,7 +56,8 @@ MODELS_BY_NUMBER = (  # what databases and binary models call them
 
 def fits(document: Any) -> bool:
     """Whether the content is the lines of a cameras.txt."""
-    return isinstance(document, list) and bool(COLMAP_LINE.match(str(next(iter(document), ""))))
+    first = next(iter(document), None) if isinstance(document, list) else None
+    return isinstance(first, str) and bool(COLMAP_LINE.match(first))
 
 
 def read(document: list[str]) -> dict[str, Camera]:

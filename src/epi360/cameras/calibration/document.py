@@ -10,17 +10,26 @@ from typing import Any
 
 COLMAP_LINE = re.compile(r"\d+\s+[A-Z][A-Z0-9_]*\s+\d+\s+\d+(\s|$)")
 
+LARGEST_FILE = 2**25  # bytes; a cameras.txt with a line for each of 300,000 images
+LONGEST_YAML = 2**18  # characters, read in half a second; a rig has a thousandth of it
+
 
 def read_document(path: Path) -> Any:
     """Content of a file: the lines of a COLMAP file, else what YAML or JSON make of it."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_FILE + 1)
+        text = content.decode("utf-8-sig")
     except FileNotFoundError:
         raise FileNotFoundError(f"calibration file {path} does not exist") from None
-    except UnicodeDecodeError:
+    except UnicodeDecodeError:  # a picture, for example; also where it was cut
         raise ValueError(f"calibration file {path} must be text, got binary data") from None
     except OSError:
         raise ValueError(f"calibration file {path} is a folder or may not be read") from None
+    if len(content) > LARGEST_FILE:
+        raise ValueError(
+            f"calibration file {path} must have {LARGEST_FILE} bytes at most, got more"
+        )
     lines = [line.strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     if lines and COLMAP_LINE.match(lines[0]):
@@ -35,6 +44,8 @@ def read_document(path: Path) -> Any:
 def _yaml(text: str) -> Any:
     import yaml  # 20 ms that `import epi360` need not pay
 
+    if len(text) > LONGEST_YAML:
+        raise ValueError(f"YAML may have {LONGEST_YAML} characters, got {len(text)}")
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:

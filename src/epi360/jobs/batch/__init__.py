@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses of many pairs, part by part, on one machine or on many."""
 
-from epi360.jobs.batch.job import BatchJob, estimate_part, merge_parts, missing_parts
+from epi360.jobs.batch.job import BatchJob, estimate_parts, merge_parts, missing_parts
 from epi360.jobs.batch.run import BatchSummary, Engine, run_batch
 from epi360.jobs.batch.sources import MatchSource
 
@@ -10,7 +10,7 @@ __all__ = [
     "BatchSummary",
     "Engine",
     "MatchSource",
-    "estimate_part",
+    "estimate_parts",
     "merge_parts",
     "missing_parts",
     "run_batch",

@@ -16,6 +16,7 @@ from epi360.interop.colmap_database import open_colmap_database, two_view_geomet
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import TwoViewGeometry
+from epi360.jobs.batch import storage
 from epi360.jobs.batch.job import BatchJob
 from epi360.jobs.batch.parts import read_part
 from epi360.jobs.batch.pose_rows import INLIERS
@@ -40,7 +41,8 @@ def write_database_copy(job: BatchJob, path: str, num_parts: int) -> None:
     OSError
         If it cannot be written.
     """
-    target = Path(path)
+    storage.remove_leftovers(path)
+    target = storage.local_path(path)
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
         with ColmapPairs(job.source.path) as pairs:

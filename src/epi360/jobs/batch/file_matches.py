@@ -134,6 +134,11 @@ class FileMatches:
         """Pairs in each part, in the order of the file."""
         return [len(rows) for rows in self._parts]
 
+    @property
+    def part_groups(self) -> list[int]:
+        """All in one: whoever opens the file must read the list of all pairs."""
+        return [0] * len(self._parts)
+
     def names(self) -> Iterator[tuple[Sequence[str], Sequence[str]]]:
         """Names of the first and second images, in order."""
         if self._pairs:

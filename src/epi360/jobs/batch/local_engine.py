@@ -5,8 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import accumulate
 
-from epi360.jobs.batch.job import BatchJob, write_poses
+from epi360.jobs.batch.job import BatchJob, check_parts, write_poses
 from epi360.jobs.batch.parts import Identity
 from epi360.jobs.batch.sources import PairMatches, open_matches
 from epi360.progress import Progress
@@ -21,7 +22,7 @@ def estimate_parts_locally(
     there: int,
     total: int,
 ) -> None:
-    """Estimate parts one after the other; at most two are in memory.
+    """Check all parts, then estimate one after the other; at most two are in memory.
 
     Parameters
     ----------
@@ -32,17 +33,21 @@ def estimate_parts_locally(
     num_threads : int, optional
         Native threads; by default one per core.
     progress : callable
-        Gets ("pairs", done, total) after each part.
+        Gets ("checked pairs", done, all of these parts), then ("pairs", done, total), after each
+        part.
     there, total : int
         Pairs that are done already, and in all.
 
     Raises
     ------
     ValueError
-        If a row cannot be used.
+        If a row cannot be used; then nothing is estimated.
     OSError
         If a file cannot be read or written. Finished parts stay.
     """
+    for checked in accumulate(check_parts(job, parts), initial=0):
+        progress("checked pairs", checked, total - there)
+    progress("pairs", there, total)
     coming = _read(job, parts)
     # One thread does all the reading: SQLite allows no other.
     with ThreadPoolExecutor(1) as reader:

@@ -196,7 +196,7 @@ def count_statuses(output: str) -> dict[str, int]:
 
 
 def _read_checked(file: IO[bytes]) -> Any:
-    return _parquet().read_table(file, page_checksum_verification=True)
+    return _parquet().ParquetFile(file, page_checksum_verification=True).read()
 
 
 @contextmanager

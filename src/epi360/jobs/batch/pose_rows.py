@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from epi360.estimation.result import RelativePoseResult
 from epi360.estimation.robust import estimate_timed_poses
 from epi360.extras import extra_library
 from epi360.jobs.batch.sources import PairMatches, pair_seed
@@ -65,7 +65,6 @@ def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> 
         With `part_schema`; what the matches do not determine is NaN. ``seconds`` is the wall time
         of the pair's estimate on its thread, without reading and writing.
     """
-    arrow = extra_library("pyarrow", extra="batch", purpose="Parquet files")
     names = list(zip(pairs.image1, pairs.image2, strict=True))
     results, seconds = estimate_timed_poses(
         pairs.bearings1,
@@ -74,22 +73,46 @@ def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> 
         options=IMAGE_OPTIONS,
         seeds=[pair_seed(seed, *pair) for pair in names],
     )
-    columns = {
-        "image1": pairs.image1,
-        "image2": pairs.image2,
-        "status": [result.status for result in results],
-        "rotation": [result.cam2_from_cam1.rotation.ravel() for result in results],
-        "translation": [result.cam2_from_cam1.translation for result in results],
+    poses = [result.cam2_from_cam1 for result in results]
+    columns: dict[str, Any] = {
+        "image1": [name.encode() for name in pairs.image1],
+        "image2": [name.encode() for name in pairs.image2],
+        "status": [result.status.encode() for result in results],
+        "rotation": [pose.rotation.ravel() for pose in poses],
+        "translation": [pose.translation for pose in poses],
         "covariance": [result.covariance.ravel() for result in results],
         "num_matches": [result.num_matches for result in results],
         "num_inliers": [result.num_inliers for result in results],
         "noise_deg": [result.noise_deg for result in results],
         "parallax_deg": [result.parallax_deg for result in results],
         "seconds": seconds,
-        INLIERS: [_packed_bits(result) for result in results],
+        INLIERS: [np.packbits(result.inlier_mask).tobytes() for result in results],
     }
-    return arrow.table(columns, schema=part_schema())
+    return _table(columns)
 
 
-def _packed_bits(result: RelativePoseResult) -> bytes:
-    return np.packbits(result.inlier_mask).tobytes()
+def _table(columns: Mapping[str, Any]) -> Any:
+    """Table of bytes, numbers and arrays of numbers, with `part_schema`.
+
+    From buffers: to look at a list or a NumPy array pyarrow imports pandas, where there is one, and
+    that takes as long as all else that the command imports.
+    """
+    arrow = extra_library("pyarrow", extra="batch", purpose="Parquet files")
+    types = extra_library("pyarrow.types", extra="batch", purpose="Parquet files")
+
+    def array(kind: Any, values: Any) -> Any:
+        if types.is_list(kind):
+            ends = np.cumsum([0, *map(len, values)], dtype=np.int32)
+            inner = array(kind.value_type, np.concatenate(values))
+            return arrow.ListArray.from_arrays(array(arrow.int32(), ends), inner)
+        if isinstance(values[0], bytes):
+            ends = np.cumsum([0, *map(len, values)], dtype=np.int32)
+            buffers = [ends, b"".join(values)]
+        else:
+            buffers = [np.asarray(values, kind.to_pandas_dtype())]
+        pieces = [None, *map(arrow.py_buffer, buffers)]  # no nulls
+        return arrow.Array.from_buffers(kind, len(values), pieces)
+
+    schema = part_schema()
+    arrays = [array(field.type, columns[field.name]) for field in schema]
+    return arrow.Table.from_arrays(arrays, schema=schema)

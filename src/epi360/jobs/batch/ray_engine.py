@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parts of a batch on Ray: one task a part, on this machine or on a cluster.
+"""The parts of a batch on Ray, on this machine or on a cluster.
 
-Plain tasks and not Ray Data: a worker reads its part where the matches are and writes its file
-where the output is, so nothing but the number of the part passes through Ray, and a restart finds
+Plain tasks and not Ray Data: a worker reads its parts where the matches are and writes its files
+where the output is, so nothing but the numbers of parts passes through Ray, and a restart finds
 the same parts whichever engine made them. Ray Data would choose blocks of its own, hold the matches
 in its object store and know nothing of parts that are there.
 """
@@ -10,17 +10,19 @@ in its object store and know nothing of parts that are there.
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import islice
+from itertools import groupby, islice
 from typing import Any
 
 from epi360.extras import extra_library
 from epi360.jobs.batch import storage
-from epi360.jobs.batch.job import BatchJob, estimate_part
+from epi360.jobs.batch.job import BatchJob, check_parts, estimate_parts
 from epi360.jobs.batch.sources import open_matches
 from epi360.progress import Progress
 
@@ -46,7 +48,7 @@ def estimate_parts_on_ray(
     there: int,
     total: int,
 ) -> None:
-    """Estimate parts in Ray tasks of one CPU; the workers write the files.
+    """Check all parts, then estimate them, in Ray tasks of one CPU; the workers write the files.
 
     Parameters
     ----------
@@ -60,14 +62,16 @@ def estimate_parts_on_ray(
         and without it Ray is started on this machine and stopped at the end. A session that the
         process has open already is used instead and stays open.
     progress : callable
-        Gets ("pairs", done, total) after each part.
+        Gets ("checked pairs", done, all of these parts), then ("pairs", done, total), after each
+        task.
     there, total : int
         Pairs that are done already, and in all.
 
     Raises
     ------
     ValueError
-        If a row cannot be used, or a worker has another version of epi360.
+        If a row cannot be used, then nothing is estimated, or a worker has another version of
+        epi360.
     OSError
         If a file cannot be read or written, the cluster does not answer, or a worker dies again
         and again. Finished parts stay.
@@ -78,12 +82,20 @@ def estimate_parts_on_ray(
         os.environ.setdefault(name, value)
     ray = extra_library("ray", extra="cluster", purpose="batches on Ray")
     with open_matches(job.source) as matches:
-        sizes = matches.part_sizes
-    done = there
+        sizes, groups = matches.part_sizes, matches.part_groups
+    job = _with_absolute_paths(job)
     with _session(ray, address):
-        for index in _finished_parts(ray, _with_absolute_paths(job), parts):
-            done += sizes[index]
-            progress("pairs", done, total)
+        tasks = _tasks(parts, groups, _num_cpus(ray))
+        checked, missing = 0, total - there
+        progress("checked pairs", checked, missing)
+        for finished in _finished_tasks(ray, _check, job, tasks):
+            checked += sum(sizes[part] for part in finished)
+            progress("checked pairs", checked, missing)
+        progress("pairs", there, total)
+        for finished in _finished_tasks(ray, _estimate, job, tasks):
+            _find_files(job, finished)
+            there += sum(sizes[part] for part in finished)
+            progress("pairs", there, total)
 
 
 @contextmanager
@@ -118,41 +130,74 @@ def _check_answers(address: str) -> None:
         ) from error
 
 
-def _finished_parts(ray: Any, job: BatchJob, parts: Sequence[int]) -> Iterator[int]:
-    """Run one task a part; yields its number when its file is there.
+def _tasks(parts: Sequence[int], groups: Sequence[int], num_cpus: int) -> list[list[int]]:
+    """Parts of each task, neighbours in one group.
+
+    A task passes over the parts of its group that come before its own. A group of n parts is passed
+    over n / 2 times if each is a task, and half the root of n times if tasks are of as many parts;
+    but each CPU should get two tasks.
+    """
+    tasks, sizes = [], Counter(groups)
+    for group, members in groupby(parts, key=lambda part: groups[part]):
+        missing, num_parts = list(members), sizes[group]
+        size = max(1, min(math.isqrt(num_parts), num_parts // (2 * num_cpus)))
+        tasks += [missing[first : first + size] for first in range(0, len(missing), size)]
+    return tasks
+
+
+def _finished_tasks(
+    ray: Any, work: Callable[..., None], job: BatchJob, tasks: Sequence[list[int]]
+) -> Iterator[list[int]]:
+    """Run the tasks; yields the parts of each when it has ended.
 
     After an error or an interrupt nothing is cancelled: the end of the session stops what is left.
     `ray.cancel` of a task that ends in the same moment ends the whole process (seen in Ray 2.60).
     """
-    task = ray.remote(num_cpus=1, max_retries=_MAX_RETRIES)(_estimate)
-    waiting, identity = iter(parts), job.identity("")
-    running: dict[Any, int] = {}
+    remote = ray.remote(num_cpus=1, max_retries=_MAX_RETRIES)(work)
+    waiting, identity = iter(tasks), job.identity("")
+    running: dict[Any, list[int]] = {}
     while True:
-        for index in islice(waiting, max(0, _num_in_flight(ray) - len(running))):
-            running[task.remote(job, index, identity)] = index
+        # Two a CPU of the moment: none waits for us, and an autoscaler sees that more is wanted.
+        # Bounded, as every task in flight costs the driver memory.
+        for parts in islice(waiting, max(0, 2 * _num_cpus(ray) - len(running))):
+            running[remote.remote(job, parts, identity)] = parts
         if not running:
             return
         (finished,), _ = ray.wait(list(running))
-        index = running.pop(finished)
-        _raise_failure(ray, finished, index)
-        if not storage.exists(job.part_path(index)):
+        parts = running.pop(finished)
+        _raise_failure(ray, finished, parts)
+        yield parts
+
+
+def _find_files(job: BatchJob, parts: Sequence[int]) -> None:
+    """Raise where this machine does not see what a worker has written."""
+    for path in map(job.part_path, parts):
+        if not storage.exists(path):
             raise FileNotFoundError(
-                f"{job.part_path(index)} was written by a worker but is not there for this "
-                "machine; the output must be where all machines of the cluster see it"
+                f"{path} was written by a worker but is not there for this machine; the output "
+                "must be where all machines of the cluster see it"
             )
-        yield index
 
 
-def _num_in_flight(ray: Any) -> int:
-    """Twice the CPUs of the moment: none waits for us, and an autoscaler sees that more is wanted.
-
-    Bounded, as every task in flight costs the driver memory.
-    """
-    return 2 * max(1, int(ray.cluster_resources().get("CPU", 1)))
+def _num_cpus(ray: Any) -> int:
+    return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
 
-def _estimate(job: BatchJob, index: int, identity: Mapping[str, str]) -> None:
-    """Estimate one part on a worker, which must be of the driver's version."""
+def _check(job: BatchJob, parts: Sequence[int], identity: Mapping[str, str]) -> None:
+    """Check parts on a worker."""
+    with _same_job(job, identity):
+        deque(check_parts(job, parts), maxlen=0)
+
+
+def _estimate(job: BatchJob, parts: Sequence[int], identity: Mapping[str, str]) -> None:
+    """Estimate parts on a worker, but for those that a worker which died has finished."""
+    with _same_job(job, identity):
+        estimate_parts(job, parts)
+
+
+@contextmanager
+def _same_job(job: BatchJob, identity: Mapping[str, str]) -> Iterator[None]:
+    """Raise where the worker has another version than the driver, or does not see its files."""
     here = job.identity("")
     if here != identity:
         raise ValueError(
@@ -160,7 +205,7 @@ def _estimate(job: BatchJob, index: int, identity: Mapping[str, str]) -> None:
             f"{socket.gethostname()} has {here['epi360_version']}"
         )
     try:
-        estimate_part(job, index)
+        yield
     except FileNotFoundError as error:
         raise FileNotFoundError(
             f"{error.filename or error} is not there for the Ray worker on {socket.gethostname()}; "
@@ -168,7 +213,7 @@ def _estimate(job: BatchJob, index: int, identity: Mapping[str, str]) -> None:
         ) from error
 
 
-def _raise_failure(ray: Any, finished: Any, index: int) -> None:
+def _raise_failure(ray: Any, finished: Any, parts: Sequence[int]) -> None:
     """Raise what a task has raised, as if it had been raised here."""
     exceptions = ray.exceptions
     try:
@@ -183,7 +228,7 @@ def _raise_failure(ray: Any, finished: Any, index: int) -> None:
         raise
     except exceptions.RayError as error:
         raise ChildProcessError(
-            f"Ray gave up part {index} after {_MAX_RETRIES + 1} tries, its workers died "
+            f"Ray gave up part {parts[0]} after {_MAX_RETRIES + 1} tries, its workers died "
             f"({type(error).__name__}); finished parts are kept"
         ) from error
 

@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 from epi360.jobs.batch import storage
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
 from epi360.jobs.batch.local_engine import estimate_parts_locally
+from epi360.jobs.batch.lock import only_run
 from epi360.jobs.batch.parts import count_statuses, output_is_there
 from epi360.jobs.batch.sources import check_names, open_matches
 from epi360.progress import Progress, no_progress
@@ -67,7 +69,8 @@ def run_batch(
     database : str, optional
         Write a copy of the COLMAP database with the two-view geometries.
     progress : callable
-        Gets ("pairs", done, total); what earlier runs have done is in the first call.
+        Gets ("checked pairs", done, total) for the pairs that are missing, then ("pairs", done,
+        total); what earlier runs have done is in the first call.
 
     Returns
     -------
@@ -76,7 +79,8 @@ def run_batch(
     Raises
     ------
     ValueError
-        If the input cannot be used, or the output or its parts belong to another job.
+        If the input cannot be used, the output or its parts belong to another job, or another run
+        is writing them.
     OSError
         If a file cannot be written. Finished parts stay.
     """
@@ -84,6 +88,18 @@ def run_batch(
         raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}, got {engine!r}")
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+    with only_run(job.output):
+        return _run(job, engine, num_threads, address, database, progress)
+
+
+def _run(
+    job: BatchJob,
+    engine: Engine,
+    num_threads: int | None,
+    address: str | None,
+    database: str | None,
+    progress: Progress,
+) -> BatchSummary:
     with open_matches(job.source) as matches:
         sizes = matches.part_sizes
         is_merged = output_is_there(job.output, job.identity(matches.fingerprint))
@@ -92,23 +108,10 @@ def run_batch(
             check_names(job.source.path, matches)
     missing = missing_parts(job) if needs_database or not is_merged else []
     total, todo = sum(sizes), sum(sizes[index] for index in missing)
-    progress("pairs", total - todo, total)
     start = time.perf_counter()
-    if missing and engine == "ray":
-        from epi360.jobs.batch.ray_engine import estimate_parts_on_ray
-
-        estimate_parts_on_ray(
-            job, missing, address=address, progress=progress, there=total - todo, total=total
-        )
-    elif missing:
-        estimate_parts_locally(
-            job,
-            missing,
-            num_threads=num_threads,
-            progress=progress,
-            there=total - todo,
-            total=total,
-        )
+    if missing:
+        estimate = _engine(engine, num_threads, address)
+        estimate(job, missing, progress=progress, there=total - todo, total=total)
     seconds = time.perf_counter() - start
     if not is_merged:
         merge_parts(job)
@@ -123,6 +126,14 @@ def run_batch(
     if needs_database and database is not None:
         files = (*files, database)
     return BatchSummary(total, todo, seconds, count_statuses(job.output), files)
+
+
+def _engine(engine: Engine, num_threads: int | None, address: str | None) -> Callable[..., None]:
+    if engine == "local":
+        return partial(estimate_parts_locally, num_threads=num_threads)
+    from epi360.jobs.batch.ray_engine import estimate_parts_on_ray
+
+    return partial(estimate_parts_on_ray, address=address)
 
 
 def _needs_database(job: BatchJob, database: str, is_merged: bool) -> bool:

@@ -144,7 +144,8 @@ def remove_leftovers(path: str) -> None:
     if is_remote(path):
         return
     target = Path(os.path.realpath(local_path(path)))
-    for leftover in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
+    # SQLite has files of its own beside a database, whose names go on behind its name.
+    for leftover in target.parent.glob(f".{glob.escape(target.name)}.*.tmp*"):
         leftover.unlink(missing_ok=True)
 
 
