@@ -244,6 +244,27 @@ def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_
     assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
 
 
+def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_path, capsys):
+    pictures, out = tmp_path / "in", tmp_path / "out"
+    pictures.mkdir()
+    for name in ("1.png", "2.png"):
+        (pictures / name).write_bytes((room_folder[0] / "Küche" / name).read_bytes())
+    words = ["map", str(pictures), "--output", str(out)]
+    assert cli.main([*words, "--cubemap", "--faces", "front"]) == 0
+    # Other faces: said before the mapping, so that the map is still that of the faces.
+    before = (out / "mapping.json").read_bytes()
+    assert cli.main([*words, "--mapper", "global", "--cubemap", "--faces", "up"]) == 2
+    assert "cubemap with other options" in capsys.readouterr().err
+    assert (out / "mapping.json").read_bytes() == before
+    assert cli.main(words) == 0
+    assert "earlier map" not in capsys.readouterr().out
+    (pictures / "3.png").write_bytes((room_folder[0] / "Küche" / "0.png").read_bytes())
+    assert cli.main(words) == 0
+    assert f"{out / 'cubemap'} is of an earlier map: --cubemap cuts it again" in (
+        capsys.readouterr().out
+    )
+
+
 def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp_path, capsys):
     model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
     out = tmp_path / "cube"

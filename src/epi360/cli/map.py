@@ -102,6 +102,7 @@ def map_folder(
     code
         Exit code.
     """
+    from epi360.jobs.cubemap import check_cubemap_folder
     from epi360.jobs.image_set import find_images
     from epi360.jobs.mapping import map_images
 
@@ -110,6 +111,8 @@ def map_folder(
     output = default_output(folder) if output is None else output
     options = _map_options(given, work, mapping)
     cutting = _cubemap_options(cube_faces)
+    if cubemap:
+        check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:
         run = map_images(images, output, options, restart=restart, progress=progress)
@@ -122,6 +125,8 @@ def map_folder(
         masks = {image.name: image.mask for image in images.images}
         model = run.models[0].reconstruction
         _cut(folder, model, output / "cubemap", cutting, masks, given.mask_nadir_deg)
+    elif (output / "cubemap").exists() and not run.was_mapped:
+        print(f"{output / 'cubemap'} is of an earlier map: --cubemap cuts it again")
     return SUCCESS
 
 

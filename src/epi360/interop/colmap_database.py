@@ -19,6 +19,7 @@ DEGENERATE and WATERMARK are "too_few_inliers"; a row without pose and E, with s
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -161,6 +162,8 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
         raise ValueError(f"COLMAP database {path} is there already; give the name of a new file")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"folder {path.parent} of the COLMAP database does not exist")
+    if not os.access(path.parent, os.W_OK):  # COLMAP does not say why it fails
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     pycolmap = _pycolmap()
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -132,6 +132,42 @@ def export_cubemap(
     return Cubemap(cube, done - kept, kept)
 
 
+def check_cubemap_folder(
+    output: Path, options: CubemapOptions, mask_nadir_deg: float
+) -> dict[str, Any]:
+    """Raise where a cubemap could not be written into a folder, before hours of work.
+
+    Parameters
+    ----------
+    output, options, mask_nadir_deg
+        As `export_cubemap` takes them.
+
+    Returns
+    -------
+    record : dict
+        Of the cubemap that is there; empty where there is none.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds other files, or a cubemap with other options.
+    """
+    if not output.is_dir():
+        return {}
+    before = _record_before(output / RECORD_FILE)
+    if before and before["options"] != _options_record(options, mask_nadir_deg):
+        raise ValueError(f"{output} holds a cubemap with other options; delete it or name another")
+    if not before and any(output.iterdir()):
+        raise ValueError(f"{output} holds other files; name a new or empty folder")
+    return before
+
+
+def _options_record(options: CubemapOptions, mask_nadir_deg: float) -> dict[str, Any]:
+    """Options as they come back from the record: lists for tuples."""
+    values = {**dataclasses.asdict(options), "mask_nadir_deg": mask_nadir_deg}
+    return dict(json.loads(json.dumps(values)))
+
+
 def _by_camera(reconstruction: Reconstruction) -> list[tuple[Camera, list[str]]]:
     """Images of each camera: the maps of one camera at a time are kept in memory."""
     groups: dict[Camera, list[str]] = {}
@@ -172,7 +208,7 @@ class _Cutter:
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
         self.output.mkdir(parents=True, exist_ok=True)
         record = {
-            "options": {**dataclasses.asdict(self.options), "mask_nadir_deg": self.mask_nadir_deg},
+            "options": _options_record(self.options, self.mask_nadir_deg),
             "made_from": {
                 image.name: f"{reconstruction.cameras[str(image.camera)]}, "
                 f"{self._mask_words(image.name)}"
@@ -181,13 +217,7 @@ class _Cutter:
         }
         record = json.loads(json.dumps(record))  # tuples become lists, as in the file
         path = self.output / RECORD_FILE
-        before = _record_before(path)
-        if before and before["options"] != record["options"]:
-            raise ValueError(
-                f"{self.output} holds a cubemap with other options; delete it or name another"
-            )
-        if not before and any(self.output.iterdir()):
-            raise ValueError(f"{self.output} holds other files; name a new or empty folder")
+        before = check_cubemap_folder(self.output, self.options, self.mask_nadir_deg)
         for face in self._stale(before.get("made_from", {}), record["made_from"], names):
             (self.output / "images" / face).unlink(missing_ok=True)
             self._mask_file(face).unlink(missing_ok=True)
