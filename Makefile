@@ -57,7 +57,7 @@ $(VENV)/.stamp-venv:
 	@touch $@
 
 $(VENV)/.stamp-install: $(VENV)/.stamp-venv $(BUILD_SOURCES)
-	@echo "Building and installing epi360 (about a minute) ..."
+	@echo "Building and installing epi360 (about three minutes of processor time) ..."
 	$(PIP) install $(EDITABLE) .
 	@touch $@
 

@@ -237,7 +237,7 @@ def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_
     assert cli.main([*words, "--faces", "front", "back", "--mask-nadir-deg", "0"]) == 0
     printed = capsys.readouterr().out
     assert "registered   6 of 7 images" in printed
-    assert "left out     zz_grey.png: no accepted pair" in printed
+    assert "not used     zz_grey.png: no accepted pair" in printed
     assert f"wrote {output / 'sparse' / '0'}" in printed
     assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
     assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()

@@ -2,9 +2,12 @@
 """`epi360 match` as a user types it."""
 
 import csv
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from documents import ROOT, text_of
 from rendered_views import NAMES, pictures, write_png, write_views
 
 from epi360.cli import FAILURE, SUCCESS, WRONG_USE, main
@@ -23,6 +26,7 @@ def test_a_folder_gives_a_table_and_a_summary(here, capsys):
     printed = capsys.readouterr().out
     assert "Pairs         1 (exhaustive)" in printed
     assert "Accepted      1" in printed
+    assert "\n1 new pair in " in printed
     assert "wrote tour-epi360/pairs.csv" in printed.replace("\\", "/")
     with (here / "tour-epi360" / "pairs.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
@@ -31,6 +35,12 @@ def test_a_folder_gives_a_table_and_a_summary(here, capsys):
     assert (row["status"], row["accepted"]) == ("ok", "yes")
     translation = [float(row[name]) for name in ("tx", "ty", "tz")]
     assert np.linalg.norm(translation) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_table_of_the_columns_names_every_one_and_no_other():
+    section = text_of(ROOT / "docs" / "conventions.md").split("## Columns of `pairs.csv`\n")[1]
+    first_columns = re.findall(r"^\| (`.+?`) \|", section.split("\n## ")[0], re.M)
+    assert tuple(re.findall(r"`(\w+)`", " ".join(first_columns))) == COLUMNS
 
 
 def test_inside_the_image_folder_the_default_output_is_beside_it(here, monkeypatch):
@@ -47,11 +57,28 @@ def test_no_pose_at_all_is_an_honest_failure(here, capsys):
     assert f"No pair       {NAMES[0]}" in printed
 
 
+@pytest.mark.parametrize(("seconds", "rate"), [(5.0, ", 0.2/s"), (60.0, "")])
+def test_a_rate_is_said_where_it_says_something(here, capsys, monkeypatch, seconds, rate):
+    times = iter([0.0, seconds])
+    monkeypatch.setattr("epi360.cli.match.time", SimpleNamespace(monotonic=lambda: next(times)))
+    assert main(["match", "tour"]) == SUCCESS
+    assert f"in {seconds} s with their features{rate}\n" in capsys.readouterr().out
+
+
+def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
+    (here / "tour" / "empty.jpg").write_bytes(b"")
+    assert main(["match", "tour"]) == SUCCESS
+    assert re.search("^Not used      empty.jpg: .+", capsys.readouterr().out, re.M)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["nowhere"], "nowhere"),
-        (["tour", "--pairs", "none.txt"], "none.txt"),
+        (
+            ["tour", "--pairs", "exaustive"],
+            "exaustive does not exist; give a pairs file, or auto, sequential or exhaustive",
+        ),
         (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
         (["tour", "--jobs", "0"], " --jobs must be at least 1, got 0"),
         (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),

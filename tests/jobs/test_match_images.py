@@ -236,7 +236,7 @@ def test_an_image_that_cannot_be_read_costs_only_its_pairs(views, tmp_path, when
     assert list(run.unreadable) == [NAMES[1]]
     assert "küche 2.png" in run.unreadable[NAMES[1]]
     assert run.unreadable[NAMES[1]] in pairs_csv(run).decode()
-    assert f"Unreadable    {NAMES[1]}" in describe_match(run)
+    assert f"Not used      {NAMES[1]}" in describe_match(run)
     assert list(load_matches(tmp_path / "out").images) == [NAMES[0], NAMES[2]]
 
 

@@ -48,10 +48,11 @@ class Mapping:
 @Parameter(name="*", group=Group("Cube faces", sort_key=4))
 @dataclass(frozen=True)
 class CubeFaces:
-    """How panoramas are cut into faces."""
+    """How panoramas and fisheye images are cut into faces."""
 
     face_size: int | None = None
-    """Pixels; by default a quarter of the panorama's width."""
+    """Pixels; by default the resolution of the image, for 90 degrees of a panorama a quarter of its
+    width."""
     fov_deg: float = 90.0
     """Field of view of a face; more than 90 makes neighbours overlap."""
     faces: Annotated[tuple[Face, ...], Parameter(consume_multiple=True, negative=())] = ALL_FACES
@@ -79,7 +80,7 @@ def map_folder(
     cubemap: Annotated[Flag, OUTPUT] = False,
     restart: Annotated[Flag, OUTPUT] = False,
 ) -> int:
-    """Map a folder of panoramas: a COLMAP model and transforms.json for nerfstudio.
+    """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
 
     Matches pairs of images, verifies them and gives them to COLMAP's mapper. A run that was stopped
     goes on where it was. Exit code 0 with a model, 1 when fewer than two images register, 2 for
@@ -93,7 +94,7 @@ def map_folder(
         Folder for the results, the same as that of epi360 match by default: what was matched there
         is used.
     cubemap
-        Also cut the panoramas into cube faces, for tools that know pinhole cameras only.
+        Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
         Throw away the pairs in the output that were made with other options.
 
@@ -141,7 +142,7 @@ def cubemap(
     mask_nadir_deg: float = 0.0,
     cube_faces: CubeFaces = CUBE_FACES,
 ) -> int:
-    """Cut the panoramas of a model into cube faces, for tools that know pinhole cameras only.
+    """Cut the panoramas and fisheye images of a model into cube faces, for pinhole-only tools.
 
     Writes images, masks, a COLMAP model and transforms.json with the poses of the faces. A run that
     was stopped goes on where it was.
@@ -223,9 +224,9 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     times = ", ".join(f"{name} {value:.1f} s" for name, value in run.seconds.items())
     lines.append(f"time         {times}" + (" (by an earlier run)" if run.was_mapped else ""))
     reasons = [*run.unregistered.items(), *images.skipped]
-    lines += [f"left out     {name}: {reason}" for name, reason in reasons[:NAMED]]
+    lines += [f"not used     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
-        lines.append(f"left out     and {len(reasons) - NAMED} more")
+        lines.append(f"not used     and {len(reasons) - NAMED} more")
     return "\n".join([*lines, *run.remarks])
 
 
@@ -250,5 +251,5 @@ def _cut(
             mask_nadir_deg=mask_nadir_deg,
             progress=progress,
         )
-    kept = f", {cube.num_kept} panoramas were there" if cube.num_kept else ""
+    kept = f", {cube.num_kept} images were there" if cube.num_kept else ""
     print(f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})")

@@ -43,7 +43,8 @@ class MatchWork:
     """Which pairs: exhaustive, sequential (neighbours by name), or a file with two names a line;
     auto: exhaustive for up to 30 images, else sequential."""
     overlap: int = 10
-    """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead."""
+    """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead; with 10,
+    image 1 is paired with 2 to 11, 21, 41 and 81."""
     max_width: int = 2048
     """Shrink wider images to this width to find key points."""
     max_features: int = 10000
@@ -105,6 +106,11 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
     """Options of `match_images` in the words of the command."""
     from epi360.jobs.matching import MatchOptions
 
+    if isinstance(work.pairs, Path) and not work.pairs.exists():
+        raise FileNotFoundError(
+            f"--pairs: {work.pairs} does not exist; give a pairs file, or auto, sequential or "
+            "exhaustive"
+        )
     with options_as_typed():
         return MatchOptions(
             pairs=work.pairs,
@@ -142,13 +148,13 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
     from epi360.report.match_table import describe_match
 
     table = write_pairs_table(run)
-    for name, reason in skipped:
-        print(f"skipped {name}: {reason}")
-    print(describe_match(run))
+    print(describe_match(run, skipped))
     num_new = len(run.verdicts) - run.num_found
     if num_new:
+        pairs = "pair" if num_new == 1 else "pairs"
         rate = num_new / max(seconds, 1e-3)
-        print(f"{num_new} new pairs in {seconds:.1f} s with their features, {rate:.1f}/s")
+        shown = f", {rate:.1f}/s" if rate >= 0.1 else ""
+        print(f"{num_new} new {pairs} in {seconds:.1f} s with their features{shown}")
     print(f"wrote {table}", flush=True)
 
 

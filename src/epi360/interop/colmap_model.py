@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.interop.colmap_model_bytes import model_files
-from epi360.interop.colmap_model_files import PIXEL, ImageEntry, PointEntry, read_model_files
+from epi360.interop.colmap_model_files import (
+    PIXEL,
+    ImageEntry,
+    PointEntry,
+    read_model_files,
+    read_rig_files,
+)
+from epi360.interop.colmap_model_rigs import poses_and_frames, rig_files
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
 from epi360.poses import pose_from_quaternion
 
@@ -27,7 +35,9 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
     Returns
     -------
     reconstruction : Reconstruction
-        Cameras are called by their id; images and points are in the order of their ids.
+        Cameras are called by their id, frames of a rig of several cameras by theirs; images and
+        points are in the order of their ids. With several rigs, cameras sit relative to the
+        reference sensor of their own one.
 
     Raises
     ------
@@ -38,13 +48,16 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
     """
     folder = Path(folder)
     cameras, images, points = read_model_files(folder)
+    rigs = read_rig_files(folder)
     try:
+        cam_from_rig, frames = poses_and_frames(*rigs)
         return Reconstruction(
             cameras,
-            tuple(_posed(image) for image in images),
+            tuple(replace(_posed(image), frame=frames.get(image.id)) for image in images),
             _positions(points),
             np.array([point.color for point in points], np.uint8).reshape(-1, 3),
             _observations(images, np.array([point.id for point in points], np.int64)),
+            cam_from_rig,
         )
     except ValueError as error:
         raise ValueError(f"COLMAP model {folder}: {error}") from None
@@ -60,8 +73,10 @@ def write_colmap_model(
     folder : str or path
         Made where it is not there; a model in it is replaced.
     reconstruction : Reconstruction
-        Every image becomes a frame of its own, every camera a rig; ids are 1, 2, ... in the order
-        of the reconstruction. Of the key points, those of its observations are written.
+        Images that share a ``frame`` become a frame of a rig where ``cam_from_rig`` has their
+        cameras and fits their poses to 1e-9; every other image is a frame of its own, every other
+        camera a rig. A frame whose name is a number has it as its id; other ids are 1, 2, ... in
+        the order of the reconstruction. Of the key points, those of its observations are written.
     text : bool
         Write .txt in place of .bin.
 
@@ -69,7 +84,8 @@ def write_colmap_model(
     ------
     ValueError
         If there is no image, an image has no camera or pose or, for text, a name with a space,
-        COLMAP lacks the model of a camera, or the folder has a model of the other kind.
+        COLMAP lacks the model of a camera, a frame has two images of one camera, or the folder has
+        a model of the other kind.
     OSError
         If the folder cannot be written.
     """
@@ -78,6 +94,8 @@ def write_colmap_model(
     if (folder / f"images.{other}").exists():
         raise ValueError(f"folder {folder} has a COLMAP model in .{other} already; take another")
     files = model_files(reconstruction, text=text)
+    if reconstruction.cam_from_rig:
+        files |= rig_files(reconstruction, text=text)
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".model-", dir=folder) as temporary:
         for name, data in files.items():

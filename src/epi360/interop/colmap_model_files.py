@@ -10,7 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, load_cameras
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number, num_parameters
+from epi360.interop.colmap_rigs import CAMERA
 
 PIXEL = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])  # point -1: none
 T = TypeVar("T")
@@ -46,7 +47,26 @@ class PointEntry:
     color: tuple[int, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class RigEntry:
+    """A rig of a model: quaternion and translation of each camera, None where it has no pose."""
+
+    id: int
+    cam_from_rig: dict[str, tuple[float, ...] | None]
+
+
+@dataclass(frozen=True)
+class FrameEntry:
+    """A frame of a model: ids of itself, its rig and its images."""
+
+    id: int
+    rig_id: int
+    image_ids: tuple[int, ...]
+
+
 Entry = TypeVar("Entry", ImageEntry, PointEntry)
+AT_ORIGIN = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of the reference sensor
+SENSOR_TYPES = {"CAMERA": "0", "IMU": "1"}
 
 
 def read_model_files(folder: Path) -> tuple[dict[str, Camera], list[ImageEntry], list[PointEntry]]:
@@ -73,6 +93,31 @@ def read_model_files(folder: Path) -> tuple[dict[str, Camera], list[ImageEntry],
         cameras = load_cameras(paths[0])
         images, points = _used(_images_of_text, paths[1]), _used(_points_of_text, paths[2])
     return cameras, images, points
+
+
+def read_rig_files(folder: Path) -> tuple[list[RigEntry], list[FrameEntry]]:
+    """Rigs and frames of a folder, none of either where one of the files is missing.
+
+    Parameters
+    ----------
+    folder : path
+        Of a model.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or no model in it.
+    ValueError
+        If a file is damaged.
+    """
+    kind = _kind(folder)
+    paths = [folder / f"{name}.{kind}" for name in ("rigs", "frames")]
+    if not all(path.is_file() for path in paths):
+        return [], []
+    return (
+        _used(lambda data: _entries(data, kind, _rig), paths[0]),
+        _used(lambda data: _entries(data, kind, _frame), paths[1]),
+    )
 
 
 def _used(read: Callable[[bytes], T], path: Path) -> T:
@@ -136,6 +181,52 @@ class _Cursor:
     def check_is_at_end(self) -> None:
         if self._position < len(self._data):
             raise ValueError(f"it goes on after {self._position} of {len(self._data)} bytes")
+
+
+class _Words:
+    """Words of a line, read like the bytes of a cursor."""
+
+    def __init__(self, line: str) -> None:
+        self._words = iter([SENSOR_TYPES.get(word, word) for word in line.split()])
+
+    def values(self, layout: str) -> tuple[Any, ...]:
+        convert, count = (float, 7) if layout == "7d" else (int, len(layout))
+        words = list(islice(self._words, count))
+        if len(words) < count:
+            raise ValueError("a line is truncated")
+        return tuple(convert(word) for word in words)
+
+
+def _rig(source: _Cursor | _Words) -> RigEntry:
+    rig_id, num_sensors = source.values("II")
+    cameras: dict[str, tuple[float, ...] | None] = {}
+    for index in range(num_sensors):
+        kind, sensor_id = source.values("iI")
+        pose: tuple[float, ...] | None = AT_ORIGIN
+        if index:
+            (has_pose,) = source.values("B")
+            pose = source.values("7d") if has_pose else None
+        if kind == CAMERA:
+            cameras[str(sensor_id)] = pose
+    return RigEntry(rig_id, cameras)
+
+
+def _frame(source: _Cursor | _Words) -> FrameEntry:
+    frame_id, rig_id = source.values("II")
+    source.values("7d")  # the images have poses of their own
+    (count,) = source.values("I")
+    data = [source.values("iI") + source.values("Q") for _ in range(count)]
+    return FrameEntry(frame_id, rig_id, tuple(image for kind, _, image in data if kind == CAMERA))
+
+
+def _entries(data: bytes, kind: str, read: Callable[[_Cursor | _Words], T]) -> list[T]:
+    if kind == "txt":
+        lines = data.decode("utf-8").splitlines()
+        return [read(_Words(line)) for line in lines if line.strip() and not line.startswith("#")]
+    cursor = _Cursor(data)
+    entries = [read(cursor) for _ in range(cursor.count())]
+    cursor.check_is_at_end()
+    return entries
 
 
 def _cameras_of_bytes(data: bytes) -> dict[str, Camera]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rigs and frames of COLMAP databases: which images were taken at one moment, by which cameras.
+"""Rigs and frames of COLMAP: which images were taken at one moment, by which cameras.
 
 COLMAP 4 maps frames, each of one rig: a camera alone is a rig of one sensor, and each of its images
 a frame. A rig's frame is that of its reference sensor.
@@ -8,16 +8,80 @@ a frame. A rig's frame is that of its reference sensor.
 from __future__ import annotations
 
 from collections import defaultdict
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from epi360.extras import extra_library
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.match_graph import MatchedImage, MatchGraph
+from epi360.interop.match_graph import MatchGraph
 from epi360.poses import Pose, pose_from_quaternion
 
-CAMERA = 0  # SensorType of the tables
+CAMERA = 0  # SensorType of the tables and of binary files
+
+
+class _Shot(Protocol):
+    """What a matched and a posed image share."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def camera(self) -> str | None: ...
+    @property
+    def frame(self) -> str | None: ...
+
+
+Shot = TypeVar("Shot", bound=_Shot)
+
+
+def frames_of_images(images: Iterable[Shot], cam_from_rig: Mapping[str, Pose]) -> list[list[Shot]]:
+    """Images of each frame, in the order of their first images.
+
+    Parameters
+    ----------
+    images : iterable of MatchedImage or PosedImage
+        One whose camera is on no rig is alone.
+    cam_from_rig : mapping of str to Pose
+        By the camera's key.
+
+    Raises
+    ------
+    ValueError
+        If a frame has two images of one camera.
+    """
+    frames: dict[tuple[str, str | None], list[Shot]] = defaultdict(list)
+    for image in images:
+        shares = image.frame is not None and image.camera in cam_from_rig
+        frames[("frame", image.frame) if shares else ("image", image.name)].append(image)
+    for shots in frames.values():
+        if len({image.camera for image in shots}) < len(shots):
+            raise ValueError(f"frame {shots[0].frame!r} must have one image a camera")
+    return list(frames.values())
+
+
+def cameras_of_rigs(
+    cameras: Iterable[str], frames: Iterable[list[Shot]], cam_from_rig: Mapping[str, Pose]
+) -> list[list[str]]:
+    """Cameras of each rig, its reference first: joined by frames, directly or over others.
+
+    Parameters
+    ----------
+    cameras : iterable of str
+        Keys of all.
+    frames : iterable of list of MatchedImage or PosedImage
+        Of `frames_of_images`.
+    cam_from_rig : mapping of str to Pose
+        The first one of a rig is its reference.
+    """
+    joined = {name: {name} for name in cameras}
+    for images in frames:
+        together = set.union(*(joined[str(image.camera)] for image in images))
+        for name in together:
+            joined[name] = together
+    order = {name: rank for rank, name in enumerate(cam_from_rig)}
+    rigs = {id(rig): rig for rig in joined.values()}
+    return [sorted(rig, key=lambda name: order.get(name, 0)) for rig in rigs.values()]
 
 
 def write_rigs(database: Any, graph: MatchGraph, camera_ids: dict[str, int]) -> dict[str, int]:
@@ -38,18 +102,16 @@ def write_rigs(database: Any, graph: MatchGraph, camera_ids: dict[str, int]) -> 
         Rig of each camera.
     """
     pycolmap = _pycolmap()
-    order = list(graph.cam_from_rig)
+    frames = frames_of_images(graph.images.values(), graph.cam_from_rig)
     rig_ids: dict[str, int] = {}
-    for name, shared in _cameras_by_rig(graph).items():
-        if name in rig_ids:
-            continue
-        reference, *others = sorted(shared, key=order.index) if len(shared) > 1 else [name]
+    for cameras in cameras_of_rigs(graph.cameras, frames, graph.cam_from_rig):
+        reference, *others = cameras
         rig = pycolmap.Rig()
         rig.add_ref_sensor(_sensor(camera_ids[reference]))
         for other in others:
             pose = graph.cam_from_rig[other] @ graph.cam_from_rig[reference].inverse()
             rig.add_sensor(_sensor(camera_ids[other]), pycolmap.Rigid3d(pose.matrix()[:3]))
-        rig_ids |= dict.fromkeys(shared, database.write_rig(rig))
+        rig_ids |= dict.fromkeys(cameras, database.write_rig(rig))
     return rig_ids
 
 
@@ -77,10 +139,8 @@ def write_frames(
         If a frame has two images of one camera.
     """
     pycolmap = _pycolmap()
-    for images in _frames(graph):
+    for images in frames_of_images(graph.images.values(), graph.cam_from_rig):
         cameras = [str(image.camera) for image in images]
-        if len(set(cameras)) < len(cameras):
-            raise ValueError(f"frame {images[0].frame!r} must have one image a camera")
         frame = pycolmap.Frame()
         frame.rig_id = rig_ids[cameras[0]]
         for image, camera in zip(images, cameras, strict=True):
@@ -138,25 +198,6 @@ def _pose(pairs: ColmapPairs, camera_id: int, blob: bytes | None) -> Pose:
     if not (np.isfinite(numbers).all() and numbers[:4].any()):
         raise pairs.error(f"{what} must be a quaternion and a translation, got {numbers.tolist()}")
     return pose_from_quaternion(numbers[4:], numbers[:4] / np.linalg.norm(numbers[:4]))
-
-
-def _frames(graph: MatchGraph) -> list[list[MatchedImage]]:
-    """Images of each frame; those of a camera that is on no rig are alone."""
-    frames: dict[tuple[str, str | None], list[MatchedImage]] = defaultdict(list)
-    for image in graph.images.values():
-        shares = image.frame is not None and image.camera in graph.cam_from_rig
-        frames[("frame", image.frame) if shares else ("image", image.name)].append(image)
-    return list(frames.values())
-
-
-def _cameras_by_rig(graph: MatchGraph) -> dict[str, set[str]]:
-    """Cameras that are on the rig of each camera: joined by frames, directly or over others."""
-    joined = {name: {name} for name in graph.cameras}
-    for images in _frames(graph):
-        cameras = set.union(*(joined[str(image.camera)] for image in images))
-        for camera in cameras:
-            joined[camera] = cameras
-    return joined
 
 
 def _sensor(camera_id: int) -> Any:

@@ -11,6 +11,7 @@ from pathlib import Path
 from epi360.cameras import Camera
 from epi360.interop.colmap_database import read_colmap_database, write_colmap_database
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
+from epi360.interop.colmap_model_rigs import keeps_rigs
 from epi360.interop.formats import FORMATS
 from epi360.interop.hloc import read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
@@ -20,6 +21,7 @@ from epi360.interop.reconstruction import Reconstruction
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
 
 PathLike = str | os.PathLike[str]
+COLMAP_MODELS = "colmap", "colmap-text"
 
 
 def read_reconstruction(path: PathLike, name: str, *, images: str = "images") -> Reconstruction:
@@ -43,7 +45,7 @@ def read_reconstruction(path: PathLike, name: str, *, images: str = "images") ->
     ValueError, FileNotFoundError, ImportError
         As the reader of the format.
     """
-    if name in ("colmap", "colmap-text"):
+    if name in COLMAP_MODELS:
         return read_colmap_model(path)
     if name == "opensfm":
         return read_opensfm(path)
@@ -73,7 +75,7 @@ def write_reconstruction(
     ValueError, OSError, ImportError
         As the writer of the format.
     """
-    if name in ("colmap", "colmap-text"):
+    if name in COLMAP_MODELS:
         write_colmap_model(path, reconstruction, text=name == "colmap-text")
     elif name == "opensfm":
         write_opensfm(path, reconstruction)
@@ -212,6 +214,8 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
             "points": len(content.points) > 0,
             "observations": seen is not None and len(seen.points) > 0,
             "time stamps": any(image.timestamp_s is not None for image in content.images),
+            "rigs": bool(content.cam_from_rig) and name not in COLMAP_MODELS,
+            "parts of rigs": name in COLMAP_MODELS and not keeps_rigs(content),
         }
     else:
         there = {

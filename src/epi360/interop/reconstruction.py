@@ -27,12 +27,15 @@ class PosedImage:
         Camera axes x right, y down, z forward.
     timestamp_s : float, optional
         Seconds; None where the file does not say.
+    frame : str or None
+        Images of a rig that share a frame were taken at one moment; None: a frame of its own.
     """
 
     name: str
     camera: str | None
     cam_from_world: Pose
     timestamp_s: float | None = None
+    frame: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,8 @@ class Reconstruction:
         RGB of the points.
     observations : Observations, optional
         None where the file has none.
+    cam_from_rig : mapping of str to Pose
+        Where each camera sits on its rig; empty: no rig, every image is a frame of its own.
 
     Raises
     ------
@@ -83,6 +88,7 @@ class Reconstruction:
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
     observations: Observations | None = None
+    cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check that the parts fit together."""

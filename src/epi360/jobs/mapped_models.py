@@ -85,7 +85,8 @@ def _with_given_cameras(model: Reconstruction, graph: MatchGraph) -> Reconstruct
     images = tuple(
         replace(image, camera=given[int(str(image.camera))][0]) for image in model.images
     )
-    return replace(model, cameras=cameras, images=images)
+    rig = {given[int(number)][0]: pose for number, pose in model.cam_from_rig.items()}
+    return replace(model, cameras=cameras, images=images, cam_from_rig=rig)
 
 
 def write_transforms(

@@ -7,6 +7,7 @@ import csv
 import io
 import textwrap
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -63,13 +64,15 @@ def pairs_csv(run: MatchRun) -> bytes:
     return text.getvalue().encode()
 
 
-def describe_match(run: MatchRun) -> str:
+def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> str:
     """Lines that tell a person how many pairs have a pose, and why others have none.
 
     Parameters
     ----------
     run : MatchRun
         What was found.
+    skipped : sequence of (str, str)
+        Images that were not in the run and why, of `ImageSet`.
 
     Returns
     -------
@@ -92,9 +95,8 @@ def describe_match(run: MatchRun) -> str:
         if not verdict.accepted
     )
     rows += [("Rejected", f"{count} {status}") for status, count in counts.most_common()]
-    rows += _listed(
-        "Unreadable", [f"{name}: {why}" for name, why in sorted(run.unreadable.items())]
-    )
+    not_used = sorted([*run.unreadable.items(), *skipped])
+    rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used])
     paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
     rows += _listed("No pair", [name for name in run.images if name not in paired])
     return "\n".join(_wrapped(label, value) for label, value in rows)
