@@ -118,3 +118,10 @@ def test_a_figure_of_an_unknown_format_is_refused_with_those_that_are_known():
     check_figure_name("a.PNG")
     with pytest.raises(ValueError, match=r"--figure must end in one of \.png.*, got 'a\.gif'"):
         check_figure_name("a.gif", name="--figure")
+
+
+def test_a_file_that_cannot_be_written_is_named_as_it_was_asked_for(tmp_path):
+    path = tmp_path / "missing" / "out.bin"
+    with pytest.raises(FileNotFoundError) as caught:
+        write_file(path, b"data")
+    assert caught.value.filename == str(path)
