@@ -3,6 +3,7 @@ import json
 import shutil
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ from epi360.interop import (  # noqa: E402
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
-from epi360.jobs.colmap_mapper import MapperOptions, run_mapper  # noqa: E402
+from epi360.jobs.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
 from epi360.jobs.image_set import ImageSet, SourceImage, find_images  # noqa: E402
 from epi360.jobs.mapped_models import MappedModel, write_transforms  # noqa: E402
 from epi360.jobs.mapping import MapOptions, MapRun, map_images  # noqa: E402
@@ -220,6 +221,16 @@ def test_the_cameras_of_a_rig_stay_where_they_are_and_give_the_scale(tmp_path, m
     step = (found[last] @ found[first].inverse()).translation
     true = (poses[last] @ poses[first].inverse()).translation
     assert np.linalg.norm(step) == pytest.approx(np.linalg.norm(true), rel=scale_error)
+
+
+def test_models_within_a_larger_one_and_single_images_are_dropped():
+    def model(*images):
+        return SimpleNamespace(
+            reg_image_ids=lambda: list(images), num_reg_images=lambda: len(images), images=images
+        )
+
+    found = (model(2, 3), model(1, 2, 3), model(3, 4), model(5), model(4, 3))
+    assert [each.images for each in _distinct(found)] == [(1, 2, 3), (3, 4)]
 
 
 def test_two_images_are_enough(room_folder, tmp_path):

@@ -21,7 +21,9 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,7 @@ __all__ = [
     "open_colmap_database",
     "read_colmap_database",
     "two_view_geometry_to_colmap",
+    "whole_database",
     "write_colmap_database",
 ]
 
@@ -165,21 +168,53 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
     if not os.access(path.parent, os.W_OK):  # COLMAP does not say why it fails
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     pycolmap = _pycolmap()
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         # Without pycolmap.DatabaseTransaction: where its commit fails, on a full disk, the process
         # is ended. A hundred thousand pairs take eight seconds with it and without.
-        with pycolmap.Database.open(temporary) as database:
+        with whole_database(path) as temporary, pycolmap.Database.open(temporary) as database:
             _write(database, graph)
-        if Path(f"{temporary}-wal").exists():
-            raise RuntimeError("what was written is not all in the file after it was closed")
-        os.replace(temporary, path)
-    except RuntimeError as error:
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or error
         raise OSError(
-            f"COLMAP database {path} cannot be written, is there room on the disk? {error}"
+            f"COLMAP database {path} cannot be written, is there room on the disk? {reason}"
         ) from None
+
+
+@contextmanager
+def whole_database(path: Path) -> Iterator[Path]:
+    """File beside a database, which takes its place if all that was written is in it.
+
+    Parameters
+    ----------
+    path : Path
+        Replaced where it is there.
+
+    Yields
+    ------
+    temporary : Path
+        To be written and closed.
+
+    Raises
+    ------
+    OSError
+        If the file is not whole or cannot be renamed; then there is none.
+    """
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        yield temporary
+        # On a full disk SQLite leaves the rest in this file when it closes, without a word.
+        log = Path(f"{temporary}-wal")
+        if log.exists() and log.stat().st_size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        try:
+            ColmapTables(temporary).close()
+        except ValueError as error:
+            raise OSError(str(error)) from None
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
     finally:
-        for end in ("", "-wal", "-shm"):
+        for end in ("", "-journal", "-wal", "-shm"):
             Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 

@@ -93,9 +93,7 @@ def write_colmap_model(
     other = "bin" if text else "txt"
     if (folder / f"images.{other}").exists():
         raise ValueError(f"folder {folder} has a COLMAP model in .{other} already; take another")
-    files = model_files(reconstruction, text=text)
-    if reconstruction.cam_from_rig:
-        files |= rig_files(reconstruction, text=text)
+    files = model_files(reconstruction, text=text) | rig_files(reconstruction, text=text)
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(prefix=".model-", dir=folder) as temporary:
         for name, data in files.items():

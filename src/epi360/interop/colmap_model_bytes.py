@@ -19,7 +19,6 @@ from epi360.interop.checks import known_camera, known_pose
 from epi360.interop.colmap_model_files import PIXEL
 from epi360.interop.reconstruction import Observations, Reconstruction
 
-CAMERA = 0  # SensorType of binary files
 UNKNOWN_ERROR = -1.0  # of a point, in pixels
 
 
@@ -52,7 +51,7 @@ Parts = tuple[list[_Camera], list[_Image], list[_Point]]
 
 
 def model_files(reconstruction: Reconstruction, *, text: bool) -> dict[str, bytes]:
-    """Content of each file of a model, by its name.
+    """Content of each file of a model but rigs and frames, by its name.
 
     Parameters
     ----------
@@ -121,18 +120,12 @@ def _points(
 
 
 def _binary(cameras: list[_Camera], images: list[_Image], points: list[_Point]) -> dict[str, bytes]:
-    """Files without their ending; a camera is a rig, an image a frame, with the same id."""
+    """Files without their ending."""
     contents = {
         "cameras": [
             struct.pack("<IiQQ", camera.id, MODELS_BY_NUMBER.index(camera.model), *camera.size)
             + struct.pack(f"<{len(camera.parameters)}d", *camera.parameters)
             for camera in cameras
-        ],
-        "rigs": [struct.pack("<IIiI", camera.id, 1, CAMERA, camera.id) for camera in cameras],
-        "frames": [
-            struct.pack("<II7dI", image.id, image.camera_id, *image.pose, 1)
-            + struct.pack("<iIQ", CAMERA, image.camera_id, image.id)
-            for image in images
         ],
         "images": [
             struct.pack("<I7dI", image.id, *image.pose, image.camera_id)
@@ -165,14 +158,6 @@ def _text(
                 _line(camera.id, camera.model, *camera.size, *camera.parameters)
                 for camera in cameras
             ),
-        ],
-        "rigs": [
-            "# RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID\n",
-            *(_line(camera.id, 1, "CAMERA", camera.id) for camera in cameras),
-        ],
-        "frames": [
-            "# FRAME_ID RIG_ID QW QX QY QZ TX TY TZ NUM_DATA SENSOR_TYPE SENSOR_ID DATA_ID\n",
-            *(_line(i.id, i.camera_id, *i.pose, 1, "CAMERA", i.camera_id, i.id) for i in images),
         ],
         "images": [
             "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as X Y POINT3D_ID\n",

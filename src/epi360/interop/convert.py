@@ -214,7 +214,7 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
             "points": len(content.points) > 0,
             "observations": seen is not None and len(seen.points) > 0,
             "time stamps": any(image.timestamp_s is not None for image in content.images),
-            "rigs": bool(content.cam_from_rig) and name not in COLMAP_MODELS,
+            "rigs": bool(content.cam_from_rig),
             "parts of rigs": name in COLMAP_MODELS and not keeps_rigs(content),
         }
     else:

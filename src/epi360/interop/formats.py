@@ -30,13 +30,10 @@ class Format:
     keeps: frozenset[str]
 
 
+_COLMAP_MODEL = frozenset(("cameras", "points", "observations", "rigs"))
 FORMATS = {
-    "colmap": Format(
-        "COLMAP model", "reconstruction", frozenset(("cameras", "points", "observations"))
-    ),
-    "colmap-text": Format(
-        "COLMAP model, text", "reconstruction", frozenset(("cameras", "points", "observations"))
-    ),
+    "colmap": Format("COLMAP model", "reconstruction", _COLMAP_MODEL),
+    "colmap-text": Format("COLMAP model, text", "reconstruction", _COLMAP_MODEL),
     "opensfm": Format(
         "OpenSfM reconstruction", "reconstruction", frozenset(("cameras", "points", "time stamps"))
     ),

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +68,8 @@ def run_mapper(
     Returns
     -------
     models : list of pycolmap.Reconstruction
-        Those in which at least two images have a pose; possibly none.
+        Those in which at least two images have a pose that are not all in a larger one; possibly
+        none.
 
     Raises
     ------
@@ -96,10 +97,22 @@ def run_mapper(
                 *paths, _incremental_options(pycolmap, options), next_image_callback=one_more
             )
     progress(STAGE, num_images, num_images)
-    models = [model for _, model in sorted(found.items()) if model.num_reg_images() > 1]
+    models = _distinct(model for _, model in sorted(found.items()))
     for model in models:
         _color_points(model, colors)
-    return sorted(models, key=lambda model: model.num_reg_images(), reverse=True)
+    return models
+
+
+def _distinct(models: Iterable[Any]) -> list[Any]:
+    """Models of two images or more, the largest first, without those that lie within another."""
+    kept: list[Any] = []
+    images: list[set[int]] = []
+    for model in sorted(models, key=lambda model: model.num_reg_images(), reverse=True):
+        own = set(model.reg_image_ids())
+        if len(own) > 1 and not any(own <= other for other in images):
+            kept.append(model)
+            images.append(own)
+    return kept
 
 
 def _color_points(model: Any, colors: Mapping[str, NDArray[np.uint8]]) -> None:

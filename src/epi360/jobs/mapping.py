@@ -239,8 +239,7 @@ def _map(
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
     write_colmap_database(output / DATABASE, graph)
-    colors = load_colors(output)
-    found = _distinct(run_mapper(output / DATABASE, options, colors=colors, progress=progress))
+    found = run_mapper(output / DATABASE, options, colors=load_colors(output), progress=progress)
     temporary = output / f".{MODELS}.{os.getpid()}.tmp"
     try:
         for number, model in enumerate(found):
@@ -258,18 +257,6 @@ def _map(
     }
     write_file(output / RECORD, json.dumps(record, indent=1).encode())
     return record
-
-
-def _distinct(models: list[Any]) -> list[Any]:
-    """Models without those whose images are all in a larger one: COLMAP may try a start twice."""
-    kept: list[Any] = []
-    names: list[set[str]] = []
-    for model in models:
-        own = {model.images[number].name for number in model.reg_image_ids()}
-        if not any(own <= other for other in names):
-            kept.append(model)
-            names.append(own)
-    return kept
 
 
 def _reasons(

@@ -124,9 +124,8 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
-    write_file(
-        folder / MARKER, json_bytes(wanted)
-    )  # before all else: a folder with more is not ours
+    # Before all else: a folder with more is not ours.
+    write_file(folder / MARKER, json_bytes(wanted))
     for part in (FEATURES, PAIRS):
         (folder / part).mkdir(exist_ok=True)
 

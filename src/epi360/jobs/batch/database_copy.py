@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from epi360.interop.colmap_database import open_colmap_database, two_view_geometry_to_colmap
+from epi360.interop.colmap_database import (
+    open_colmap_database,
+    two_view_geometry_to_colmap,
+    whole_database,
+)
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import TwoViewGeometry
 from epi360.jobs.batch import storage
 from epi360.jobs.batch.job import BatchJob
@@ -43,21 +43,13 @@ def write_database_copy(job: BatchJob, path: str, num_parts: int) -> None:
     """
     storage.remove_leftovers(path)
     target = storage.local_path(path)
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with ColmapPairs(job.source.path) as pairs:
+        with whole_database(target) as temporary, ColmapPairs(job.source.path) as pairs:
             _copy(pairs.path, temporary)
             _write_geometries(job, pairs, temporary, num_parts)
-        _check_is_whole(temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OSError(f"COLMAP database {path} cannot be written: {reason}") from None
-    finally:
-        for end in ("", "-journal", "-wal", "-shm"):
-            Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -65,18 +57,6 @@ def _copy(source: Path, target: Path) -> None:
     for end in ("", "-wal", "-journal"):
         if Path(f"{source}{end}").exists():
             shutil.copyfile(f"{source}{end}", f"{target}{end}")
-
-
-def _check_is_whole(path: Path) -> None:
-    """Raise unless all that was written is in the file.
-
-    Where the disk is full, SQLite leaves it in the second file when it closes, without a word.
-    """
-    log = Path(f"{path}-wal")
-    if log.exists() and log.stat().st_size:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with ColmapTables(path):
-        pass
 
 
 def _write_geometries(job: BatchJob, pairs: ColmapPairs, path: Path, num_parts: int) -> None:
