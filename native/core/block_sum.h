@@ -3,8 +3,8 @@
 
 #include <cstddef>
 
-#include "matches.h"
-#include "multiversion.h"
+#include "core/matches.h"
+#include "core/multiversion.h"
 
 namespace epi360 {
 
