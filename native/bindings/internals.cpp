@@ -4,6 +4,11 @@
 
 namespace epi360 {
 
-void bind_internals(nb::module_& m) { nb::module_ internals = m.def_submodule("internals"); }
+void bind_testimony(nb::module_& m);  // testimony.cpp
+
+void bind_internals(nb::module_& m) {
+  nb::module_ internals = m.def_submodule("internals");
+  bind_testimony(internals);
+}
 
 }  // namespace epi360

@@ -22,6 +22,7 @@ struct Pair {
   std::optional<Weights> weights, scores;
   std::optional<Jacobians> jacobians1, jacobians2;
   std::optional<Vector3> gravity1, gravity2;
+  double gravity_sigma, elevation_sigma;
   std::uint64_t seed;
   double max_noise;
 
@@ -41,6 +42,8 @@ struct Pair {
                           pointer(jacobians2),
                           gravity1 ? gravity1->data() : nullptr,
                           gravity2 ? gravity2->data() : nullptr,
+                          gravity_sigma,
+                          elevation_sigma,
                           seed,
                           max_noise};
     if (!is_long_enough) throw nb::value_error("all arrays of a pair must have the same length");
@@ -85,6 +88,16 @@ void bind_result(nb::module_& m) {
                    [](const PairResult& r) { return vector(r.robust.cam2_from_cam1.t); })
       .def_prop_ro("scale", [](const PairResult& r) { return r.robust.scale; })
       .def_prop_ro("threshold", [](const PairResult& r) { return r.robust.threshold; })
+      .def_prop_ro("probability", [](const PairResult& r) { return r.robust.probability; })
+      .def_prop_ro("log_ratio", [](const PairResult& r) { return r.robust.evidence.log_ratio; })
+      .def_prop_ro("regional_sigma",
+                   [](const PairResult& r) { return r.robust.evidence.regional_sigma; })
+      .def_prop_ro("direction_sigma",
+                   [](const PairResult& r) { return r.robust.evidence.direction_sigma; })
+      .def_prop_ro("rotation_sigma",
+                   [](const PairResult& r) { return r.robust.evidence.rotation_sigma; })
+      .def_prop_ro("rotation_rejection",
+                   [](const PairResult& r) { return r.robust.evidence.rotation_rejection; })
       .def_prop_ro("parallax", [](const PairResult& r) { return r.robust.parallax; })
       .def_prop_ro("coverage", [](const PairResult& r) { return r.robust.evidence.coverage; })
       .def_prop_ro("num_iterations", [](const PairResult& r) { return r.robust.num_iterations; })
@@ -132,14 +145,16 @@ void bind_robust(nb::module_& m) {
       [](Pair* pair, Bearings bearings1, Bearings bearings2, std::optional<Weights> weights,
          std::optional<Weights> scores, std::optional<Jacobians> jacobians1,
          std::optional<Jacobians> jacobians2, std::optional<Vector3> gravity1,
-         std::optional<Vector3> gravity2, std::uint64_t seed, double max_noise) {
+         std::optional<Vector3> gravity2, double gravity_sigma, double elevation_sigma,
+         std::uint64_t seed, double max_noise) {
         new (pair) Pair{bearings1,  bearings2, weights,  scores, jacobians1,
-                        jacobians2, gravity1,  gravity2, seed,   max_noise};
+                        jacobians2, gravity1,  gravity2, gravity_sigma, elevation_sigma, seed, max_noise};
       },
       "bearings1"_a, "bearings2"_a, nb::kw_only(), "weights"_a.none() = nb::none(),
       "scores"_a.none() = nb::none(), "jacobians1"_a.none() = nb::none(),
       "jacobians2"_a.none() = nb::none(), "gravity1"_a.none() = nb::none(),
-      "gravity2"_a.none() = nb::none(), "seed"_a = 0, "max_noise"_a = 0.0);
+      "gravity2"_a.none() = nb::none(), "gravity_sigma"_a = 0.0, "elevation_sigma"_a = 0.0,
+      "seed"_a = 0, "max_noise"_a = 0.0);
   m.def("estimate_relative_poses", &estimate, "pairs"_a, nb::kw_only(), "residual"_a, "threshold"_a,
         "threshold_in_pixels"_a, "sample_size"_a, "min_iterations"_a, "max_iterations"_a,
         "confidence"_a, "min_num_inliers"_a, "num_threads"_a);

@@ -57,11 +57,21 @@ class Pair:
         jacobians2: _Array | None = None,
         gravity1: _Array | None = None,
         gravity2: _Array | None = None,
+        gravity_sigma: float = 0.0,  # radians, as is the next; 0 is any elevation
+        elevation_sigma: float = 0.0,
         seed: int = 0,
         max_noise: float = 0.0,  # radians; 0 is no limit
     ) -> None: ...
 
 class PairResult:  # angles in radians; the arrays are views
+    @property
+    def probability(self) -> float: ...
+    @property
+    def log_ratio(self) -> float: ...
+    @property
+    def regional_sigma(self) -> float: ...
+    @property
+    def rotation_rejection(self) -> float: ...
     @property
     def status(self) -> Status: ...
     @property

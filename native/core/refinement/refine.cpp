@@ -28,7 +28,7 @@ MixturePass pass_over(const Matches& m, const Linearisation& at) {
 }
 
 // Weights of all matches and what they cost together; the user's weights multiply both.
-void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
+void weigh_matches(const Matches& m, const LossModel& loss, Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
     at.sums = mixture_pass(pass_over(m, at), loss, at.weights.data());
     at.objective = -at.sums.log_likelihood;
@@ -44,6 +44,14 @@ void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
     at.weights[i] = m.weight[i] * value.weight;
     at.objective += m.weight[i] * value.cost;
   }
+}
+
+// The same, with what the prior costs in the unit of the loss.
+void weigh(const Matches& m, const RefineOptions& options, const LossModel& loss,
+           const RelativePose& pose, Linearisation& at) {
+  weigh_matches(m, loss, at);
+  const double unit = loss.loss == Loss::kMixture ? 1.0 : 2.0 * loss.scale * loss.scale;
+  if (options.prior.has_gravity) at.objective += unit * options.prior.cost(pose);
 }
 
 // Maximisation step for scale and shares.
@@ -72,7 +80,7 @@ void linearise(const Matches& m, const RefineOptions& options, const LossModel& 
   const double tolerance = options.use_depths ? depth_tolerance(loss.scale) : 1e300;
   compute_jacobians(m, options.residual, plain(pose), basis.data(), tolerance, at.residuals.data(),
                     at.in_front.data(), at.jacobian.data());
-  weigh(m, loss, at);
+  weigh(m, options, loss, pose, at);
 }
 
 }  // namespace
@@ -110,7 +118,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   linearise(m, options, result.loss, result.cam2_from_cam1, w.current);
   if (adaptive) {  // the start's mixture may come from other residuals
     update_mixture(w.current.sums, options, result.loss);
-    weigh(m, result.loss, w.current);
+    weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
   }
   double damping = 1e-4;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
@@ -118,8 +126,10 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     Vector5 gradient;
     accumulate_normal_equations(m.padded, w.current.jacobian.data(), w.current.residuals.data(),
                                 w.current.weights.data(), upper, gradient.data());
-    const Matrix5 hessian = symmetric(upper);
+    Matrix5 hessian = symmetric(upper);
     const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.cam2_from_cam1.t);
+    options.prior.accumulate(result.cam2_from_cam1, basis, result.loss.scale * result.loss.scale,
+                             hessian, gradient);
     // Pose and mixture step from one set of posterior probabilities (expectation conditional
     // maximisation); together they may only become more likely.
     const bool updated = adaptive;
@@ -152,7 +162,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
         accepted = true;
         damping = std::max(damping * 0.1, 1e-9);
       } else if (!fresh) {  // limits on the shares can make the new mixture the less likely one
-        weigh(m, result.loss, w.current);
+        weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
         fresh = true;
         if (w.trial.objective >= w.current.objective) damping *= 10.0;
       } else {
@@ -163,7 +173,9 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     result.converged = !accepted || step.norm() < options.step_tolerance;
     if (result.converged) break;
   }
-  if (options.loss.loss == Loss::kMixture) weigh(m, result.loss, w.current);
+  if (options.loss.loss == Loss::kMixture) {
+    weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
+  }
   result.cost = w.current.objective;
   if (options.loss.loss == Loss::kMixture)
     result.cost *= 2.0 * result.loss.scale * result.loss.scale;

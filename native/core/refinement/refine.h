@@ -7,6 +7,7 @@
 #include "core/constants.h"
 #include "core/matches.h"
 #include "core/pose.h"
+#include "core/refinement/pose_prior.h"
 #include "core/refinement/loss.h"
 #include "core/refinement/mixture.h"
 #include "core/residuals/residuals.h"
@@ -31,6 +32,7 @@ inline Eigen::Matrix<double, 5, 5> symmetric(const double* upper) {
 struct RefineOptions {
   Residual residual = Residual::kSampson;
   LossModel loss;
+  PosePrior prior;
   bool use_depths = false;  // a match behind a camera is an outlier (bounded losses only)
   double smallest_scale = kSmallestScale;
   double largest_scale = 0.06;  // radians: with more noise than that nothing is an outlier

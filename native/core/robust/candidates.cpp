@@ -30,7 +30,8 @@ double gate_of(const LossModel& mixture) {
   return low * mixture.scale;
 }
 
-Candidates::Candidates(const Matches& m, Residual residual) : m_(m), residual_(residual) {
+Candidates::Candidates(const Matches& m, Residual residual, const PosePrior& prior)
+    : m_(m), residual_(residual), prior_(prior) {
   workspace_.resize(m.padded);
 }
 
@@ -58,6 +59,7 @@ RefineResult Candidates::local(const RelativePose& pose, const LossModel& start,
                                double sigma_tolerance, bool use_depths) {
   RefineOptions options;
   options.residual = residual_;
+  options.prior = prior_;
   options.loss = start;
   options.use_depths = use_depths;
   options.max_iterations = max_iterations;
@@ -120,6 +122,7 @@ void Candidates::anneal() {
   const Candidate start = candidates_.front();
   RefineOptions options;
   options.residual = residual_;
+  options.prior = prior_;
   options.loss.loss = Loss::kGemanMcClure;
   options.use_depths = true;
   options.max_iterations = 2;
@@ -146,6 +149,11 @@ Candidate Candidates::without_depths(const Candidate& start) {
   const RefineResult refined = local(start.cam2_from_cam1, start.loss, 30, 1e-1, false);
   return {refined.cam2_from_cam1, refined.loss,
           scale_evidence(refined.loss) - workspace_.current.objective};
+}
+
+void Candidates::prefer(std::size_t index) {
+  const auto chosen = candidates_.begin() + static_cast<std::ptrdiff_t>(index);
+  std::rotate(candidates_.begin(), chosen, chosen + 1);
 }
 
 void Candidates::simplify() {

@@ -23,7 +23,7 @@ struct Candidate {
 
 class Candidates {
  public:
-  Candidates(const Matches& m, Residual residual);
+  Candidates(const Matches& m, Residual residual, const PosePrior& prior = {});
 
   // Parallax of the wrong sign (radians) that a match may show under a pose not yet refined.
   void set_depth_tolerance(double tolerance) { depth_tolerance_ = tolerance; }
@@ -45,12 +45,15 @@ class Candidates {
   // The optimum of the residuals alone near a candidate, and its evidence without depths.
   Candidate without_depths(const Candidate& start);
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
+  // Puts one of them first, whatever its evidence.
+  void prefer(std::size_t index);
   // Gives the best candidate up for the pose under one Gaussian and the uniform part where the
   // wider Gaussians explain nothing: they would cost a tenth of the accuracy.
   void simplify();
   // Polishes candidates whose log-evidence is at most `range` below the best one's to the end.
   void finish(const std::vector<Candidate>& candidates, double range);
 
+  const PosePrior& prior() const { return prior_; }
   bool empty() const { return candidates_.empty(); }
   const Candidate& best() const { return candidates_.front(); }
   const std::vector<Candidate>& all() const { return candidates_; }  // descending evidence
@@ -65,6 +68,7 @@ class Candidates {
 
   const Matches& m_;
   Residual residual_;
+  PosePrior prior_;
   double depth_tolerance_ = 0.0;
   std::vector<Candidate> candidates_;
   RefineWorkspace workspace_;

@@ -2,6 +2,7 @@
 #include "core/robust/covariance.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
@@ -15,6 +16,8 @@ namespace {
 
 using Vector5 = Eigen::Matrix<double, 5, 1>;
 using Matrix5 = Eigen::Matrix<double, 5, 5>;
+
+constexpr double kFreeSigma = 60.0 * kDegree;  // of an angle of which nothing is known
 
 // Of so many inliers, after five parameters were fitted to them.
 double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }
@@ -41,10 +44,54 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
   return std::sqrt(variance);
 }
 
+// What the noise of the bearings alone adds to J^T W J / variance: noisy copies of one point seem to
+// lie in different directions, and matches without parallax seem to have some. The derivatives by
+// the rotation have up to half the variance of the noise, those by the translation that of the
+// parallax, 2 (I - b b^T) / |g|^2 with the gradient g of the residual; neither more than is there.
+Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam1,
+                             const Linearisation& at, double variance) {
+  const Eigen::Matrix<double, 3, 2> basis = tangent_basis(cam2_from_cam1.t);
+  Matrix5 noise = Matrix5::Zero();
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(at.weights[i] > 0.0)) continue;
+    const Vector5 J = jacobian_of(at, m.padded, i);
+    const Eigen::Vector3d b = view2(m, i);
+    const double gradient = 2.0 * std::max(b.cross(cam2_from_cam1.t).squaredNorm(), 1e-12);
+    const Eigen::Vector2d along = basis.transpose() * b;
+    const Eigen::Matrix2d parallax =
+        2.0 / gradient * (Eigen::Matrix2d::Identity() - along * along.transpose());
+    const double there = J.tail<2>().squaredNorm() / variance;
+    const double most = J.head<3>().squaredNorm() / (3.0 * variance);
+    noise.topLeftCorner<3, 3>().diagonal().array() += at.weights[i] * std::min(0.5, most);
+    noise.bottomRightCorner<2, 2>() +=
+        at.weights[i] * std::min(1.0, there / parallax.trace()) * parallax;
+  }
+  return noise;
+}
+
+// Inverse of an information matrix; a direction that it does not determine gets the standard
+// deviation of knowing nothing, never an infinite or a negative variance.
+Matrix5 bounded_inverse(const Matrix5& information) {
+  constexpr double kFree = kFreeSigma * kFreeSigma;
+  if (!information.allFinite()) return kFree * Matrix5::Identity();
+  const Eigen::SelfAdjointEigenSolver<Matrix5> eigen(information);
+  const Vector5 variances = eigen.eigenvalues().unaryExpr(
+      [](double value) { return value > 1.0 / kFree ? 1.0 / value : kFree; });
+  return eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose();
+}
+
 }  // namespace
 
 double noise_per_residual(Residual residual) {
   return residual == Residual::kPaper || residual == Residual::kAngular ? std::sqrt(0.5) : 1.0;
+}
+
+double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
+                     const Eigen::Vector3d& b2, double variance) {
+  const Eigen::Vector3d& t = cam2_from_cam1.t;
+  const double squared =
+      (cam2_from_cam1.R * b1).cross(t).squaredNorm() + b2.cross(t).squaredNorm();
+  return squared / (squared + 8.0 * variance);
 }
 
 Vector5 jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i) {
@@ -57,7 +104,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
-                             const std::vector<double>& residuals) {
+                             const std::vector<double>& residuals, const PosePrior& prior) {
   Uncertainty result;
   result.scale = inlier_scale(m, inlier, residuals, gate);
   const double variance = result.scale * result.scale;
@@ -78,31 +125,31 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
     const LossSlopes psi = mixture_slopes(r, loss);
     slope += m.weight[i] * psi.second;
     square += m.weight[i] * m.weight[i] * psi.first * psi.first;
-    // Near an epipole the first-order residual promises more than a bearing with noise can hold.
-    const Eigen::Vector3d a = cam2_from_cam1.R * view1(m, i);
-    const Eigen::Vector3d b = view2(m, i);
-    const double squared =
-        a.cross(cam2_from_cam1.t).squaredNorm() + b.cross(cam2_from_cam1.t).squaredNorm();
-    const double trust = squared / (squared + 8.0 * variance);
+    const double trust = epipole_trust(cam2_from_cam1, view1(m, i), view2(m, i), variance);
     if (inlier[i]) {
       at.weights[i] = m.weight[i] * trust * trust;
       count += m.weight[i];
     }
     const Vector5 score = m.weight[i] * trust * psi.first * jacobian_of(at, m.padded, i);
     independent += score * score.transpose();
-    sums[cell_of(b)] += score;
+    sums[cell_of(view2(m, i))] += score;
   }
   Matrix5 clustered = Matrix5::Zero();
   for (const Vector5& sum : sums) clustered += sum * sum.transpose();
-  const double together = independent.ldlt().solve(clustered).trace() / 5.0;
+  result.clustering = std::max(independent.ldlt().solve(clustered).trace() / 5.0, 1.0);
 
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
                               upper, gradient);
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
-  result.covariance = std::max(efficiency * freedom, variance) * std::max(together, 1.0) *
-                      symmetric(upper).inverse();
+  const double inflated = std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
+  Matrix5 information =
+      (symmetric(upper) / inflated - noise_in_information(m, cam2_from_cam1, at, inflated)) /
+      result.clustering;
+  Vector5 slopes = Vector5::Zero();
+  prior.accumulate(cam2_from_cam1, basis, 1.0, information, slopes);
+  result.covariance = bounded_inverse(information);
   return result;
 }
 

@@ -13,7 +13,13 @@ namespace epi360 {
 struct Uncertainty {
   double scale;                            // standard deviation of the inliers' residuals, radians
   Eigen::Matrix<double, 5, 5> covariance;  // NaN where the matches tell nothing
+  double clustering = 1.0;  // how much more the sums over cells vary than independent errors let them
 };
+
+// How far the first-order residual of a match can be trusted, in [0, 1]: near an epipole it promises
+// more than a bearing with noise of this variance can hold.
+double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
+                     const Eigen::Vector3d& b2, double variance);
 
 // Derivative of one residual by the five parameters of the pose.
 Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i);
@@ -28,7 +34,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
-                             const std::vector<double>& residuals);
+                             const std::vector<double>& residuals, const PosePrior& prior);
 
 // The same of a rotation alone: NaN where the translation would be.
 Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,

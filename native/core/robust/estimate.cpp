@@ -12,38 +12,118 @@
 #include "core/robust/rival.h"
 #include "core/robust/rotation_search.h"
 #include "core/robust/search.h"
+#include "core/robust/testimony.h"
+#include "core/robust/upright_search.h"
 
 namespace epi360 {
 namespace {
 
-constexpr double kWrongGravity = 15.0 * kDegree;
+// Probability that the gravity which a user gives belongs to these images.
+constexpr double kGravityIsRight = 0.99;
+constexpr int kUprightPoses = 4;        // of all that are tried
+constexpr double kConfident = 0.99;     // a pose more probable than this is not looked for again
 
 // The estimate of one set of matches, from its search to its verdict.
 class Estimate {
  public:
   Estimate(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
            std::uint64_t seed)
-      : m_(m), options_(options), random_(seed), seed_(seed) {
-    result_.inlier.assign(m.size, 0);
-    result_.residuals.assign(m.padded, RobustResult::kNaN);
-    result_.covariance.setConstant(RobustResult::kNaN);
-    if (options.threshold > 0.0) result_.threshold = options.threshold;
-    Evidence& evidence = result_.evidence;
-    evidence.num_usable = static_cast<int>(m.size);
-    evidence.sample_size = options.sample_size;
+      : m_(m), options_(options), prior_(priors.pose), random_(seed), seed_(seed) {
+    start_over();
     if (status() == Status::kTooFewMatches) return;
     SearchResult found = search_poses(m, options, priors, random_);
     result_.num_iterations = found.num_iterations;
-    release_depths(m, options.residual, found.candidates);
-    found.candidates.simplify();
-    dropped_ = drop_leverage(m, options.residual, found.candidates);
-    assess(found.candidates);
+    conclude_search(found.candidates);
+  }
+
+  // Where samples led to nothing certain and gravity is known, all upright poses are tried.
+  void try_upright_poses() {
+    if (status() == Status::kTooFewMatches || is_certain()) return;
+    Candidates candidates(m_, options_.residual, prior_);
+    candidates.set_depth_tolerance(default_gate());
+    for (const RelativePose& pose :
+         upright_poses(m_, prior_.gravity1, prior_.gravity2, kUprightPoses)) {
+      candidates.polish(pose, 50, 1e-4);
+    }
+    const RobustResult sampled = std::move(result_);
+    start_over();
+    result_.num_iterations = sampled.num_iterations;
+    prefer_most_probable(candidates);
+    conclude_search(candidates);
+    if (result_.probability <= sampled.probability || status() != Status::kOk) result_ = sampled;
+  }
+
+  // A pose was found, or a rotation: nothing else need be tried.
+  bool has_answer() const {
+    return status() == Status::kOk || status() == Status::kPureRotation;
+  }
+
+  // The pose is judged by a prior that did not guide its search.
+  void judge_by(const PosePrior& prior) {
+    if (!has_translation(status())) return;
+    result_.evidence.log_prior = log_prior_of(prior);
+    result_.probability = probability_of_pose(result_.evidence);
   }
 
   RobustResult take() { return std::move(result_); }
 
  private:
   Status status() const { return judge(result_.evidence).status; }
+
+  bool is_certain() const {
+    return status() == Status::kPureRotation ||
+           (status() == Status::kOk && result_.probability > kConfident);
+  }
+
+  void start_over() {
+    result_ = RobustResult{};
+    result_.inlier.assign(m_.size, 0);
+    result_.residuals.assign(m_.padded, RobustResult::kNaN);
+    result_.covariance.setConstant(RobustResult::kNaN);
+    if (options_.threshold > 0.0) result_.threshold = options_.threshold;
+    result_.evidence.num_usable = static_cast<int>(m_.size);
+    result_.evidence.sample_size = options_.sample_size;
+    dropped_.assign(m_.size, 0);
+  }
+
+  void conclude_search(Candidates& candidates) {
+    release_depths(m_, options_.residual, candidates);
+    candidates.simplify();
+    dropped_ = drop_leverage(m_, options_.residual, candidates);
+    assess(candidates);
+  }
+
+  // Puts the candidate first for which the regions speak most.
+  void prefer_most_probable(Candidates& candidates) {
+    std::size_t best = 0;
+    double highest = -1.0;
+    for (std::size_t k = 0; k < candidates.all().size(); ++k) {
+      const Candidate& candidate = candidates.all()[k];
+      const double gate = options_.threshold > 0.0 ? options_.threshold
+                                                   : estimated_gate(candidate.loss);
+      Evidence evidence;
+      listen(candidate.cam2_from_cam1, candidate.loss.scale, gate, kTypicalDensity, evidence);
+      if (probability_of_pose(evidence) <= highest) continue;
+      highest = probability_of_pose(evidence);
+      best = k;
+    }
+    if (!candidates.empty()) candidates.prefer(best);
+  }
+
+  void listen(const RelativePose& pose, double scale, double gate, double density,
+              Evidence& evidence) {
+    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, seed_);
+    evidence.log_ratio = said.log_ratio;
+    evidence.regional_sigma = said.direction_sigma;
+  }
+
+  // Logarithm of the prior of the answer, as far as it may lower the odds: a search among upright
+  // poses finds upright ones, so that being one is no evidence.
+  double log_prior_of(const PosePrior& prior) const {
+    if (!prior.has_gravity) return 0.0;
+    return std::log(kGravityIsRight * std::exp(-prior.cost(result_.cam2_from_cam1)) + 1.0 -
+                    kGravityIsRight);
+  }
 
   // Inliers, evidence and uncertainty of the best candidate, or of a rotation in its place.
   void assess(Candidates& candidates) {
@@ -52,34 +132,48 @@ class Estimate {
     const double gate = result_.threshold;
     const ChanceDensity chance(m_, options_.residual, seed_);
     RotationFit rotation;
-    if (candidates.empty() ||
-        rotation_possible(m_, result_.inlier, evidence.support, gate, random_)) {
+    const auto find_rotation = [&] {
       rotation = best_rotation(m_, gate, random_);
       evidence.rotation_support = rotation.support;
       evidence.rotation_log10_false_alarms =
           log10_false_alarms(evidence.num_usable, rotation.support,
                              chance.rotation_share(rotation.R, gate), kRotationSample);
+    };
+    if (candidates.empty() ||
+        rotation_possible(m_, result_.inlier, evidence.support, gate, random_)) {
+      find_rotation();
     }
-    if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     const double density = candidates.empty()
                                ? kTypicalDensity
                                : chance.at(result_.cam2_from_cam1, std::max(kDegree, gate));
     evidence.chance = 2.0 * gate * density;
     evidence.log10_false_alarms = log10_false_alarms(evidence.num_usable, evidence.support,
                                                      evidence.chance, options_.sample_size);
-    if (status() == Status::kTooFewInliers) return;
-    const Uncertainty uncertainty =
-        pose_uncertainty(m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss,
-                         gate, result_.inlier, dropped_, result_.residuals);
+    if (status() == Status::kTooFewInliers) {  // no pose; a rotation may be one all the same
+      evidence.rotation_rejection = 0.0;
+      if (status() == Status::kPureRotation) set_rotation(std::move(rotation));
+      return;
+    }
+    const Uncertainty uncertainty = pose_uncertainty(
+        m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate,
+        result_.inlier, dropped_, result_.residuals, prior_);
     result_.scale = evidence.scale = uncertainty.scale;
     result_.covariance = uncertainty.covariance;
+    evidence.rotation_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
+    evidence.direction_sigma = std::sqrt(uncertainty.covariance.bottomRightCorner<2, 2>().trace());
     evidence.parallax = median_parallax(m_, result_.cam2_from_cam1, result_.inlier.data());
     result_.parallax = evidence.parallax;
-    if (has_hardly_any_parallax(evidence)) {
-      if (rotation.support == 0) rotation = best_rotation(m_, gate, random_);
-      evidence.rotation_support = rotation.support;
+    if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
+    if (rotation_explains(evidence)) {
+      const double num_wrong = evidence.num_usable - evidence.support;
+      evidence.rotation_rejection =
+          rotation_rejection(m_, result_.inlier, uncertainty.scale,
+                             num_wrong * evidence.chance, uncertainty.clustering);
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
+    listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
+    evidence.log_prior = log_prior_of(prior_);
+    result_.probability = probability_of_pose(evidence);
     const Rival rival = find_rival(m_, candidates, result_.cam2_from_cam1, uncertainty.covariance,
                                    result_.inlier, gate);
     evidence.has_twin = rival.has_twin;
@@ -118,23 +212,17 @@ class Estimate {
     r.scale = uncertainty.scale;
     r.covariance = uncertainty.covariance;
     r.parallax = median_parallax(m_, r.cam2_from_cam1, r.inlier.data());
+    r.probability = RobustResult::kNaN;
   }
 
   const Matches& m_;
   const RobustOptions& options_;
+  const PosePrior prior_;
   Random random_;
   std::uint64_t seed_;
   std::vector<unsigned char> dropped_;
   RobustResult result_;
 };
-
-// Whether a pose was found and turns gravity as it should; otherwise it is searched without.
-bool agrees_with_gravity(const RobustResult& result, const MatchPriors& priors) {
-  const Status status = judge(result.evidence).status;
-  if (status != Status::kOk && status != Status::kPureRotation) return false;
-  return direction_angle(result.cam2_from_cam1.R * priors.gravity1, priors.gravity2) <
-         kWrongGravity;
-}
 
 // The numbers that this status leaves undetermined become NaN.
 void clear_undetermined(Status status, RelativePose& cam2_from_cam1) {
@@ -177,13 +265,19 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     std::size_t num_matches, double max_noise) {
-  RobustResult result = Estimate(m, options, priors, seed).take();
-  if (priors.has_gravity && !agrees_with_gravity(result, priors)) {
+  Estimate estimate(m, options, priors, seed);
+  if (priors.pose.has_gravity) estimate.try_upright_poses();
+  RobustResult result;
+  if (priors.pose.has_gravity && !estimate.has_answer()) {
     MatchPriors free = priors;
-    free.has_gravity = false;
-    const int num_iterations = result.num_iterations;
-    result = Estimate(m, options, free, seed).take();
+    free.pose = PosePrior{};
+    const int num_iterations = estimate.take().num_iterations;
+    Estimate again(m, options, free, seed);
+    again.judge_by(priors.pose);
+    result = again.take();
     result.num_iterations += num_iterations;
+  } else {
+    result = estimate.take();
   }
   conclude(m, options, num_matches, max_noise, result);
   return result;

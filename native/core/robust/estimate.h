@@ -24,6 +24,7 @@ struct RobustResult {
   double threshold = kNaN;  // radians
   std::vector<unsigned char> inlier;
   std::vector<double> residuals;
+  double probability = 0.0;  // that the pose is right; of a rotation NaN
   int num_iterations = 0;
   double parallax = kNaN;  // radians, median over inliers
   Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance;

@@ -15,6 +15,8 @@ namespace {
 // When a pose without depths takes the place of the best candidate: how far apart they are, and
 // what share of its inliers and parallax it has.
 constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.8;
+// In noise: with less parallax than that a pose is a rotation, whose direction means nothing.
+constexpr double kLeastReleased = 2.5;
 constexpr double kReleasedEvidence = 60.0;  // how much less likely the candidate behind it may be
 
 }  // namespace
@@ -78,9 +80,10 @@ void release_depths(const Matches& m, Residual residual, Candidates& candidates)
     const int kept =
         mark_inliers(m, residual, released.cam2_from_cam1, gate, true, inlier, residuals);
     if (kept < kReleasedSupport * support) continue;
-    if (!(median_parallax(m, released.cam2_from_cam1, inlier.data()) <
-          kReleasedParallax * parallax))
-      continue;
+    const double released_parallax =
+        median_parallax(m, released.cam2_from_cam1, inlier.data());
+    if (!(released_parallax < kReleasedParallax * parallax)) continue;
+    if (!(released_parallax > kLeastReleased * released.loss.scale)) continue;
     most = released.evidence;
     released.evidence = best.evidence;
     candidates.replace_best(released);

@@ -5,6 +5,7 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "core/refinement/pose_prior.h"
 #include "core/residuals/residuals.h"
 
 namespace epi360 {
@@ -23,8 +24,7 @@ struct RobustOptions {
 // What is known about the matches beyond their bearings.
 struct MatchPriors {
   std::vector<double> scores;  // higher is better; empty if there are none
-  bool has_gravity = false;
-  Eigen::Vector3d gravity1 = Eigen::Vector3d::UnitY(), gravity2 = Eigen::Vector3d::UnitY();
+  PosePrior pose;
 };
 
 }  // namespace epi360

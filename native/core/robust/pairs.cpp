@@ -135,9 +135,11 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   MatchPriors priors;
   priors.scores = std::move(usable.scores);
   if (input.gravity1 && input.gravity2) {
-    priors.has_gravity = true;
-    priors.gravity1 = Eigen::Map<const Eigen::Vector3d>(input.gravity1);
-    priors.gravity2 = Eigen::Map<const Eigen::Vector3d>(input.gravity2);
+    priors.pose.has_gravity = true;
+    priors.pose.gravity1 = Eigen::Map<const Eigen::Vector3d>(input.gravity1).normalized();
+    priors.pose.gravity2 = Eigen::Map<const Eigen::Vector3d>(input.gravity2).normalized();
+    priors.pose.gravity_sigma = input.gravity_sigma;
+    priors.pose.elevation_sigma = input.elevation_sigma;
   }
   RobustResult& r = out.robust;
   r = estimate_relative_pose(usable.m, scaled, priors, input.seed, input.n, input.max_noise);

@@ -22,6 +22,7 @@ struct PairInput {
   const double* jacobians2 = nullptr;
   const double* gravity1 = nullptr;
   const double* gravity2 = nullptr;
+  double gravity_sigma = 0.0, elevation_sigma = 0.0;  // radians, see PosePrior
   std::uint64_t seed = 0;
   double max_noise = 0.0;  // radians: more than that is worth a warning; 0 for no limit
 };

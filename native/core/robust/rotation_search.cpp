@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "core/bearings.h"
+#include "core/constants.h"
 #include "core/residuals/residuals.h"
 #include "core/robust/ransac.h"
 #include "core/solvers/rotation.h"
@@ -13,6 +14,8 @@
 namespace epi360 {
 namespace {
 
+constexpr int kAlignments = 6;         // steps of a robust fit
+constexpr double kMostSquares = 13.8;  // one in a thousand of chi^2 with two degrees of freedom
 constexpr double kRotationNear = 0.4;  // of the inliers, near a rotation: worth a search
 
 }  // namespace
@@ -108,6 +111,36 @@ bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlie
     if (truncated_rotation_score(m, rows.data(), &wide, 1, limit) < limit) return true;
   }
   return tried < 10;  // nearly equal bearings fix no rotation
+}
+
+double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
+                          double num_chance, double clustering) {
+  const double variance = std::max(scale * scale, kSmallestScale * kSmallestScale);
+  std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
+  double count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    weights[i] = inlier[i] ? m.weight[i] : 0.0;
+    count += inlier[i];
+  }
+  if (count < 3.0) return 0.0;
+  // The squared angle over twice the variance has two degrees of freedom: mean 2, variance 4.
+  double sum = 0.0;
+  for (int round = 0; round < kAlignments; ++round) {
+    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = align_rotations(m, weights.data());
+    compute_rotation_residuals(m, R.data(), residuals.data());
+    sum = 0.0;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (!inlier[i]) continue;
+      const double squares = residuals[i] * residuals[i] / variance;  // of angles over sqrt 2
+      sum += std::min(squares, kMostSquares);
+      const double ratio = 1.0 + squares / kMostSquares;
+      weights[i] = m.weight[i] / (ratio * ratio);  // Geman-McClure
+    }
+  }
+  const double wrong = num_chance + 3.0 * std::sqrt(num_chance);
+  const double excess = sum - 2.0 * count - kMostSquares * wrong;
+  // The scale is estimated from the same inliers: 2 n sqrt(2 / n) beside 2 sqrt(n).
+  return excess / std::sqrt(12.0 * count * clustering);
 }
 
 }  // namespace epi360

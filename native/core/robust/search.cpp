@@ -132,9 +132,9 @@ SearchResult search_poses(const Matches& m, const RobustOptions& options, const 
   const bool is_reordered = !order.empty();
   const Matches chosen = is_reordered ? chosen_matches(m, order) : Matches{};
   const Matches& used = is_reordered ? chosen : m;
-  Candidates candidates(used, options.residual);
+  Candidates candidates(used, options.residual, priors.pose);
   EssentialProblem problem(used, options.residual, options.sample_size, candidates);
-  if (priors.has_gravity) problem.use_gravity(priors.gravity1, priors.gravity2);
+  if (priors.pose.has_gravity) problem.use_gravity(priors.pose.gravity1, priors.pose.gravity2);
   Sampler sampler(static_cast<std::uint32_t>(used.size), problem.sample_size(),
                   !priors.scores.empty());
   const int num_iterations = sample_poses(used, options, problem, sampler, random, candidates);
@@ -143,7 +143,7 @@ SearchResult search_poses(const Matches& m, const RobustOptions& options, const 
     candidates.finish(candidates.all(), kFinalistEvidence);
     return {std::move(candidates), num_iterations};
   }
-  Candidates of_all(m, options.residual);
+  Candidates of_all(m, options.residual, priors.pose);
   of_all.set_depth_tolerance(default_gate());
   of_all.finish(candidates.all(), kFinalistEvidence);
   of_all.anneal();

@@ -11,13 +11,17 @@ namespace {
 
 constexpr double kFalseAlarms = -3.0;    // log10; accepted below
 constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
-constexpr double kRotationShare = 0.85;  // real pure rotations: >= 0.99, real motion: <= 0.69
-constexpr double kRotationMostly = 0.5;  // of the inliers, where there is hardly any parallax
-// Median parallax in units of the noise. A pure rotation shows 1.7 (the median of two components of
-// noise, 1.18 sigma, where the residual sees one of both views). Directions of real pairs are wrong
-// below 3; noise above half a degree is that of no key point, and independent.
-constexpr double kSmallestParallax = 2.5, kSmallestNoisyParallax = 2.0;
-constexpr double kNoisy = 0.5 * kDegree;
+constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
+// A translation is claimed where the inliers reject the rotation alone, once in a thousand falsely,
+// and know its direction.
+constexpr double kRotationRejected = 3.3;
+constexpr double kUnknownDirection = 25.0 * kDegree, kUnknownRotation = 20.0 * kDegree;
+// Median parallax in units of the noise, under which a rotation is tried: a pure rotation shows 1.7.
+constexpr double kSmallParallax = 4.0;
+// Logistic regression of right poses against wrong ones of real pairs (benchmarks/trust.py), on the
+// log-likelihood ratio of the regions and the logarithm of the direction's standard deviation.
+constexpr double kLogOdds = -2.7, kLogOddsPerRatio = 0.11, kLogOddsPerSigma = -1.2;
+constexpr double kLeastProbability = 0.75;
 constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
 constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
 constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
@@ -31,18 +35,16 @@ constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
 
 bool is_rotation(const Evidence& e) {
-  return e.rotation_support >= kRotationShare * e.support &&
-         e.rotation_log10_false_alarms < kFalseAlarms;
+  return rotation_explains(e) && (e.rotation_rejection < kRotationRejected ||
+                                  e.direction_sigma > kUnknownDirection);
 }
 
 bool is_chance(const Evidence& e) {
   return e.log10_false_alarms > kFalseAlarms || e.chance > kLargestChance;
 }
 
-// Too little translation to tell where to: the rotation alone is the better answer.
-bool is_rotation_for_lack_of_parallax(const Evidence& e) {
-  return has_hardly_any_parallax(e) && e.rotation_support > 0 &&
-         e.rotation_support >= kRotationMostly * e.support;
+bool is_undetermined(const Evidence& e) {
+  return e.direction_sigma > kUnknownDirection || e.rotation_sigma > kUnknownRotation;
 }
 
 // On a plane both poses are right but for noise, whose log-likelihoods differ by about the root of
@@ -64,7 +66,9 @@ Status status_of(const Evidence& e) {
   if (!rotation && is_chance(e)) return Status::kTooFewInliers;
   if (e.num_distinct < e.min_num_inliers) return Status::kTooFewInliers;
   if (is_patch(e)) return Status::kConcentratedInliers;
-  if (rotation || is_rotation_for_lack_of_parallax(e)) return Status::kPureRotation;
+  if (rotation) return Status::kPureRotation;
+  if (is_undetermined(e)) return Status::kConcentratedInliers;
+  if (probability_of_pose(e) < kLeastProbability) return Status::kTooFewInliers;
   return has_rival(e) ? Status::kPlanarAmbiguous : Status::kOk;
 }
 
@@ -108,9 +112,18 @@ bool has_translation(Status status) {
   return status == Status::kOk || status == Status::kPlanarAmbiguous;
 }
 
-bool has_hardly_any_parallax(const Evidence& e) {
-  const double least = e.scale > kNoisy ? kSmallestNoisyParallax : kSmallestParallax;
-  return e.parallax < least * e.scale;
+bool rotation_explains(const Evidence& e) {
+  return e.rotation_support > 0 && e.rotation_support >= kRotationMostly * e.support &&
+         e.rotation_log10_false_alarms < kFalseAlarms;
+}
+
+bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallParallax * e.scale; }
+
+double probability_of_pose(const Evidence& e) {
+  const double log_odds = kLogOdds + kLogOddsPerRatio * e.log_ratio +
+                          kLogOddsPerSigma * std::log(std::max(e.regional_sigma, 1e-6) / kDegree) +
+                          e.log_prior;
+  return 1.0 / (1.0 + std::exp(-log_odds));
 }
 
 bool is_planar(double share_on_plane) { return share_on_plane > kPlaneShare; }

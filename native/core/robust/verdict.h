@@ -51,9 +51,18 @@ struct Evidence {
   double chance = 0.0;
   double parallax = kNaN, scale = kNaN;
 
-  // The best rotation alone: matches that it explains, and its false alarms.
+  // The best rotation alone: matches that it explains, and its false alarms. Standard deviations by
+  // which the inliers of the pose reject that the camera only turned.
   int rotation_support = 0;
   double rotation_log10_false_alarms = kInfinity;
+  double rotation_rejection = kInfinity;
+
+  // Standard deviations of rotation and direction, over all their components.
+  double rotation_sigma = 0.0, direction_sigma = 0.0;
+
+  // What the matches say if every region is one witness, see testimony.h, and the logarithm of the
+  // prior of the pose over that of the most probable one.
+  double log_ratio = kInfinity, regional_sigma = 0.0, log_prior = 0.0;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose. Whether
   // the inliers lie on a plane, so that there is such a pose by geometry.
@@ -80,8 +89,14 @@ int fewest_matches(int sample_size);
 // Whether a pose with translation was found that the evidence determines up to alternatives.
 bool has_translation(Status status);
 
+// Whether so many of the matches agree with a rotation that it may be all that happened.
+bool rotation_explains(const Evidence& evidence);
+
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
+
+// Probability that the pose is right, from what the regions say of it and its prior.
+double probability_of_pose(const Evidence& evidence);
 
 // Whether inliers of which this share lies on one plane may have a twin pose.
 bool is_planar(double share_on_plane);

@@ -23,6 +23,8 @@ def native_pair(
     jacobians: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
     uses_jacobians: bool = False,
     gravity: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
+    gravity_sigma: float = 0.0,
+    elevation_sigma: float = 0.0,
     seed: int = 0,
     max_noise: float = 0.0,
 ) -> _core.Pair:
@@ -47,6 +49,8 @@ def native_pair(
         jacobians2=J2 if uses_jacobians else None,
         gravity1=None if gravity1 is None else direction_array(gravity1, "gravity1"),
         gravity2=None if gravity2 is None else direction_array(gravity2, "gravity2"),
+        gravity_sigma=gravity_sigma,
+        elevation_sigma=elevation_sigma,
         seed=seed % 2**64,
         max_noise=max_noise,
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,6 +58,9 @@ class RelativePoseResult:
         Of d where R_true = exp([d_0:3]x) R, t_true = (t + B d_3:5) / |.|; radians squared.
     translation_basis : ndarray, shape (3, 2)
         B: the two tangent directions at t.
+    probability : float
+        Probability in [0, 1] that the pose with translation which was found is right, whatever the
+        status says of it; NaN after a pure rotation, 0 where no pose was found.
     alternatives : tuple of Pose
         Other poses that explain the matches about as well.
     warnings : tuple of str
@@ -77,6 +81,7 @@ class RelativePoseResult:
     translation_basis: NDArray[np.float64]
     alternatives: tuple[Pose, ...] = ()
     warnings: tuple[str, ...] = ()
+    probability: float = math.nan
 
     @property
     def success(self) -> bool:

@@ -83,6 +83,8 @@ def estimate_relative_pose(
     weights: ArrayLike | None = None,
     gravity1: ArrayLike | None = None,
     gravity2: ArrayLike | None = None,
+    gravity_sigma_deg: float = 1.0,
+    elevation_sigma_deg: float | None = None,
     max_noise_deg: float | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int = 0,
@@ -109,9 +111,14 @@ def estimate_relative_pose(
     weights : array_like, shape (M,), optional
         Of the matches, relative to one another.
     gravity1, gravity2 : array_like, shape (3,), optional
-        Direction of gravity (down) in both cameras, good to a few degrees: three matches make a
-        sample then. The answer is refined freely; where it contradicts gravity by more than
-        15 degrees, the search is done again without.
+        Direction of gravity (down) in both cameras: three matches make a sample then, all upright
+        poses are tried where samples do not suffice, and a pose is less probable the more it tilts
+        gravity. Where no upright pose is found, the search is done again without gravity.
+    gravity_sigma_deg : float
+        Standard deviation of the directions of gravity, per axis and view.
+    elevation_sigma_deg : float, optional
+        Standard deviation of the translation's angle over the horizon, where the cameras are known
+        to have moved at one height, as on a tripod; needs gravity.
     max_noise_deg : float, optional
         Noise of the bearings (one sigma) from which on an "ok" result carries a warning.
     options : RansacOptions
@@ -151,6 +158,7 @@ def estimate_relative_pose(
         jacobians=(jacobians1, jacobians2),
         uses_jacobians=uses_pixels,
         gravity=(gravity1, gravity2),
+        **_prior_sigmas(gravity_sigma_deg, elevation_sigma_deg),
         seed=index(seed),
         max_noise=_checked_noise(max_noise_deg),
     )
@@ -169,6 +177,10 @@ def estimate_relative_poses(
     residual: str = "sampson",
     match_scores: Sequence[ArrayLike] | ArrayLike | None = None,
     weights: Sequence[ArrayLike] | ArrayLike | None = None,
+    gravity1: Sequence[ArrayLike | None] | ArrayLike | None = None,
+    gravity2: Sequence[ArrayLike | None] | ArrayLike | None = None,
+    gravity_sigma_deg: float = 1.0,
+    elevation_sigma_deg: float | None = None,
     max_noise_deg: float | Sequence[float] | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int | Sequence[int] = 0,
@@ -192,6 +204,12 @@ def estimate_relative_poses(
         "sampson", "angular" or "paper".
     match_scores, weights : sequence of array_like, or array_like, shape (N,), optional
         One array for each pair; with `offsets` one array for all.
+    gravity1, gravity2 : array_like, shape (3,) or (P, 3), or sequence of such or None, optional
+        One direction for all pairs, or one for each; None where it is not known.
+    gravity_sigma_deg : float
+        Standard deviation of the directions of gravity, per axis and view.
+    elevation_sigma_deg : float, optional
+        As in `estimate_relative_pose`.
     max_noise_deg : float or sequence of float, optional
         One for all pairs, or one for each.
     options : RansacOptions
@@ -228,6 +246,9 @@ def estimate_relative_poses(
         )
     seeds = _seeds(seed, len(pairs))
     limits = _noise_limits(max_noise_deg, len(pairs))
+    gravity1_of = _directions(gravity1, len(pairs), "gravity1")
+    gravity2_of = _directions(gravity2, len(pairs), "gravity2")
+    sigmas = _prior_sigmas(gravity_sigma_deg, elevation_sigma_deg)
     native = []
     for k, pair in enumerate(pairs):
         try:
@@ -238,6 +259,8 @@ def estimate_relative_poses(
                     b2,
                     weights=weights_of[k],
                     scores=scores_of[k],
+                    gravity=(gravity1_of[k], gravity2_of[k]),
+                    **sigmas,
                     seed=seeds[k],
                     max_noise=limits[k],
                 )
@@ -383,6 +406,33 @@ def _seeds(seed: int | Sequence[int], num_pairs: int) -> list[int]:
     if len(seed) != num_pairs:
         raise ValueError(f"seed must be one for each of {num_pairs} pairs, got {len(seed)}")
     return [index(each) for each in seed]
+
+
+def _prior_sigmas(gravity_sigma_deg: float, elevation_sigma_deg: float | None) -> dict[str, float]:
+    """Return both in radians, 0 where the elevation may be any."""
+    sigmas = {"gravity_sigma": gravity_sigma_deg}
+    if elevation_sigma_deg is not None:
+        sigmas["elevation_sigma"] = elevation_sigma_deg
+    for name, degrees in sigmas.items():
+        if not (np.isreal(degrees) and 0.0 < float(degrees) <= 90.0):
+            raise ValueError(f"{name}_deg must be in (0, 90], got {degrees!r}")
+    return {name: float(np.radians(degrees)) for name, degrees in sigmas.items()}
+
+
+def _directions(
+    gravity: Sequence[ArrayLike | None] | ArrayLike | None, num_pairs: int, name: str
+) -> Sequence[ArrayLike | None]:
+    """Return one direction for each pair, None where it is not known."""
+    if gravity is None:
+        return [None] * num_pairs
+    each: list[ArrayLike | None] = list(gravity)  # type: ignore[arg-type]
+    if len(each) == 3 and np.ndim(gravity) == 1:  # type: ignore[arg-type]
+        return [gravity] * num_pairs  # type: ignore[list-item]
+    if len(each) != num_pairs:
+        raise ValueError(
+            f"{name} must be one direction, or one for each of {num_pairs} pairs, got {len(each)}"
+        )
+    return each
 
 
 def _checked_noise(max_noise_deg: float | None) -> float:

@@ -40,6 +40,7 @@ def result_of(answer: _core.PairResult, residual: str) -> RelativePoseResult:
         translation_basis=answer.translation_basis,
         alternatives=tuple(Pose(R, t) for R, t in answer.alternatives),
         warnings=tuple(_sentence(warning) for warning in answer.warnings),
+        probability=answer.probability,
     )
 
 

@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What speaks for a pose, for tests: part of epi360._core.internals.
+#include <nanobind/stl/string.h>
+
+#include "bindings/arrays.h"
+#include "core/robust/testimony.h"
+#include "core/robust/upright_search.h"
+
+using namespace nanobind::literals;
+
+namespace epi360 {
+
+void bind_testimony(nb::module_& m) {
+  m.def(
+      "testimony",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double gate, double density,
+         const std::string& residual, std::uint64_t seed) {
+        const Testimony found = testimony(to_matches(b1, b2), residual_named(residual),
+                                          to_pose(R, t), scale, gate, density, seed);
+        return nb::make_tuple(found.log_ratio, found.direction_sigma);
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, nb::kw_only(), "scale"_a,
+      "gate"_a, "density"_a, "residual"_a = "sampson", "seed"_a = 0);
+  m.def(
+      "region_weights",
+      [](Bearings b1, Bearings b2) { return taken(region_weights(to_matches(b1, b2))); },
+      "bearings1"_a, "bearings2"_a);
+  m.def(
+      "upright_poses",
+      [](Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gravity2, int most) {
+        const auto direction = [](const Vector3& g) { return Eigen::Vector3d(g(0), g(1), g(2)); };
+        nb::list poses;
+        for (const RelativePose& pose : upright_poses(to_matches(b1, b2), direction(gravity1),
+                                                      direction(gravity2), most)) {
+          poses.append(pose_tuple(pose));
+        }
+        return poses;
+      },
+      "bearings1"_a, "bearings2"_a, "gravity1"_a, "gravity2"_a, "most"_a);
+}
+
+}  // namespace epi360

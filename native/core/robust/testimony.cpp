@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/testimony.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <vector>
+
+#include "core/bearings.h"
+#include "core/constants.h"
+#include "core/refinement/refine.h"
+#include "core/robust/covariance.h"
+#include "core/robust/random.h"
+
+namespace epi360 {
+namespace {
+
+using Matrix5 = Eigen::Matrix<double, 5, 5>;
+using Indices = std::vector<std::size_t>;
+
+constexpr std::size_t kMostWitnesses = 512;       // more are thinned out at random
+constexpr std::size_t kLargestNeighbourhood = 5;  // matches that exchange partners
+constexpr double kRegion = 3.0 * kDegree;         // matches nearer in both views are one region
+constexpr double kFreeInformation = 1.0;          // per radian^2: what is known without matches
+
+struct Column {
+  const std::vector<double>&x, &y, &z;
+};
+
+// Of some matches the neighbourhoods in one view: the indices are reordered, and each range between
+// two cuts is one. Halves the longer side until a few are left.
+void cut_into_neighbourhoods(const Column& view, Indices& order, std::size_t begin, std::size_t end,
+                             Indices& cuts) {
+  if (end - begin <= kLargestNeighbourhood) {
+    cuts.push_back(end);
+    return;
+  }
+  const std::vector<double>* widest = &view.x;
+  double largest = -1.0;
+  for (const std::vector<double>* axis : {&view.x, &view.y, &view.z}) {
+    double low = 2.0, high = -2.0;
+    for (std::size_t k = begin; k < end; ++k) {
+      low = std::min(low, (*axis)[order[k]]);
+      high = std::max(high, (*axis)[order[k]]);
+    }
+    if (high - low > largest) {
+      largest = high - low;
+      widest = axis;
+    }
+  }
+  const std::size_t middle = (begin + end) / 2;
+  const auto at = [&](std::size_t k) { return order.begin() + static_cast<std::ptrdiff_t>(k); };
+  std::nth_element(at(begin), at(middle), at(end), [&](std::size_t a, std::size_t b) {
+    return (*widest)[a] != (*widest)[b] ? (*widest)[a] < (*widest)[b] : a < b;
+  });
+  cut_into_neighbourhoods(view, order, begin, middle, cuts);
+  cut_into_neighbourhoods(view, order, middle, end, cuts);
+}
+
+// For each match the share of exchanged partners of its neighbourhoods, in either view, with which
+// it would be an inlier too.
+std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
+                                          const RelativePose& pose, double gate) {
+  Indices rows1, rows2, owners;
+  const Column views[2] = {{m.x1, m.y1, m.z1}, {m.x2, m.y2, m.z2}};
+  for (int v = 0; v < 2; ++v) {
+    Indices order(m.size), cuts;
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    cut_into_neighbourhoods(views[v], order, 0, m.size, cuts);
+    std::size_t begin = 0;
+    for (const std::size_t end : cuts) {
+      for (std::size_t a = begin; a < end; ++a) {
+        for (std::size_t b = begin; b < end; ++b) {
+          if (a == b) continue;
+          owners.push_back(order[a]);
+          rows1.push_back(v == 0 ? order[a] : order[b]);
+          rows2.push_back(v == 0 ? order[b] : order[a]);
+        }
+      }
+      begin = end;
+    }
+  }
+  const Matches exchanged = paired_matches(m, rows1, rows2);
+  std::vector<double> residuals(exchanged.padded), in_front(exchanged.padded);
+  compute_residuals(exchanged, residual, plain(pose), std::min(gate, kLargestWrongParallax),
+                    residuals.data(), in_front.data());
+  std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0);
+  for (std::size_t k = 0; k < owners.size(); ++k) {
+    agreeing[owners[k]] += in_front[k] > 0.5 && std::abs(residuals[k]) < gate;
+    tried[owners[k]] += 1.0;
+  }
+  for (std::size_t i = 0; i < m.size; ++i) agreeing[i] /= std::max(tried[i], 1.0);
+  return agreeing;
+}
+
+// What stands still in the image (a tripod, a car, a logo) agrees with every pose that hardly turns,
+// and says nothing of the scene: such matches lose their weight, unless they are most inliers and so
+// the scene itself, far away.
+void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double gate,
+                             std::vector<double>& weights) {
+  std::vector<std::size_t> fixed;
+  std::size_t num_inliers = 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(at.in_front[i] > 0.5) || !(std::abs(at.residuals[i]) < gate)) continue;
+    ++num_inliers;
+    if ((view1(m, i) - view2(m, i)).squaredNorm() < gate * gate) fixed.push_back(i);
+  }
+  if (2 * fixed.size() >= num_inliers) return;
+  for (const std::size_t i : fixed) weights[i] = 0.0;
+}
+
+}  // namespace
+
+std::vector<double> region_weights(const Matches& m) {
+  const double chord = 2.0 * std::sin(0.5 * kRegion), squared = chord * chord;
+  Indices order(m.size);
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return m.y1[a] < m.y1[b]; });
+  std::vector<double> count(m.size, 1.0);
+  for (std::size_t a = 0; a < m.size; ++a) {
+    const std::size_t i = order[a];
+    for (std::size_t b = a + 1; b < m.size && m.y1[order[b]] - m.y1[i] < chord; ++b) {
+      const std::size_t j = order[b];
+      if ((view1(m, i) - view1(m, j)).squaredNorm() > squared) continue;
+      if ((view2(m, i) - view2(m, j)).squaredNorm() > squared) continue;
+      count[i] += 1.0;
+      count[j] += 1.0;
+    }
+  }
+  for (double& c : count) c = 1.0 / c;
+  return count;
+}
+
+Matches witnesses(const Matches& m, std::uint64_t seed) {
+  if (m.size <= kMostWitnesses) return m;
+  Random random(seed ^ 0x3c6ef372fe94f82bULL);
+  Indices chosen(m.size);
+  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
+  for (std::size_t k = 0; k < kMostWitnesses; ++k) {  // the beginning of a Fisher-Yates shuffle
+    const auto left = static_cast<std::uint32_t>(chosen.size() - k);
+    std::swap(chosen[k], chosen[k + random.below(left)]);
+  }
+  chosen.resize(kMostWitnesses);
+  return chosen_matches(m, chosen);
+}
+
+Testimony testimony(const Matches& all, Residual residual, const RelativePose& pose, double scale,
+                    double gate, double density, std::uint64_t seed) {
+  const Matches m = witnesses(all, seed);
+  const double sigma = std::max(scale, kSmallestScale);
+  const std::vector<double> exchanged = agreement_by_exchange(m, residual, pose, gate);
+  std::vector<double> weights = region_weights(m);
+
+  Linearisation at;
+  at.resize(m.padded);
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+  compute_jacobians(m, residual, plain(pose), basis.data(), std::min(gate, kLargestWrongParallax),
+                    at.residuals.data(), at.in_front.data(), at.jacobian.data());
+  leave_out_what_is_fixed(m, at, gate, weights);
+  // How much more likely each residual is if the match is right, than if it is wrong.
+  std::vector<double> odds(m.size);
+  double total = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const double z = at.residuals[i] / sigma;
+    const double right = at.in_front[i] * kInverseRootTwoPi / sigma * std::exp(-0.5 * z * z);
+    odds[i] = right / std::max(density, exchanged[i] / (2.0 * gate));
+    total += weights[i];
+  }
+  double share = 0.3;
+  for (int round = 0; round < 30; ++round) {  // expectation maximisation of one number
+    double sum = 0.0;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      sum += weights[i] * share * odds[i] / (share * odds[i] + 1.0 - share);
+    }
+    share = std::min(std::max(sum / total, 1e-6), 0.98);
+  }
+  Testimony result;
+  Matrix5 information = kFreeInformation * Matrix5::Identity();
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const double both = share * odds[i] + 1.0 - share;
+    result.log_ratio += weights[i] * std::log(both);
+    const double trust = epipole_trust(pose, view1(m, i), view2(m, i), sigma * sigma);
+    const Eigen::Matrix<double, 5, 1> J = trust * jacobian_of(at, m.padded, i);
+    information += weights[i] * share * odds[i] / both / (sigma * sigma) * J * J.transpose();
+  }
+  const Matrix5 covariance = information.inverse();
+  result.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+  return result;
+}
+
+}  // namespace epi360
