@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/covariance.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
@@ -9,12 +8,10 @@
 
 #include "core/bearings.h"
 #include "core/robust/evidence.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
-
-using Vector5 = Eigen::Matrix<double, 5, 1>;
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
 
 // Of so many inliers, after five parameters were fitted to them.
 double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }
@@ -94,7 +91,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   }
   Matrix5 clustered = Matrix5::Zero();
   for (const Vector5& sum : sums) clustered += sum * sum.transpose();
-  const double together = independent.ldlt().solve(clustered).trace() / 5.0;
+  const double together = solve_symmetric(independent, clustered).trace() / 5.0;
 
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
@@ -102,7 +99,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   result.covariance = std::max(efficiency * freedom, variance) * std::max(together, 1.0) *
-                      symmetric(upper).inverse();
+                      inverse(symmetric(upper));
   return result;
 }
 
