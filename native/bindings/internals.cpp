@@ -89,8 +89,9 @@ nb::tuple run_loop(std::uint32_t num_matches, double inlier_share, int min_itera
   Random random(seed);
   NoPool none;
   LoopResult<double> result;
-  ransac(problem, sampler, {min_iterations, max_iterations, confidence}, random, none,
-         [&](double) { return inlier_share; }, result);
+  ransac(
+      problem, sampler, {min_iterations, max_iterations, confidence}, random, none,
+      [&](double) { return inlier_share; }, result);
   return nb::make_tuple(result.model, result.score, result.num_iterations);
 }
 

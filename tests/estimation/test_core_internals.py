@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Parts of the robust estimator by themselves: sampler, stopping rule, evidence, plane, rotation."""
+"""Sampler, stopping rule, evidence, plane and rotation of the core, each by itself."""
 
 from math import comb, log10
 
