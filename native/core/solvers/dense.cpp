@@ -3,8 +3,8 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
+#include <Eigen/Householder>
 #include <Eigen/LU>
-#include <Eigen/QR>
 
 namespace epi360 {
 
@@ -24,10 +24,21 @@ SmallMatrix symmetric_eigenvectors(const SmallMatrix& M) {
   return Eigen::SelfAdjointEigenSolver<SmallMatrix>(M).eigenvectors();
 }
 
+// The last column of Q of a Householder QR. Written out: Eigen's class takes blocks of columns at a
+// time, whose matrix products compile for five seconds.
 Eigen::Matrix<double, 9, 1> orthogonal_to(const Eigen::Matrix<double, 9, 8>& columns) {
-  const Eigen::HouseholderQR<SmallMatrix> qr{SmallMatrix(columns)};
-  Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 9, 1> last = Eigen::Matrix<double, 9, 1>::Unit(8);
-  last.applyOnTheLeft(qr.householderQ());
+  Eigen::Matrix<double, 9, 8> A = columns;
+  double tau[8], length, workspace[8];
+  for (int k = 0; k < 8; ++k) {
+    A.col(k).tail(9 - k).makeHouseholderInPlace(tau[k], length);
+    A(k, k) = length;
+    A.bottomRightCorner(9 - k, 7 - k)
+        .applyHouseholderOnTheLeft(A.col(k).tail(8 - k), tau[k], workspace);
+  }
+  Eigen::Matrix<double, 9, 1> last = Eigen::Matrix<double, 9, 1>::Unit(8);
+  for (int k = 7; k >= 0; --k) {
+    last.tail(9 - k).applyHouseholderOnTheLeft(A.col(k).tail(8 - k), tau[k], workspace);
+  }
   return last;
 }
 
