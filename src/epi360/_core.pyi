@@ -141,3 +141,9 @@ def solve_linear(
 def search_sk(
     bearings1: _Array, bearings2: _Array, sk_search: str, weights: _Array | None = None
 ) -> tuple[float, float, float, int]: ...
+
+class internals:  # noqa: N801 - a submodule, for tests
+    class Evidence: ...
+
+    @staticmethod
+    def judge(evidence: internals.Evidence) -> tuple[Status, list[Warning]]: ...

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/paper/gsm.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "core/refinement/refine.h"
 #include "core/residuals/residuals.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
@@ -97,7 +97,7 @@ class Linearisation {
     const double least = 1e-12 * hessian_.diagonal().maxCoeff();
     auto damped = hessian_;
     damped.diagonal() += damping * hessian_.diagonal().cwiseMax(least);
-    return -damped.ldlt().solve(gradient_);
+    return -solve_symmetric(damped, gradient_);
   }
 
   Basis basis;  // at the current direction

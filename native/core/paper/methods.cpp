@@ -84,7 +84,7 @@ RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E) {
   const FrontCounts counts = count_in_front(m, R.data(), poses[0].t.data());
   int best = 0;
   for (int k = 1; k < 4; ++k) {
-    if (counts.of[k] > counts.of[best]) best = k;
+    if (counts.matches[k] > counts.matches[best]) best = k;
   }
   return poses[best];
 }

@@ -13,20 +13,20 @@ namespace {
 constexpr std::size_t kBlock = Matches::kBlock;
 
 struct Plain3 {
-  double of[9];
+  double entry[9];
 };
 
 EPI360_INLINE Plain3 copy_of(const double* values) {
   Plain3 m;
-  std::copy(values, values + 9, m.of);
+  std::copy(values, values + 9, m.entry);
   return m;
 }
 
 EPI360_INLINE double residual_of(const Matches& m, const Plain3& E, std::size_t i) {
   const double x = m.x1[i], y = m.y1[i], z = m.z1[i];
-  const double nx = E.of[0] * x + E.of[1] * y + E.of[2] * z;
-  const double ny = E.of[3] * x + E.of[4] * y + E.of[5] * z;
-  const double nz = E.of[6] * x + E.of[7] * y + E.of[8] * z;
+  const double nx = E.entry[0] * x + E.entry[1] * y + E.entry[2] * z;
+  const double ny = E.entry[3] * x + E.entry[4] * y + E.entry[5] * z;
+  const double nz = E.entry[6] * x + E.entry[7] * y + E.entry[8] * z;
   const double squared = nx * nx + ny * ny + nz * nz;
   // Zero at the epipole, where a quotient of zeros would poison all sums.
   return (m.x2[i] * nx + m.y2[i] * ny + m.z2[i] * nz) / std::sqrt(squared > 0.0 ? squared : 1.0);
@@ -67,9 +67,9 @@ FrontCounts count_in_front(const Matches& m, const double* R, const double* t) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const std::size_t i = start + j;
       const double x = m.x1[i], y = m.y1[i], z = m.z1[i], w = m.weight[i];
-      const double ax = p.of[0] * x + p.of[1] * y + p.of[2] * z;
-      const double ay = p.of[3] * x + p.of[4] * y + p.of[5] * z;
-      const double az = p.of[6] * x + p.of[7] * y + p.of[8] * z;
+      const double ax = p.entry[0] * x + p.entry[1] * y + p.entry[2] * z;
+      const double ay = p.entry[3] * x + p.entry[4] * y + p.entry[5] * z;
+      const double az = p.entry[6] * x + p.entry[7] * y + p.entry[8] * z;
       const double ta = tx * ax + ty * ay + tz * az;
       const double tb = tx * m.x2[i] + ty * m.y2[i] + tz * m.z2[i];
       const double c = ax * m.x2[i] + ay * m.y2[i] + az * m.z2[i];
@@ -81,7 +81,7 @@ FrontCounts count_in_front(const Matches& m, const double* R, const double* t) {
       block[2][j] = (e1 > 0.0 ? w : 0.0) * (e2 > 0.0 ? 1.0 : 0.0);
       block[3][j] = (e1 < 0.0 ? w : 0.0) * (e2 < 0.0 ? 1.0 : 0.0);
     }
-    for (int k = 0; k < 4; ++k) counts.of[k] += block_sum(block[k]);
+    for (int k = 0; k < 4; ++k) counts.matches[k] += block_sum(block[k]);
   }
   return counts;
 }

@@ -17,7 +17,7 @@ double absolute_residual_sum(const Matches& m, const double* E);
 // Matches with both depths positive under (R, t), (R, -t), (R', t) and (R', -t), R' being R turned
 // by half a turn about t. R: row-major; t: of unit length.
 struct FrontCounts {
-  double of[4];
+  double matches[4];
 };
 
 FrontCounts count_in_front(const Matches& m, const double* R, const double* t);

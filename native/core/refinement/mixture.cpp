@@ -104,8 +104,6 @@ EPI360_INLINE double precision_of(const Parts& p) {
 
 EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
-constexpr std::size_t kLanes = 8;
-
 // Sums of all matches in eight lanes: see accumulate_normal_equations.
 struct LaneSum {
   double lane[kLanes] = {};

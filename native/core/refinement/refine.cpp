@@ -1,17 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/refinement/refine.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 
 #include "core/refinement/fit_mixture.h"
 #include "core/refinement/mixture.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
-
-using Vector5 = Eigen::Matrix<double, 5, 1>;
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
 
 constexpr double kSettled = 3e-3;  // change of scale (relative) and shares that counts as none
 
@@ -149,7 +146,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       Matrix5 damped = hessian;
       damped.diagonal() *= 1.0 + damping;
       damped.diagonal().array() += 1e-15 * (1.0 + hessian.trace());
-      step = -damped.ldlt().solve(gradient);
+      step = -solve_symmetric(damped, gradient);
       if (!step.allFinite()) return result;
       if (step.norm() < options.step_tolerance) break;
       // -g.step = step^T H step: its squared length in units of the covariance scale^2 H^-1.

@@ -348,7 +348,6 @@ EPI360_MULTIVERSION
 void accumulate_normal_equations(std::size_t padded, const double* jacobian,
                                  const double* residuals, const double* weights, double* hessian,
                                  double* gradient) {
-  constexpr std::size_t kLanes = 8;
   double sums[20][kLanes] = {};
   for (std::size_t start = 0; start < padded; start += kBlock) {
     int entry = 0;

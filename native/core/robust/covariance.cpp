@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/covariance.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
@@ -10,12 +8,10 @@
 
 #include "core/bearings.h"
 #include "core/robust/evidence.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
-
-using Vector5 = Eigen::Matrix<double, 5, 1>;
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
 
 constexpr double kFreeSigma = 60.0 * kDegree;  // of an angle of which nothing is known
 
@@ -74,10 +70,13 @@ Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam
 Matrix5 bounded_inverse(const Matrix5& information) {
   constexpr double kFree = kFreeSigma * kFreeSigma;
   if (!information.allFinite()) return kFree * Matrix5::Identity();
-  const Eigen::SelfAdjointEigenSolver<Matrix5> eigen(information);
-  const Vector5 variances = eigen.eigenvalues().unaryExpr(
-      [](double value) { return value > 1.0 / kFree ? 1.0 / value : kFree; });
-  return eigen.eigenvectors() * variances.asDiagonal() * eigen.eigenvectors().transpose();
+  const Matrix5 axes = symmetric_eigenvectors(information);
+  Vector5 variances;
+  for (int k = 0; k < 5; ++k) {
+    const double value = axes.col(k).dot(information * axes.col(k));
+    variances[k] = value > 1.0 / kFree ? 1.0 / value : kFree;
+  }
+  return axes * variances.asDiagonal() * axes.transpose();
 }
 
 }  // namespace
@@ -136,7 +135,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   }
   Matrix5 clustered = Matrix5::Zero();
   for (const Vector5& sum : sums) clustered += sum * sum.transpose();
-  result.clustering = std::max(independent.ldlt().solve(clustered).trace() / 5.0, 1.0);
+  result.clustering = std::max(solve_symmetric(independent, clustered).trace() / 5.0, 1.0);
 
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),

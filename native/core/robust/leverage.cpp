@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/leverage.h"
 
-#include <Eigen/LU>
-
 #include "core/bearings.h"
 #include "core/robust/covariance.h"
 #include "core/robust/evidence.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
@@ -46,13 +45,13 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
     std::vector<unsigned char> believed(m.size);
     for (std::size_t i = 0; i < m.size; ++i) believed[i] = workspace.current.weights[i] > 0.0;
     const double usual = median_parallax(m, best.cam2_from_cam1, believed.data());
-    const Eigen::Matrix<double, 5, 5> inverse = refined.information.inverse();
+    const Matrix5 covariance = inverse(refined.information);
     bool any = false;
     for (std::size_t i = 0; i < m.size; ++i) {
       const double weight = workspace.current.weights[i];
       if (!(weight > 0.0)) continue;
       const Eigen::Matrix<double, 5, 1> J = jacobian_of(workspace.current, m.padded, i);
-      if (weight * J.dot(inverse * J) <= kLargestLeverage) continue;
+      if (weight * J.dot(covariance * J) <= kLargestLeverage) continue;
       const Eigen::Vector3d a = best.cam2_from_cam1.R * view1(m, i);
       const Eigen::Vector3d b = view2(m, i);
       if (!(direction_angle(a, b) > kUnusualParallax * usual)) continue;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/plane.h"
 #include "core/bearings.h"
+#include "core/solvers/dense.h"
 
-#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/LU>
 #include <algorithm>
@@ -58,7 +58,7 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
     }
     if (round == kFewRounds - 1 && near < 0.5 * total) break;  // at 4 gates: no plane
     normal.diagonal().array() += 1e-12 * (1.0 + normal.trace());
-    n = normal.ldlt().solve(right);
+    n = solve_symmetric(normal, right);
   }
   *share = total > 0.0 ? inside / total : 0.0;
   return n;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/testimony.h"
 
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -12,11 +11,11 @@
 #include "core/refinement/refine.h"
 #include "core/robust/covariance.h"
 #include "core/robust/random.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
 
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
 using Indices = std::vector<std::size_t>;
 
 constexpr std::size_t kMostWitnesses = 512;       // more are thinned out at random
@@ -185,7 +184,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
     const Eigen::Matrix<double, 5, 1> J = trust * jacobian_of(at, m.padded, i);
     information += weights[i] * share * odds[i] / both / (sigma * sigma) * J * J.transpose();
   }
-  const Matrix5 covariance = information.inverse();
+  const Matrix5 covariance = inverse(information);
   result.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
   return result;
 }

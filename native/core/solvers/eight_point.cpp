@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/solvers/eight_point.h"
 
-#include <Eigen/Eigenvalues>
-#include <Eigen/QR>
 #include <cmath>
 
 #include "core/bearings.h"
+#include "core/solvers/dense.h"
 #include "core/solvers/smallest_eigenvector.h"
 #include "core/solvers/svd3.h"
 
@@ -18,18 +17,10 @@ Eigen::Matrix3d from_flat(const Flat& flat) {
   return Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(flat.data());
 }
 
-// Unit vector orthogonal to eight columns.
-Flat null_vector(const Eigen::Matrix<double, 9, 8>& rows) {
-  const Eigen::HouseholderQR<Eigen::Matrix<double, 9, 8>> qr(rows);
-  Flat flat = Flat::Unit(8);
-  flat.applyOnTheLeft(qr.householderQ());
-  return flat;
-}
-
 Flat smallest_vector(const Gram& M) {
   Flat flat;
   if (!smallest_eigenvector(M.data(), flat.data())) {
-    flat = Eigen::SelfAdjointEigenSolver<Gram>(M).eigenvectors().col(0);
+    flat = symmetric_eigenvectors(M).col(0);
   }
   return flat;
 }
@@ -64,7 +55,7 @@ Eigen::Matrix3d null_as_matrix(const Matches& m, const Eigen::Matrix3d& N1,
     const Eigen::Vector3d b2 = N2 * view2(m, i);
     for (int r = 0; r < 3; ++r) rows.block<3, 1>(3 * r, i) = std::sqrt(m.weight[i]) * b2[r] * b1;
   }
-  return from_flat(null_vector(rows));
+  return from_flat(orthogonal_to(rows));
 }
 
 Eigen::Matrix3d eight_point(const Matches& m) {
@@ -77,7 +68,7 @@ bool eight_point_minimal(const Eigen::Matrix<double, 3, 8>& bearings1,
   for (int i = 0; i < 8; ++i) {
     for (int r = 0; r < 3; ++r) rows.block<3, 1>(3 * r, i) = bearings2(r, i) * bearings1.col(i);
   }
-  const Flat flat = null_vector(rows);
+  const Flat flat = orthogonal_to(rows);
   if (!flat.allFinite()) return false;
   *E = rank_two(from_flat(flat));
   return true;

@@ -10,41 +10,40 @@ namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-constexpr int kLanes = 8;
 
 struct Products {
-  double of[6][kBlock];
+  double product[6][kBlock];
 };
 
 EPI360_INLINE void multiply_out(const double* x, const double* y, const double* z, Products& p) {
   for (std::size_t j = 0; j < kBlock; ++j) {
-    p.of[0][j] = x[j] * x[j];
-    p.of[1][j] = x[j] * y[j];
-    p.of[2][j] = x[j] * z[j];
-    p.of[3][j] = y[j] * y[j];
-    p.of[4][j] = y[j] * z[j];
-    p.of[5][j] = z[j] * z[j];
+    p.product[0][j] = x[j] * x[j];
+    p.product[1][j] = x[j] * y[j];
+    p.product[2][j] = x[j] * z[j];
+    p.product[3][j] = y[j] * y[j];
+    p.product[4][j] = y[j] * z[j];
+    p.product[5][j] = z[j] * z[j];
   }
 }
 
 EPI360_INLINE void scale(const double* weight, Products& p) {
   for (int k = 0; k < 6; ++k) {
-    for (std::size_t j = 0; j < kBlock; ++j) p.of[k][j] *= weight[j];
+    for (std::size_t j = 0; j < kBlock; ++j) p.product[k][j] *= weight[j];
   }
 }
 
 // Lanes are added in a fixed order, whatever the vector width.
 struct Lanes {
-  double of[36][kLanes];
+  double entry[36][kLanes];
 };
 
 EPI360_INLINE void accumulate_products(const Products& p1, const Products& p2, Lanes& lanes) {
   for (int k = 0; k < 6; ++k) {
     for (int l = 0; l < 6; ++l) {
-      const double* a = p2.of[k];
-      const double* b = p1.of[l];
-      double* sum = lanes.of[6 * k + l];
-      for (int i = 0; i < kLanes; ++i) {
+      const double* a = p2.product[k];
+      const double* b = p1.product[l];
+      double* sum = lanes.entry[6 * k + l];
+      for (std::size_t i = 0; i < kLanes; ++i) {
         sum[i] +=
             (a[i] * b[i] + a[i + 8] * b[i + 8]) + (a[i + 16] * b[i + 16] + a[i + 24] * b[i + 24]);
       }
@@ -55,7 +54,7 @@ EPI360_INLINE void accumulate_products(const Products& p1, const Products& p2, L
 EPI360_INLINE GramSums sum_of(const Lanes& lanes) {
   GramSums g;
   for (int k = 0; k < 36; ++k) {
-    g.sums[k] = lane_sum(lanes.of[k]);
+    g.sums[k] = lane_sum(lanes.entry[k]);
   }
   return g;
 }
@@ -118,7 +117,7 @@ ViewMoments view_moments(const Matches& m, int view) {
     multiply_out(b[0] + start, b[1] + start, b[2] + start, p);
     v.weight += block_sum(w);
     for (int k = 0; k < 3; ++k) v.mean[k] += weighted_sum(b[k] + start, w);
-    for (int k = 0; k < 6; ++k) v.second[k] += weighted_sum(p.of[k], w);
+    for (int k = 0; k < 6; ++k) v.second[k] += weighted_sum(p.product[k], w);
   }
   for (double& mean : v.mean) mean /= v.weight;
   for (std::size_t start = 0; start < m.padded; start += kBlock) {

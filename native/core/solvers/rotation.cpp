@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/solvers/rotation.h"
 #include "core/bearings.h"
-
-#include <Eigen/Eigenvalues>
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
@@ -33,8 +32,7 @@ Eigen::Matrix3d align_rotations(const Matches& m, const double* weights) {
       0, 0, S(1, 1) - S(0, 0) - S(2, 2), S(1, 2) + S(2, 1),                  //
       0, 0, 0, S(2, 2) - S(0, 0) - S(1, 1);
   K.triangularView<Eigen::StrictlyLower>() = K.transpose();
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix4d> solver(K);
-  const Eigen::Vector4d q = solver.eigenvectors().col(3);
+  const Eigen::Vector4d q = symmetric_eigenvectors(K).col(3);
   return Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized().toRotationMatrix();
 }
 

@@ -33,7 +33,14 @@ Eigen::Vector3d at(const Quadratic& p, double q) { return (p.c[2] * q + p.c[1]) 
 }  // namespace
 
 Eigen::Matrix3d upright_from(const Eigen::Vector3d& gravity) {
-  return Eigen::Quaterniond::FromTwoVectors(gravity, Eigen::Vector3d::UnitY()).toRotationMatrix();
+  const Eigen::Vector3d down = gravity.normalized();
+  if (down.y() < -1.0 + 1e-12) {  // upside down: the shortest turn to +y has no axis
+    const Eigen::Matrix3d half_turn = Eigen::Vector3d(-1.0, -1.0, 1.0).asDiagonal();
+    return upright_from(half_turn * down) * half_turn;
+  }
+  const double s = std::sqrt((1.0 + down.y()) * 2.0);
+  const Eigen::Vector3d v = down.cross(Eigen::Vector3d::UnitY()) * (1.0 / s);
+  return Eigen::Quaterniond(0.5 * s, v.x(), v.y(), v.z()).toRotationMatrix();
 }
 
 int upright_three_point(const Eigen::Matrix3d& bearings1, const Eigen::Matrix3d& bearings2,

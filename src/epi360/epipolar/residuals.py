@@ -304,7 +304,7 @@ def residual_jacobians(
         D, half_by_w, half_by_t = (
             num * x[usable].sum(axis=0, keepdims=True) for x in (D, half_by_w, half_by_t)
         )
-    D = np.maximum(D, 1e-20)  # a bearing in the epipole, as in native/core/residuals.cpp
+    D = np.maximum(D, 1e-20)  # a bearing in the epipole, as in native/core/residuals/
     by_w = np.cross(a, C_by_a) - C / D * half_by_w
     by_d = (C_by_t - C / D * half_by_t) @ tangent_basis(t)
     jacobians = np.hstack([by_w, by_d]) / np.sqrt(D)
