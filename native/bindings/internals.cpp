@@ -39,6 +39,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("direction_sigma", &Evidence::direction_sigma)
       .def_rw("log_ratio", &Evidence::log_ratio)
       .def_rw("regional_sigma", &Evidence::regional_sigma)
+      .def_rw("num_regions", &Evidence::num_regions)
       .def_rw("log_prior", &Evidence::log_prior)
       .def_rw("rival_evidence", &Evidence::rival_evidence)
       .def_rw("has_twin", &Evidence::has_twin)

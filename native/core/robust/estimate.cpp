@@ -115,6 +115,7 @@ class Estimate {
     const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, seed_);
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
+    evidence.num_regions = said.num_regions;
   }
 
   // Logarithm of the prior of the answer, as far as it may lower the odds: a search among upright

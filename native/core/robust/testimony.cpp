@@ -21,60 +21,65 @@ using Indices = std::vector<std::size_t>;
 constexpr std::size_t kMostWitnesses = 512;       // more are thinned out at random
 constexpr std::size_t kLargestNeighbourhood = 5;  // matches that exchange partners
 constexpr double kRegion = 3.0 * kDegree;         // matches nearer in both views are one region
+constexpr double kFixed = 1.0 * kDegree;          // of what stands still, if stitched or bent
 constexpr double kFreeInformation = 1.0;          // per radian^2: what is known without matches
 
-struct Column {
-  const std::vector<double>&x, &y, &z;
+// A bearing and the match it belongs to.
+struct Point {
+  double xyz[3];
+  std::size_t match;
 };
 
-// Of some matches the neighbourhoods in one view: the indices are reordered, and each range between
-// two cuts is one. Halves the longer side until a few are left.
-void cut_into_neighbourhoods(const Column& view, Indices& order, std::size_t begin, std::size_t end,
-                             Indices& cuts) {
-  if (end - begin <= kLargestNeighbourhood) {
-    cuts.push_back(end);
+// Reorders points so that each range up to a cut is one neighbourhood: halves the longest side until
+// a few are left.
+void cut_into_neighbourhoods(Point* begin, Point* end, const Point* first, Indices& cuts) {
+  const auto size = static_cast<std::size_t>(end - begin);
+  if (size <= kLargestNeighbourhood) {
+    cuts.push_back(static_cast<std::size_t>(end - first));
     return;
   }
-  const std::vector<double>* widest = &view.x;
-  double largest = -1.0;
-  for (const std::vector<double>* axis : {&view.x, &view.y, &view.z}) {
-    double low = 2.0, high = -2.0;
-    for (std::size_t k = begin; k < end; ++k) {
-      low = std::min(low, (*axis)[order[k]]);
-      high = std::max(high, (*axis)[order[k]]);
-    }
-    if (high - low > largest) {
-      largest = high - low;
-      widest = axis;
+  double low[3] = {2.0, 2.0, 2.0}, high[3] = {-2.0, -2.0, -2.0};
+  for (const Point* p = begin; p != end; ++p) {
+    for (int k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], p->xyz[k]);
+      high[k] = std::max(high[k], p->xyz[k]);
     }
   }
-  const std::size_t middle = (begin + end) / 2;
-  const auto at = [&](std::size_t k) { return order.begin() + static_cast<std::ptrdiff_t>(k); };
-  std::nth_element(at(begin), at(middle), at(end), [&](std::size_t a, std::size_t b) {
-    return (*widest)[a] != (*widest)[b] ? (*widest)[a] < (*widest)[b] : a < b;
+  int axis = 0;
+  for (int k = 1; k < 3; ++k) {
+    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  }
+  Point* middle = begin + size / 2;
+  std::nth_element(begin, middle, end, [axis](const Point& a, const Point& b) {
+    return a.xyz[axis] != b.xyz[axis] ? a.xyz[axis] < b.xyz[axis] : a.match < b.match;
   });
-  cut_into_neighbourhoods(view, order, begin, middle, cuts);
-  cut_into_neighbourhoods(view, order, middle, end, cuts);
+  cut_into_neighbourhoods(begin, middle, first, cuts);
+  cut_into_neighbourhoods(middle, end, first, cuts);
 }
 
 // For each match the share of exchanged partners of its neighbourhoods, in either view, with which
 // it would be an inlier too.
 std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
                                           const RelativePose& pose, double gate) {
-  Indices rows1, rows2, owners;
-  const Column views[2] = {{m.x1, m.y1, m.z1}, {m.x2, m.y2, m.z2}};
-  for (int v = 0; v < 2; ++v) {
-    Indices order(m.size), cuts;
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    cut_into_neighbourhoods(views[v], order, 0, m.size, cuts);
+  Indices rows1, rows2, owners, cuts;
+  for (Indices* rows : {&rows1, &rows2, &owners}) rows->reserve(8 * m.size);
+  std::vector<Point> points(m.size);
+  for (int view = 1; view <= 2; ++view) {
+    for (std::size_t i = 0; i < m.size; ++i) {
+      points[i] = view == 1 ? Point{{m.x1[i], m.y1[i], m.z1[i]}, i}
+                            : Point{{m.x2[i], m.y2[i], m.z2[i]}, i};
+    }
+    cuts.clear();
+    cut_into_neighbourhoods(points.data(), points.data() + points.size(), points.data(), cuts);
     std::size_t begin = 0;
     for (const std::size_t end : cuts) {
       for (std::size_t a = begin; a < end; ++a) {
         for (std::size_t b = begin; b < end; ++b) {
           if (a == b) continue;
-          owners.push_back(order[a]);
-          rows1.push_back(v == 0 ? order[a] : order[b]);
-          rows2.push_back(v == 0 ? order[b] : order[a]);
+          const std::size_t own = points[a].match, other = points[b].match;
+          owners.push_back(own);
+          rows1.push_back(view == 1 ? own : other);
+          rows2.push_back(view == 1 ? other : own);
         }
       }
       begin = end;
@@ -103,7 +108,7 @@ void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double g
   for (std::size_t i = 0; i < m.size; ++i) {
     if (!(at.in_front[i] > 0.5) || !(std::abs(at.residuals[i]) < gate)) continue;
     ++num_inliers;
-    if ((view1(m, i) - view2(m, i)).squaredNorm() < gate * gate) fixed.push_back(i);
+    if ((view1(m, i) - view2(m, i)).norm() < std::max(gate, kFixed)) fixed.push_back(i);
   }
   if (2 * fixed.size() >= num_inliers) return;
   for (const std::size_t i : fixed) weights[i] = 0.0;
@@ -173,17 +178,26 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
     for (std::size_t i = 0; i < m.size; ++i) {
       sum += weights[i] * share * odds[i] / (share * odds[i] + 1.0 - share);
     }
-    share = std::min(std::max(sum / total, 1e-6), 0.98);
+    const double next = std::min(std::max(sum / total, 1e-6), 0.98);
+    const bool settled = std::abs(next - share) < 1e-3 * share;
+    share = next;
+    if (settled) break;
   }
   Testimony result;
-  Matrix5 information = kFreeInformation * Matrix5::Identity();
+  std::fill(at.weights.begin(), at.weights.end(), 0.0);
   for (std::size_t i = 0; i < m.size; ++i) {
     const double both = share * odds[i] + 1.0 - share;
+    const double agreeing = weights[i] * share * odds[i] / both;
     result.log_ratio += weights[i] * std::log(both);
+    result.num_regions += agreeing;
     const double trust = epipole_trust(pose, view1(m, i), view2(m, i), sigma * sigma);
-    const Eigen::Matrix<double, 5, 1> J = trust * jacobian_of(at, m.padded, i);
-    information += weights[i] * share * odds[i] / both / (sigma * sigma) * J * J.transpose();
+    at.weights[i] = trust * trust * agreeing;
   }
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  const Matrix5 information =
+      kFreeInformation * Matrix5::Identity() + symmetric(upper) / (sigma * sigma);
   const Matrix5 covariance = inverse(information);
   result.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
   return result;

@@ -24,6 +24,7 @@ struct Testimony {
   // Standard deviation of the direction of translation (radians, over both components) if every
   // region counts once; at most that of knowing nothing.
   double direction_sigma = 0.0;
+  double num_regions = 0.0;  // that agree
 };
 
 // All matches, or so many of them at random as are worth asking.

@@ -21,7 +21,8 @@ constexpr double kSmallParallax = 4.0;
 // Logistic regression of right poses against wrong ones of real pairs (benchmarks/trust.py), on the
 // log-likelihood ratio of the regions and the logarithm of the direction's standard deviation.
 constexpr double kLogOdds = -2.7, kLogOddsPerRatio = 0.11, kLogOddsPerSigma = -1.2;
-constexpr double kLeastProbability = 0.75;
+constexpr double kLeastProbability = 0.85;
+constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
 constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
 constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
 constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
@@ -44,7 +45,8 @@ bool is_chance(const Evidence& e) {
 }
 
 bool is_undetermined(const Evidence& e) {
-  return e.direction_sigma > kUnknownDirection || e.rotation_sigma > kUnknownRotation;
+  return e.direction_sigma > kUnknownDirection || e.rotation_sigma > kUnknownRotation ||
+         e.num_regions < kFewestRegions;
 }
 
 // On a plane both poses are right but for noise, whose log-likelihoods differ by about the root of

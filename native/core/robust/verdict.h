@@ -62,7 +62,7 @@ struct Evidence {
 
   // What the matches say if every region is one witness, see testimony.h, and the logarithm of the
   // prior of the pose over that of the most probable one.
-  double log_ratio = kInfinity, regional_sigma = 0.0, log_prior = 0.0;
+  double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose. Whether
   // the inliers lie on a plane, so that there is such a pose by geometry.
