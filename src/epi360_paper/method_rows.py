@@ -1,0 +1,377 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What Tables 1 to 3 share: methods on the pairs of a trial as rows, and how they are read."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Protocol
+
+import numpy as np
+
+from epi360.poses import rotation_error_deg
+from epi360.progress import Progress
+from epi360_paper.methods import estimate_pose, pose_errors
+from epi360_paper.options import Outcome, ProtocolName, ReproduceOptions
+from epi360_paper.parts import Row, Trials
+from epi360_paper.protocols import PROTOCOLS
+from epi360_paper.rendered import PAIRS_PER_SEQUENCE, Lens, RenderedTracks
+from epi360_paper.results import (
+    Compared,
+    comparison_table,
+    in_thousandths,
+    save_page,
+    save_trials,
+)
+from epi360_paper.sources import LandmarkPairs, PairSource, pair_rule
+from epi360_paper.tracks import BearingPair
+from epi360_paper.trials import Trial, run_trials
+
+Measure = Callable[[BearingPair, str], Mapping[str, float]]
+
+PAPERS_PAIRS = 2000  # section 5.2: "over 2K different environments"
+FAR_OFF_DEG = 1.0  # about three pixels of the rendered panoramas
+NORMAL_MEDIAN = 0.6745  # of the absolute value of a normal variable of standard deviation one
+
+
+class PrintedRow(Protocol):
+    """A method's row of the paper's table: its title, errors in 1e-3 and more."""
+
+    @property
+    def title(self) -> str:
+        """The method, as the page names it."""
+
+    @property
+    def rotation(self) -> float:
+        """Median rotation error."""
+
+    @property
+    def translation(self) -> float:
+        """Median translation error."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a trial of the tables needs.
+
+    Attributes
+    ----------
+    source : PairSource
+        Where the pairs come from.
+    protocol : {"printed", "authors", "corrected"}
+        Details of the methods.
+    """
+
+    source: PairSource
+    protocol: ProtocolName
+
+
+def rendered_cell(lens: Lens, options: ReproduceOptions) -> Cell:
+    """Cell of rendered sequences, their tracks in the folder ``tracks`` of the run.
+
+    Parameters
+    ----------
+    lens : {"360", "fisheye"}
+        Of the camera.
+    options : ReproduceOptions
+        Image width, protocol and folder.
+
+    Returns
+    -------
+    cell : Cell
+    """
+    rule = pair_rule(options.protocol)
+    source = RenderedTracks(lens, options.image_width, rule, options.out / "tracks")
+    return Cell(source, options.protocol)
+
+
+def num_sequences(options: ReproduceOptions) -> int:
+    """Rendered sequences that give the wanted number of pairs, if each gives its most."""
+    return math.ceil(options.num_trials(PAPERS_PAIRS) / PAIRS_PER_SEQUENCE)
+
+
+def run_pairs(
+    name: str,
+    trial_function: Callable[[Cell, Trial], Sequence[Row]],
+    options: ReproduceOptions,
+    progress: Progress,
+) -> Trials:
+    """Trials of Table 1 or 2: on landmarks or on tracks in rendered panoramas.
+
+    Parameters
+    ----------
+    name : str
+        Of the experiment, with "-landmarks" where that is meant.
+    trial_function : callable
+        Gives the rows of a trial.
+    options : ReproduceOptions
+        ``trials`` is the number of pairs.
+    progress : callable
+        Told the trials done: pairs of landmarks, or sequences.
+
+    Returns
+    -------
+    trials : Trials
+        Rows of pairs only.
+
+    Raises
+    ------
+    ValueError
+        If no sequence has a pair, or the folder holds trials of another run.
+    """
+    if options.landmarks:
+        cells = {"landmarks": Cell(LandmarkPairs(options.protocol), options.protocol)}
+        count = options.num_trials(PAPERS_PAIRS)
+        return run_trials(name, cells, trial_function, count, options, progress)
+    cells = {"rendered-360": rendered_cell("360", options)}
+    count = num_sequences(options)
+    trials = run_trials(name, cells, trial_function, count, options, progress, chunk_size=1)
+    return with_pairs(trials)
+
+
+def pair_rows(
+    pairs: Sequence[BearingPair],
+    methods: Sequence[str],
+    protocol: ProtocolName,
+    measure: Measure | None = None,
+    measured: Sequence[str] = (),
+) -> list[dict[str, Any]]:
+    """One row for each pair and method.
+
+    Parameters
+    ----------
+    pairs : sequence of BearingPair
+        Problems of one trial.
+    methods : sequence of str
+        Names that `paper_pose` knows.
+    protocol : {"printed", "authors", "corrected"}
+        Details of the methods.
+    measure : callable, optional
+        Gives more columns for a pair and a method.
+    measured : sequence of str
+        Names of these columns.
+
+    Returns
+    -------
+    rows : list of dict
+        ``pair``, ``num_tracks``, ``turn_deg`` (between the frames), ``off_share`` (tracks more
+        than 1 deg out of their true epipolar plane), ``noise_deg`` (from the median angle out of
+        it), ``method``, what `measure` gives, errors of eq. 16 as shares of half a turn (NaN: no
+        pose) and ``time_ms`` of the one call.
+        A trial without pairs gives one row with the pair -1.
+    """
+    rows: list[dict[str, Any]] = []
+    for index, pair in enumerate(pairs):
+        residuals_deg = np.degrees(pair.true_residuals_rad())
+        place = {
+            "pair": index,
+            "num_tracks": len(residuals_deg),
+            "turn_deg": rotation_error_deg(pair.cam2_from_cam1, np.eye(3)),
+            "off_share": float(np.mean(residuals_deg > FAR_OFF_DEG)),
+            "noise_deg": float(np.median(residuals_deg)) / NORMAL_MEDIAN,
+        }
+        for method in methods:
+            more = measure(pair, method) if measure is not None else {}
+            rows.append({**place, "method": method, **more, **_errors(pair, method, protocol)})
+    return rows or [_empty_row(measured)]
+
+
+def with_pairs(trials: Trials) -> Trials:
+    """Rows of the trials that had pairs.
+
+    Parameters
+    ----------
+    trials : Trials
+        Of `pair_rows`.
+
+    Returns
+    -------
+    trials : Trials
+
+    Raises
+    ------
+    ValueError
+        If no trial had a pair.
+    """
+    kept = trials["pair"] >= 0
+    if not kept.any():
+        raise ValueError(
+            "the sequences must hold pairs of frames 0.5 m apart with 50 tracks alive, got none; "
+            "take larger images or longer sequences"
+        )
+    return Trials({name: column[kept] for name, column in trials.columns.items()}, trials.seconds)
+
+
+def pairs_line(trials: Trials, what: str) -> str:
+    """Sentence on the pairs behind a table.
+
+    Parameters
+    ----------
+    trials : Trials
+        Of `pair_rows`, pairs only.
+    what : str
+        What a trial is, in the plural.
+
+    Returns
+    -------
+    line : str
+    """
+    one = trials.where(method=trials["method"][0])
+    count = len(set(zip(one["cell"].tolist(), one["trial"].tolist(), strict=True)))
+    return (
+        f"{len(one):,} pairs of {count:,} {what}; medians: {np.median(one['num_tracks']):.0f} "
+        f"matches, {np.median(one['turn_deg']):.1f}° of turn, {np.median(one['noise_deg']):.2f}° "
+        "of noise out of the true epipolar plane; "
+        f"{100 * np.mean(one['off_share']):.1f} % of the matches are more than "
+        f"{FAR_OFF_DEG:g}° out of it."
+    )
+
+
+def agreement_line(quantity: str, paper: Mapping[str, float], ours: Mapping[str, float]) -> str:
+    """Sentence on how many pairs of methods are ordered as in the paper.
+
+    Parameters
+    ----------
+    quantity : str
+        What is compared; smaller is better.
+    paper, ours : mapping of str to float
+        Error by the method's name, the same names.
+
+    Returns
+    -------
+    line : str
+    """
+    pairs = [(a, b) for a, b in combinations(paper, 2) if paper[a] != paper[b]]
+    agree = [(a, b) for a, b in pairs if (paper[a] < paper[b]) == (ours[a] < ours[b])]
+    order = " < ".join(sorted(ours, key=lambda name: ours[name]))
+    return (
+        f"{quantity}: {len(agree)} of {len(pairs)} pairs of methods are ordered as in the paper; "
+        f"ours from the smallest: {order}."
+    )
+
+
+def comparison_outcome(
+    table: str,
+    subject: str,
+    trials: Trials,
+    sections: Sequence[str],
+    options: ReproduceOptions,
+) -> Outcome:
+    """Files and page of Table 1 or 2.
+
+    Parameters
+    ----------
+    table : str
+        "table1" or "table2".
+    subject : str
+        Of the page's title, which also says where the pairs come from.
+    trials : Trials
+        Of `run_pairs`.
+    sections : sequence of str
+        Of the page.
+    options : ReproduceOptions
+
+    Returns
+    -------
+    outcome : Outcome
+        Raw trials and the page.
+    """
+    name = experiment_name(table, options)
+    folder = options.folder(name)
+    where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
+    page, text = save_page(
+        folder,
+        f"{subject}, {where}",
+        sections,
+        options,
+        num_trials=int(trials["trial"].max()) + 1,
+        trials=trials,
+        unit=unit_of(options),
+    )
+    return Outcome(name, (*save_trials(folder, trials), page), text)
+
+
+def experiment_name(table: str, options: ReproduceOptions) -> str:
+    """Name of Table 1 or 2, by where its pairs come from."""
+    return f"{table}-landmarks" if options.landmarks else table
+
+
+def unit_of(options: ReproduceOptions) -> str:
+    """What a trial of Table 1 or 2 is, in the plural."""
+    return "scenes" if options.landmarks else "rendered sequences"
+
+
+def comparison_sections(
+    trials: Trials,
+    printed: Mapping[str, PrintedRow],
+    columns: Mapping[str, str],
+    measured: Sequence[str],
+    options: ReproduceOptions,
+) -> list[str]:
+    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree.
+
+    Parameters
+    ----------
+    trials : Trials
+        Of `run_pairs`.
+    printed : mapping of str to PrintedRow
+        The paper's row of each method; a column that it lacks is ours alone.
+    columns : mapping of str to str
+        Titles of the columns by the names in `printed`.
+    measured : sequence of str
+        Columns beside errors and time: medians over the trials that have a number.
+    options : ReproduceOptions
+
+    Returns
+    -------
+    sections : list of str
+    """
+    ours = {method: _medians(trials.where(method=method), measured) for method in printed}
+    rows = {
+        row.title: [Compared(getattr(row, name, None), ours[method][name]) for name in columns]
+        for method, row in printed.items()
+    }
+    orders = [
+        agreement_line(
+            quantity.capitalize(),
+            {row.title: getattr(row, quantity) for row in printed.values()},
+            {row.title: ours[method][quantity] for method, row in printed.items()},
+        )
+        for quantity in ("rotation", "translation")
+    ]
+    table = comparison_table("method", list(columns.values()), rows)
+    return [table, pairs_line(trials, unit_of(options)), " ".join(orders)]
+
+
+def _medians(trials: Trials, measured: Sequence[str]) -> dict[str, float]:
+    return {
+        **{name: float(np.nanmedian(trials[name])) for name in measured},
+        "rotation": in_thousandths(trials["rotation_error"]),
+        "translation": in_thousandths(trials["translation_error"]),
+        "time_ms": float(np.median(trials["time_ms"])),
+    }
+
+
+def _errors(pair: BearingPair, method: str, protocol: ProtocolName) -> dict[str, float]:
+    began = time.perf_counter()
+    pose = estimate_pose(method, pair.bearings1, pair.bearings2, PROTOCOLS[protocol])
+    seconds = time.perf_counter() - began
+    rotation, translation = pose_errors(pose, pair.cam2_from_cam1)
+    return {
+        "rotation_error": rotation,
+        "translation_error": translation,
+        "time_ms": 1e3 * seconds,
+    }
+
+
+def _empty_row(measured: Sequence[str]) -> dict[str, Any]:
+    place = {
+        "pair": -1,
+        "num_tracks": 0,
+        **dict.fromkeys(("turn_deg", "off_share", "noise_deg"), np.nan),
+    }
+    errors = ("rotation_error", "translation_error", "time_ms")
+    return {**place, "method": "", **dict.fromkeys((*measured, *errors), np.nan)}

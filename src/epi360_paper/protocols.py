@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The synthetic problems of section 5.1: as the text has it, as the authors' code, as is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Equirectangular
+from epi360.poses import Pose
+from epi360.synthetic import (
+    TwoViewScene,
+    landmarks_from_depth,
+    sample_relative_pose,
+    scene_from_points,
+)
+from epi360.synthetic.depth_landmarks import Density
+from epi360.synthetic.disturbances import OutlierModel
+from epi360.synthetic.landmarks import Noise
+from epi360_paper.options import ProtocolName
+from epi360_scenes import scene
+
+# The depth panoramas that landmarks are cast from: places in a rendered room, and how many of the
+# 32,768 pixels of each are kept to draw from: so few that those with a large solid angle are not
+# used up.
+NUM_PLACES = 12
+PANORAMA_WIDTH = 256
+LANDMARKS_KEPT = 4000
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """One amount of noise of Fig. 4 (b).
+
+    Attributes
+    ----------
+    kappa : float
+        Concentration of the von Mises-Fisher (or von Mises) noise.
+    printed_deg : float, optional
+        The angle that the paper prints for it; None where it prints none.
+    """
+
+    kappa: float
+    printed_deg: float | None = None
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How an experiment makes its problems, and which details of the method it follows.
+
+    Attributes
+    ----------
+    name : {"printed", "authors", "corrected"}
+    max_angle_deg : float
+        Each Euler angle is uniform in plus or minus this.
+    pose_is_inverse : bool
+        The sampled pose maps camera 2 to camera 1, not 1 to 2.
+    noise : {"bearings", "points"}
+        On the bearings of view 2, or in metres on its points; see `scene_from_points`.
+    outliers : {"uniform", "authors"}
+        See `replace_with_outliers`.
+    density : {"pixels", "sphere"}
+        Of the landmarks; see `landmarks_from_depth`.
+    noise_levels : tuple of NoiseLevel
+        Of Fig. 4 (b), the largest noise first.
+    sk_search : {"lm", "line"}
+        How (S, K) are found; see `paper_pose`.
+    parameterization : {"se3", "manifold"}
+        Of the non-linear refinement; see `paper_pose`.
+    weight_residual : {"paper", "solarte2021"}
+        That the weights of GSM come from: eq. 13 per point with its sign, or the authors' norm
+        over the whole array without a sign.
+    ransac_residual : {"paper", "solarte2021"}
+        That Table 4 compares with its thresholds.
+    adaptive_ransac : bool
+        Table 4 stops once a sample without outliers was drawn with 99 % confidence, as the
+        authors' code does, instead of after the printed numbers of iterations.
+    """
+
+    name: ProtocolName
+    max_angle_deg: float
+    pose_is_inverse: bool
+    noise: Noise
+    outliers: OutlierModel
+    density: Density
+    noise_levels: tuple[NoiseLevel, ...]
+    sk_search: Literal["lm", "line"]
+    parameterization: Literal["se3", "manifold"]
+    weight_residual: Literal["paper", "solarte2021"]
+    ransac_residual: Literal["paper", "solarte2021"]
+    adaptive_ransac: bool
+
+
+PROTOCOLS: dict[ProtocolName, Protocol] = {
+    "printed": Protocol(
+        name="printed",
+        max_angle_deg=45.0,
+        pose_is_inverse=False,
+        noise="bearings",
+        outliers="uniform",
+        density="pixels",
+        # Five concentrations for six angles: 1.60 deg has none, and 100 is not 10.21 deg.
+        noise_levels=(
+            NoiseLevel(100, 10.21),
+            NoiseLevel(200, 5.22),
+            NoiseLevel(500, 3.21),
+            NoiseLevel(1000, 2.27),
+            NoiseLevel(10_000, 0.72),
+        ),
+        sk_search="lm",
+        parameterization="se3",
+        weight_residual="paper",
+        # With eq. 13 the printed thresholds keep next to nothing: Table 4 says how little.
+        ransac_residual="solarte2021",
+        adaptive_ransac=False,
+    ),
+    "authors": Protocol(
+        name="authors",
+        max_angle_deg=10.0,
+        pose_is_inverse=True,
+        noise="points",
+        outliers="authors",
+        density="pixels",
+        noise_levels=tuple(NoiseLevel(kappa) for kappa in (10, 50, 200, 500, 1000, 10_000)),
+        sk_search="lm",
+        parameterization="se3",
+        weight_residual="solarte2021",
+        ransac_residual="solarte2021",
+        adaptive_ransac=True,
+    ),
+    "corrected": Protocol(
+        name="corrected",
+        max_angle_deg=45.0,
+        pose_is_inverse=False,
+        noise="bearings",
+        outliers="uniform",
+        density="sphere",
+        # The six concentrations whose mean angles are the six printed ones.
+        noise_levels=(
+            NoiseLevel(50, 10.21),
+            NoiseLevel(200, 5.22),
+            NoiseLevel(500, 3.21),
+            NoiseLevel(1000, 2.27),
+            NoiseLevel(2000, 1.60),
+            NoiseLevel(10_000, 0.72),
+        ),
+        sk_search="line",
+        parameterization="manifold",
+        weight_residual="paper",
+        ransac_residual="paper",
+        adaptive_ransac=True,
+    ),
+}
+
+
+def draw_scene(
+    protocol: Protocol,
+    num_points: int,
+    kappa: float,
+    outlier_ratio: float,
+    scene_rng: np.random.Generator,
+    rng: np.random.Generator,
+) -> TwoViewScene:
+    """Matches of two cameras in a room, with the protocol's noise and outliers.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    num_points : int
+        Number N of matches, outliers included.
+    kappa : float
+        Concentration of the noise.
+    outlier_ratio : float
+        Nominal share of outliers in [0, 1].
+    scene_rng : numpy.random.Generator
+        Draws landmarks and pose.
+    rng : numpy.random.Generator
+        Draws noise and outliers.
+
+    Returns
+    -------
+    scene : TwoViewScene
+        Its pose has a metric translation.
+    """
+    places = landmark_clouds(protocol.density)
+    cloud = places[scene_rng.integers(len(places))]
+    points = cloud[scene_rng.choice(len(cloud), num_points, replace=False)]
+    return scene_from_points(
+        rng,
+        points,
+        draw_pose(protocol, scene_rng),
+        kappa=kappa,
+        noise=protocol.noise,
+        outlier_ratio=outlier_ratio,
+        outlier_model=protocol.outliers,
+    )
+
+
+def draw_pose(protocol: Protocol, rng: np.random.Generator) -> Pose:
+    """Random ``cam2_from_cam1`` with a metric translation uniform in [-1, 1]^3.
+
+    Parameters
+    ----------
+    protocol : Protocol
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    cam2_from_cam1 : Pose
+    """
+    pose = sample_relative_pose(rng, max_angle_deg=protocol.max_angle_deg)
+    return pose.inverse() if protocol.pose_is_inverse else pose
+
+
+@lru_cache(maxsize=2)
+def landmark_clouds(density: Density) -> tuple[NDArray[np.float64], ...]:
+    """Landmarks of several places in a rendered room, each in its camera's frame.
+
+    Parameters
+    ----------
+    density : {"pixels", "sphere"}
+        See `landmarks_from_depth`.
+
+    Returns
+    -------
+    clouds : tuple of ndarray, each of shape (M, 3)
+        Metres. Always the same: the places do not depend on the seed of a run.
+    """
+    camera = Equirectangular(width=PANORAMA_WIDTH, height=PANORAMA_WIDTH // 2)
+    rng = np.random.Generator(np.random.PCG64(0))
+    return tuple(
+        landmarks_from_depth(depth, camera, LANDMARKS_KEPT, rng, density=density)
+        for depth in _depth_panoramas(camera)
+    )
+
+
+@lru_cache(maxsize=1)
+def _depth_panoramas(camera: Equirectangular) -> tuple[NDArray[np.float32], ...]:
+    room = scene("living_room")
+    rng = np.random.Generator(np.random.PCG64(0))
+    poses = [room.sample_pose(rng) for _ in range(NUM_PLACES)]
+    return tuple(room.render(camera, pose, supersample=1, num_threads=1).depth for pose in poses)

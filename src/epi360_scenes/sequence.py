@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A sequence of pictures, ranges and poses in a folder, rendered so that it can be resumed."""
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from epi360.cameras import Camera
+from epi360.poses import Pose
+from epi360.progress import Progress, no_progress
+from epi360_scenes.mp3d_layout import (
+    POSES_FILE,
+    frame_files,
+    poses_text,
+    write_frame,
+    write_whole,
+)
+from epi360_scenes.rendering import Rendering
+
+OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
+
+
+class RenderableScene(Protocol):
+    """A scene that makes pictures: a `Room` or a `MeshScene`."""
+
+    def render(self, camera: Camera, world_from_cam: Pose, *, supersample: int = 2) -> Rendering:
+        """Picture and depth that a camera sees from a pose."""
+
+
+def prepare_sequence(
+    folder: Path,
+    camera: Camera,
+    world_from_cam: Sequence[Pose],
+    options: Mapping[str, Any],
+) -> None:
+    """Make the folder of a sequence with its poses, camera and options, or check that it is this.
+
+    Parameters
+    ----------
+    folder : Path
+        New, empty, or begun with the same arguments.
+    camera : Camera
+        Written as ``camera.json``, which `load_camera` reads.
+    world_from_cam : sequence of Pose
+        Written as ``frm_ref.txt``.
+    options : mapping
+        What the pictures depend on, as JSON can hold it; written as ``render.json``.
+
+    Raises
+    ------
+    ValueError
+        If the folder is a file, or holds something else than this sequence.
+    OSError
+        If it cannot be written.
+    """
+    files = {
+        OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
+        CAMERA_FILE: json.dumps(_camera_record(camera), indent=2) + "\n",
+        POSES_FILE: poses_text(world_from_cam),
+    }
+    check_folder(folder, options)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        path = folder / name
+        if not path.exists():
+            write_whole(path, text.encode())
+        elif path.read_text(encoding="utf-8") != text:
+            raise ValueError(
+                f"{path} is not what these options give with this version of epi360; "
+                "choose another folder"
+            )
+
+
+def render_sequence(
+    scene: RenderableScene,
+    camera: Camera,
+    world_from_cam: Sequence[Pose],
+    folder: Path,
+    options: Mapping[str, Any],
+    *,
+    supersample: int = 2,
+    progress: Progress = no_progress,
+) -> int:
+    """Render the frames of a sequence that are not there yet, in the layout of 360-MP3D-VO.
+
+    Parameters
+    ----------
+    scene : RenderableScene
+    camera : Camera
+    world_from_cam : sequence of Pose
+        One pose a frame.
+    folder, options
+        See `prepare_sequence`, which is called first.
+    supersample : int
+        Rays per axis in pixels that hold an edge.
+    progress : callable
+        Called with "frames", before the first of them and after each.
+
+    Returns
+    -------
+    num_rendered : int
+        How many frames were rendered now.
+
+    Raises
+    ------
+    ValueError
+        If the folder belongs to something else, or a pose is inside a solid.
+    OSError
+        If a file cannot be written.
+    """
+    prepare_sequence(folder, camera, world_from_cam, options)
+    missing = [
+        index
+        for index in range(len(world_from_cam))
+        if not all(path.is_file() for path in frame_files(folder, index))
+    ]
+    there, total = len(world_from_cam) - len(missing), len(world_from_cam)
+    progress("frames", there, total)
+    for count, index in enumerate(missing, start=1):
+        rendering = scene.render(camera, world_from_cam[index], supersample=supersample)
+        write_frame(folder, index, rendering)
+        progress("frames", there + count, total)
+    return len(missing)
+
+
+def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
+    """Raise if a sequence of these options cannot go there; nothing is written.
+
+    Parameters
+    ----------
+    folder : Path
+    options : mapping
+
+    Raises
+    ------
+    ValueError
+        If it is a file, or a folder that holds something else than a sequence of these options.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"the sequence must go into a folder, {folder} is a file")
+    if not folder.is_dir() or not any(folder.iterdir()):
+        return
+    path = folder / OPTIONS_FILE
+    if not path.is_file():
+        raise ValueError(
+            f"{folder} is not empty and holds no sequence of epi360 render; choose a new folder"
+        )
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise ValueError(f"{path} is damaged; choose another folder") from None
+    known = found if isinstance(found, dict) else {}
+    wanted = json.loads(json.dumps(dict(options)))
+    for name in [*wanted, *(set(known) - set(wanted))]:
+        if known.get(name) != wanted.get(name):
+            raise ValueError(
+                f"{folder} holds a sequence with {name} {known.get(name)}, not "
+                f"{wanted.get(name)}; choose another folder, or the same options to resume it"
+            )
+
+
+def _camera_record(camera: Camera) -> dict[str, Any]:
+    """Model and parameters of a camera in our own file format."""
+    numbers = {
+        name: value for name, value in dataclasses.asdict(camera).items() if value is not None
+    }
+    return {"model": type(camera).__name__, **numbers}
