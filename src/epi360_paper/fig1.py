@@ -36,20 +36,7 @@ TITLE = "Fig. 1: distribution of the key points of a panorama"
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Figure 1 from a rendered pair: key points, top view, unit sphere, ovoid after (S*, K*).
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        Seed, image width and folder; there is nothing to repeat or to distribute.
-    progress : callable
-        Told the frames rendered.
-
-    Returns
-    -------
-    outcome : Outcome
-        ``trials.csv`` (a row a key point), ``table.md`` and ``figure.png``.
-    """
+    """Make figure 1 from a rendered pair: key points, top view, unit sphere, ovoid."""
     pair = track_pair(
         scene("studio", options.seed),
         options.image_width,

@@ -57,20 +57,7 @@ NUM_NEAREST = 12  # the planes of panel d end at some of the points nearest to t
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Figure 2 from a rendered pair: matches, spheres, ovoids, essential matrix and pose.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        Seed, image width and folder; there is nothing to repeat or to distribute.
-    progress : callable
-        Told the frames rendered.
-
-    Returns
-    -------
-    outcome : Outcome
-        ``trials.csv`` (a row a match), ``table.md`` and ``figure.png``.
-    """
+    """Make figure 2 from a rendered pair: matches, spheres, ovoids, essential matrix and pose."""
     pair = track_pair(
         furnished_room(options.seed),
         options.image_width,

@@ -25,7 +25,7 @@ from epi360_paper.trials import Trial, run_trials
 Array = NDArray[np.float64]
 
 TITLE = "Fig. 3: stability of the spherical projection"
-NUM_PROBLEMS = 100  # of which the medians of panel f are taken; the paper shows one
+NUM_PROBLEMS = 100  # panel f shows their medians; the paper shows one problem
 NUM_LANDMARKS = 200
 KAPPA, OUTLIER_RATIO = 500.0, 0.2  # section 5.1
 NUM_COLOURED = 600  # clean landmarks of panels b to d
@@ -36,21 +36,7 @@ PANELS = {"b": (1.0, 1.0), "c": (2.0, 1.0), "d": (1.0, 2.0)}  # S and K
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Figure 3 from synthetic landmarks: geometry, parallax on three ovoids, error over (S, K).
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        The trials are the problems of panel f, 100 by default.
-    progress : callable
-        Told the problems done.
-
-    Returns
-    -------
-    outcome : Outcome
-        ``trials.csv`` (errors over K/S of every problem), ``surface.csv`` (panel e),
-        ``parallax.csv`` (panels b to d), ``table.md`` and ``figure.png``.
-    """
+    """Make figure 3 from synthetic landmarks: geometry, three ovoids, error over (S, K)."""
     num_problems = options.num_trials(NUM_PROBLEMS)
     trials = run_trials("fig3", {"problems": None}, problem_rows, num_problems, options, progress)
     folder = options.folder("fig3")
@@ -71,13 +57,7 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def make_problem(trial: Trial) -> TwoViewScene:
-    """Landmarks on the walls of a room with the noise and the outliers of section 5.1.
-
-    Parameters
-    ----------
-    trial : Trial
-        Whose random numbers decide everything.
-    """
+    """Landmarks on the walls of a room with the noise and the outliers of section 5.1."""
     return two_view_scene(
         int(trial.rng().integers(2**63)),
         num_matches=NUM_LANDMARKS,
@@ -88,14 +68,7 @@ def make_problem(trial: Trial) -> TwoViewScene:
 
 
 def problem_rows(cell: None, trial: Trial) -> list[dict[str, float | str]]:
-    """Errors and costs of one problem over K/S (kind "grid"), and where both searches end.
-
-    Parameters
-    ----------
-    cell : None
-        There is one.
-    trial : Trial
-    """
+    """Errors and costs of one problem over K/S (kind "grid"), and where both searches end."""
     scene = make_problem(trial)
     cost = SkCost(scene.bearings1, scene.bearings2)
     places = [("grid", 1.0, float(ratio)) for ratio in RATIOS]
@@ -119,36 +92,15 @@ def problem_rows(cell: None, trial: Trial) -> list[dict[str, float | str]]:
 
 
 def typical_problem(trials: Trials) -> int:
-    """Index of the problem whose error over K/S is closest to the median of all problems.
-
-    Parameters
-    ----------
-    trials : Trials
-        Rows of `problem_rows`.
-    """
+    """Index of the problem whose error over K/S is closest to the median of all problems."""
     curves = np.log(np.maximum(_profile(trials).translation_deg, 1e-6))
     return int(np.abs(curves - np.median(curves, axis=0)).mean(axis=1).argmin())
 
 
 def error_surface(scene: TwoViewScene, values: Array) -> Surface:
-    """Errors of the normalised eight-point algorithm over a grid of S and K.
-
-    Parameters
-    ----------
-    scene : TwoViewScene
-        One problem.
-    values : ndarray, shape (G,)
-        Of S and of K.
-
-    Returns
-    -------
-    surface : Surface
-
-    Notes
-    -----
-    Each of the G x G solutions is computed, though E depends on K / S alone: N = S diag(1, 1, K/S)
-    and a common factor of all rows of A changes no singular vector.
-    """
+    """Errors of the normalised eight-point algorithm over a grid of S and K."""
+    # Each solution is computed, though E depends on K / S alone: N = S diag(1, 1, K / S), and a
+    # common factor of all rows of A changes no singular vector.
     cost = SkCost(scene.bearings1, scene.bearings2)
     errors_at = partial(_errors_at, scene, cost)
     errors = np.array([[errors_at(S, K) for K in values] for S in values])
@@ -160,14 +112,7 @@ def error_surface(scene: TwoViewScene, values: Array) -> Surface:
 
 
 def parallax_deg(scene: TwoViewScene, S: float, K: float) -> Array:
-    """Motion parallax in the normalised domain: angle between N R q1 and N q2, shape (N,).
-
-    Parameters
-    ----------
-    scene : TwoViewScene
-    S, K : float
-        Of N; (1, 1) gives the true parallax.
-    """
+    """Motion parallax in the normalised domain: angle between N R q1 and N q2, shape (N,)."""
     measured = stability(scene.bearings1, scene.bearings2, (S, K), scene.cam2_from_cam1)
     return np.asarray(np.degrees(measured.normalized_parallax_rad))
 

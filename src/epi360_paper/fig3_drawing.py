@@ -57,42 +57,24 @@ MARKS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Surface:
-    """Errors of one problem over a grid of S and K, and where the searches end.
+    """Errors of one problem over a grid of S and K, and where the searches end."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (G,)
-        Of S and of K, evenly spaced in their logarithm.
-    rotation_deg, translation_deg : ndarray, shape (G, G)
-        Row by S, column by K.
-    found : dict of str to (S, K, error)
-        Ends of the searches "line" and "lm" with the translation error there in degrees, and
-        "start", (1, 1).
-    """
-
-    values: Array
+    values: Array  # (G,): values of S and of K, evenly spaced in their logarithm
+    # (G, G): one row for each S, one column for each K
     rotation_deg: Array
     translation_deg: Array
+    # S, K and the translation error in degrees where the searches "line" and "lm" end, and at
+    # their "start", (1, 1)
     found: dict[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Curves over K/S, one row a problem.
+    """Curves over K/S, one row a problem."""
 
-    Attributes
-    ----------
-    ratios : ndarray, shape (R,)
-        K/S.
-    translation_deg : ndarray, shape (P, R)
-        Errors.
-    residual_deg : ndarray, shape (P, R)
-        Mean absolute value of eq. 13, what the search minimises (eq. 14).
-    """
-
-    ratios: Array
-    translation_deg: Array
-    residual_deg: Array
+    ratios: Array  # (R,): values of K/S
+    translation_deg: Array  # (P, R)
+    residual_deg: Array  # (P, R): mean absolute value of eq. 13, which the search minimises
 
 
 def draw_stability(
@@ -103,25 +85,7 @@ def draw_stability(
     profile: Profile,
     shown: int,
 ) -> Figure:
-    """Figure 3 of the paper, with a sixth panel: the section of the surface along K/S.
-
-    Parameters
-    ----------
-    scene : TwoViewScene
-        Clean landmarks of panels b to d.
-    panels : mapping of str to (S, K)
-        By the panel's letter.
-    parallax : mapping of str to ndarray, shape (N,)
-        Degrees, by the panel's letter.
-    surface : Surface
-    profile : Profile
-    shown : int
-        Which of its problems is that of the surface.
-
-    Returns
-    -------
-    figure : Figure
-    """
+    """Figure 3 of the paper, with a sixth panel: the section of the surface along K/S."""
     figure = new_figure(WIDTH_IN, HEIGHT_IN)
     _draw_geometry(add_axes(figure, 0.15, 0.5, 4.4, 3.7))
     largest = max(float(np.percentile(values, 99)) for values in parallax.values())

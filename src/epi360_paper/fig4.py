@@ -30,7 +30,8 @@ KAPPA = 500.0
 NUM_POINTS = (8, 200)
 OUTLIER_RATIO = 0.2
 OUTLIER_RATIOS = tuple(step / 10 for step in range(8))
-# Panel (a) draws the number of points; its curve is over these ranges, first included, last not.
+# Panel (a) draws the number of points; its curve has one value for each of these ranges, which
+# hold their first number and not their last.
 POINT_BINS = (8, 16, 32, 48, 64, 96, 128, 160, 201)
 # What the paper says in words about this figure and its cause, in percent of the error.
 PAPERS_REDUCTION = {("opt_sk", "8pa"): 20.0, ("gsm_w_sk", "gsm_w_xi"): 10.0}
@@ -41,37 +42,17 @@ CLAIMED_BETTER = (*PAPERS_REDUCTION, ("gsm_w_xi", "gsm"), ("gsm_w_sk", "gsm"))
 
 @dataclass(frozen=True)
 class Level:
-    """One point of a panel's horizontal axis.
-
-    Attributes
-    ----------
-    protocol : {"printed", "authors", "corrected"}
-    num_points : tuple of (int, int)
-        Range that the number of points is drawn from, both ends included.
-    kappa : float
-        Concentration of the noise.
-    outlier_ratio : float
-        Nominal share of outliers.
-    """
+    """One point of a panel's horizontal axis."""
 
     protocol: ProtocolName
+    # The number of points is drawn from this range, both ends included.
     num_points: tuple[int, int] = (200, 200)
-    kappa: float = KAPPA
-    outlier_ratio: float = 0.0
+    kappa: float = KAPPA  # concentration of the noise
+    outlier_ratio: float = 0.0  # nominal share of outliers
 
 
 def run_a(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Outcome of panel (a): 8 to 200 points, 20 % outliers.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-    progress : callable
-
-    Returns
-    -------
-    outcome : Outcome
-    """
+    """Make panel (a): 8 to 200 points, 20 % outliers."""
     cells = {"20%": Level(options.protocol, NUM_POINTS, outlier_ratio=OUTLIER_RATIO)}
     trials = _run("fig4a", cells, options, progress)
     groups = {}
@@ -84,17 +65,7 @@ def run_a(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def run_b(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Outcome of panel (b): levels of noise, 200 points, no outliers.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-    progress : callable
-
-    Returns
-    -------
-    outcome : Outcome
-    """
+    """Make panel (b): levels of noise, 200 points, no outliers."""
     levels = PROTOCOLS[options.protocol].noise_levels
     cells = {f"{level.kappa:g}": Level(options.protocol, kappa=level.kappa) for level in levels}
     trials = _run("fig4b", cells, options, progress)
@@ -108,17 +79,7 @@ def run_b(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def run_c(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Outcome of panel (c): 0 to 70 % outliers, 200 points.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-    progress : callable
-
-    Returns
-    -------
-    outcome : Outcome
-    """
+    """Make panel (c): 0 to 70 % outliers, 200 points."""
     cells = {
         f"{100 * ratio:.0f}%": Level(options.protocol, outlier_ratio=ratio)
         for ratio in OUTLIER_RATIOS
@@ -129,18 +90,7 @@ def run_c(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def evaluate(level: Level, trial: Trial) -> Row:
-    """Errors of the five methods on one random scene.
-
-    Parameters
-    ----------
-    level : Level
-    trial : Trial
-
-    Returns
-    -------
-    row : dict
-        ``num_points``, ``outlier_share`` (the true one) and two errors a method.
-    """
+    """Errors of the five methods on one random scene."""
     protocol = PROTOCOLS[level.protocol]
     scene_rng, (least, most) = trial.scene_rng(), level.num_points
     num_points = int(scene_rng.integers(least, most + 1))
@@ -170,7 +120,7 @@ def _report(
 ) -> Outcome:
     """Files of a panel: raw trials, curves, page, figure."""
     folder = options.folder(name)
-    curves = Curves.of(axis, groups, METHODS)
+    curves = Curves.from_trials(axis, groups, METHODS)
     files = save_trials(folder, trials)
     page, text = save_page(
         folder,

@@ -29,38 +29,16 @@ MARKERS = ("o", "s", "^", "D", "v")
 
 @dataclass(frozen=True)
 class Curves:
-    """Quartiles of the errors of several methods at several levels.
+    """Quartiles of the errors of several methods at several levels."""
 
-    Attributes
-    ----------
-    axis : str
-        What changes from level to level.
-    levels : tuple of str
-        Names of the L levels.
-    quartiles : dict of (str, str) to ndarray, shape (3, L)
-        By ("rotation" or "translation", method): 25, 50 and 75 % quantiles in 1e-3.
-    """
-
-    axis: str
-    levels: tuple[str, ...]
+    axis: str  # what changes from level to level
+    levels: tuple[str, ...]  # names of the L levels
+    # (3, L) for each ("rotation" or "translation", method): 25, 50 and 75 % quantiles in 1e-3
     quartiles: dict[tuple[str, str], NDArray[np.float64]]
 
     @classmethod
-    def of(cls, axis: str, groups: Mapping[str, Trials], methods: Sequence[str]) -> Curves:
-        """Curves of raw trials.
-
-        Parameters
-        ----------
-        axis : str
-            What changes from level to level.
-        groups : mapping of str to Trials
-            By level.
-        methods : sequence of str
-
-        Returns
-        -------
-        curves : Curves
-        """
+    def from_trials(cls, axis: str, groups: Mapping[str, Trials], methods: Sequence[str]) -> Curves:
+        """Quartiles of the raw trials of each level."""
         quartiles = {
             (kind, method): np.array([
                 [in_thousandths(group[f"{kind}_{method}"], q) for group in groups.values()]
@@ -72,33 +50,13 @@ class Curves:
         return cls(axis, tuple(groups), quartiles)
 
     def median(self, kind: str, method: str) -> NDArray[np.float64]:
-        """Medians of one method, shape (L,), in 1e-3.
-
-        Parameters
-        ----------
-        kind : {"rotation", "translation"}
-        method : str
-
-        Returns
-        -------
-        medians : ndarray, shape (L,)
-        """
+        """Medians of one method, shape (L,), in 1e-3."""
         medians: NDArray[np.float64] = self.quartiles[kind, method][1]
         return medians
 
 
 def save_curves(curves: Curves, path: Path) -> Path:
-    """Write the points of the curves as CSV.
-
-    Parameters
-    ----------
-    curves : Curves
-    path : Path
-
-    Returns
-    -------
-    path : Path
-    """
+    """Write the points of the curves as CSV."""
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow([curves.axis, "error", "method", "q25_1e-3", "q50_1e-3", "q75_1e-3"])
@@ -110,20 +68,7 @@ def save_curves(curves: Curves, path: Path) -> Path:
 
 
 def draw_curves(curves: Curves, titles: Mapping[str, str], path: Path) -> Path:
-    """Draw rotation and translation errors side by side.
-
-    Parameters
-    ----------
-    curves : Curves
-    titles : mapping of str to str
-        Name of each method in the legend.
-    path : Path
-        PNG.
-
-    Returns
-    -------
-    path : Path
-    """
+    """Draw rotation and translation errors side by side."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 2)

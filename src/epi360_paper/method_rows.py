@@ -33,8 +33,10 @@ from epi360_paper.trials import Trial, run_trials
 Measure = Callable[[BearingPair, str], Mapping[str, float]]
 
 PAPERS_PAIRS = 2000  # section 5.2: "over 2K different environments"
-FAR_OFF_DEG = 1.0  # about three pixels of the rendered panoramas
-NORMAL_MEDIAN = 0.6745  # of the absolute value of a normal variable of standard deviation one
+# Tracks further out of their true epipolar plane are counted: about three pixels of the rendered
+# panoramas.
+FAR_OFF_DEG = 1.0
+NORMAL_MEDIAN = 0.6745  # median absolute value of a normal variable of unit standard deviation
 
 
 class PrintedRow(Protocol):
@@ -55,34 +57,14 @@ class PrintedRow(Protocol):
 
 @dataclass(frozen=True)
 class Cell:
-    """What a trial of the tables needs.
+    """What a trial of the tables needs."""
 
-    Attributes
-    ----------
-    source : PairSource
-        Where the pairs come from.
-    protocol : {"printed", "authors", "corrected"}
-        Details of the methods.
-    """
-
-    source: PairSource
-    protocol: ProtocolName
+    source: PairSource  # where the pairs come from
+    protocol: ProtocolName  # details of the methods
 
 
 def rendered_cell(lens: Lens, options: ReproduceOptions) -> Cell:
-    """Cell of rendered sequences, their tracks in the folder ``tracks`` of the run.
-
-    Parameters
-    ----------
-    lens : {"360", "fisheye"}
-        Of the camera.
-    options : ReproduceOptions
-        Image width, protocol and folder.
-
-    Returns
-    -------
-    cell : Cell
-    """
+    """Cell of rendered sequences, whose tracks are kept in the folder ``tracks`` of the run."""
     rule = pair_rule(options.protocol)
     source = RenderedTracks(lens, options.image_width, rule, options.out / "tracks")
     return Cell(source, options.protocol)
@@ -99,29 +81,7 @@ def run_pairs(
     options: ReproduceOptions,
     progress: Progress,
 ) -> Trials:
-    """Trials of Table 1 or 2: on landmarks or on tracks in rendered panoramas.
-
-    Parameters
-    ----------
-    name : str
-        Of the experiment, with "-landmarks" where that is meant.
-    trial_function : callable
-        Gives the rows of a trial.
-    options : ReproduceOptions
-        ``trials`` is the number of pairs.
-    progress : callable
-        Told the trials done: pairs of landmarks, or sequences.
-
-    Returns
-    -------
-    trials : Trials
-        Rows of pairs only.
-
-    Raises
-    ------
-    ValueError
-        If no sequence has a pair, or the folder holds trials of another run.
-    """
+    """Trials of Table 1 or 2: on landmarks or on tracks in rendered panoramas."""
     if options.landmarks:
         cells = {"landmarks": Cell(LandmarkPairs(options.protocol), options.protocol)}
         count = options.num_trials(PAPERS_PAIRS)
@@ -139,30 +99,7 @@ def pair_rows(
     measure: Measure | None = None,
     measured: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
-    """One row for each pair and method.
-
-    Parameters
-    ----------
-    pairs : sequence of BearingPair
-        Problems of one trial.
-    methods : sequence of str
-        Names that `paper_pose` knows.
-    protocol : {"printed", "authors", "corrected"}
-        Details of the methods.
-    measure : callable, optional
-        Gives more columns for a pair and a method.
-    measured : sequence of str
-        Names of these columns.
-
-    Returns
-    -------
-    rows : list of dict
-        ``pair``, ``num_tracks``, ``turn_deg`` (between the frames), ``off_share`` (tracks more
-        than 1 deg out of their true epipolar plane), ``noise_deg`` (from the median angle out of
-        it), ``method``, what `measure` gives, errors of eq. 16 as shares of half a turn (NaN: no
-        pose) and ``time_ms`` of the one call.
-        A trial without pairs gives one row with the pair -1.
-    """
+    """One row for each pair and method; a trial without pairs gives one row with the pair -1."""
     rows: list[dict[str, Any]] = []
     for index, pair in enumerate(pairs):
         residuals_deg = np.degrees(pair.true_residuals_rad())
@@ -180,22 +117,7 @@ def pair_rows(
 
 
 def with_pairs(trials: Trials) -> Trials:
-    """Rows of the trials that had pairs.
-
-    Parameters
-    ----------
-    trials : Trials
-        Of `pair_rows`.
-
-    Returns
-    -------
-    trials : Trials
-
-    Raises
-    ------
-    ValueError
-        If no trial had a pair.
-    """
+    """Rows of the trials that had pairs; ``ValueError`` if none had."""
     kept = trials["pair"] >= 0
     if not kept.any():
         raise ValueError(
@@ -206,19 +128,7 @@ def with_pairs(trials: Trials) -> Trials:
 
 
 def pairs_line(trials: Trials, what: str) -> str:
-    """Sentence on the pairs behind a table.
-
-    Parameters
-    ----------
-    trials : Trials
-        Of `pair_rows`, pairs only.
-    what : str
-        What a trial is, in the plural.
-
-    Returns
-    -------
-    line : str
-    """
+    """Sentence on the pairs behind a table."""
     one = trials.where(method=trials["method"][0])
     count = len(set(zip(one["cell"].tolist(), one["trial"].tolist(), strict=True)))
     return (
@@ -231,19 +141,7 @@ def pairs_line(trials: Trials, what: str) -> str:
 
 
 def agreement_line(quantity: str, paper: Mapping[str, float], ours: Mapping[str, float]) -> str:
-    """Sentence on how many pairs of methods are ordered as in the paper.
-
-    Parameters
-    ----------
-    quantity : str
-        What is compared; smaller is better.
-    paper, ours : mapping of str to float
-        Error by the method's name, the same names.
-
-    Returns
-    -------
-    line : str
-    """
+    """Sentence on how many pairs of methods are ordered as in the paper."""
     pairs = [(a, b) for a, b in combinations(paper, 2) if paper[a] != paper[b]]
     agree = [(a, b) for a, b in pairs if (paper[a] < paper[b]) == (ours[a] < ours[b])]
     order = " < ".join(sorted(ours, key=lambda name: ours[name]))
@@ -260,25 +158,7 @@ def comparison_outcome(
     sections: Sequence[str],
     options: ReproduceOptions,
 ) -> Outcome:
-    """Files and page of Table 1 or 2.
-
-    Parameters
-    ----------
-    table : str
-        "table1" or "table2".
-    subject : str
-        Of the page's title, which also says where the pairs come from.
-    trials : Trials
-        Of `run_pairs`.
-    sections : sequence of str
-        Of the page.
-    options : ReproduceOptions
-
-    Returns
-    -------
-    outcome : Outcome
-        Raw trials and the page.
-    """
+    """Files and page of Table 1 or 2."""
     name = experiment_name(table, options)
     folder = options.folder(name)
     where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
@@ -311,24 +191,7 @@ def comparison_sections(
     measured: Sequence[str],
     options: ReproduceOptions,
 ) -> list[str]:
-    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree.
-
-    Parameters
-    ----------
-    trials : Trials
-        Of `run_pairs`.
-    printed : mapping of str to PrintedRow
-        The paper's row of each method; a column that it lacks is ours alone.
-    columns : mapping of str to str
-        Titles of the columns by the names in `printed`.
-    measured : sequence of str
-        Columns beside errors and time: medians over the trials that have a number.
-    options : ReproduceOptions
-
-    Returns
-    -------
-    sections : list of str
-    """
+    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree."""
     ours = {method: _medians(trials.where(method=method), measured) for method in printed}
     rows = {
         row.title: [Compared(getattr(row, name, None), ours[method][name]) for name in columns]

@@ -38,22 +38,7 @@ LEGENDS = {
 
 
 def estimate_pose(method: str, bearings1: Array, bearings2: Array, protocol: Protocol) -> Pose:
-    """Pose by one of the paper's methods, with the details of the protocol.
-
-    Parameters
-    ----------
-    method : str
-        A name that `paper_pose` knows.
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Matches.
-    protocol : Protocol
-        Says how (S, K) are searched, over what the pose is refined, and where weights come from.
-
-    Returns
-    -------
-    cam2_from_cam1 : Pose
-        Of NaN where there are fewer than eight matches.
-    """
+    """Pose by one of the paper's methods, with the details of the protocol."""
     if len(bearings1) < 8:
         return Pose.nan()
     if protocol.weight_residual == "solarte2021" and method in ("gsm_w_xi", "gsm_w_sk"):
@@ -68,18 +53,7 @@ def estimate_pose(method: str, bearings1: Array, bearings2: Array, protocol: Pro
 
 
 def pose_errors(estimate: Pose, truth: Pose) -> tuple[float, float]:
-    """Errors of rotation and translation by eq. 16: angles as shares of half a turn.
-
-    Parameters
-    ----------
-    estimate, truth : Pose
-        The lengths of the translations do not matter.
-
-    Returns
-    -------
-    rotation, translation : float
-        In [0, 1]; NaN where the estimate is NaN.
-    """
+    """Errors of rotation and translation by eq. 16: angles as shares of half a turn."""
     return (
         rotation_error_deg(estimate, truth) / 180.0,
         translation_error_deg(estimate, truth) / 180.0,
@@ -89,23 +63,7 @@ def pose_errors(estimate: Pose, truth: Pose) -> tuple[float, float]:
 def method_errors(
     methods: Sequence[str], bearings1: Array, bearings2: Array, truth: Pose, protocol: Protocol
 ) -> dict[str, float]:
-    """Errors of several methods on the same matches, as columns of a row.
-
-    Parameters
-    ----------
-    methods : sequence of str
-        See `estimate_pose`.
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Matches.
-    truth : Pose
-        True ``cam2_from_cam1``.
-    protocol : Protocol
-
-    Returns
-    -------
-    columns : dict of str to float
-        ``rotation_8pa``, ``translation_8pa`` and so on.
-    """
+    """Errors of several methods on the same matches, as columns of a row."""
     columns = {}
     for method in methods:
         pose = estimate_pose(method, bearings1, bearings2, protocol)

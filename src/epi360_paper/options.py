@@ -13,44 +13,20 @@ ProtocolName = Literal["printed", "authors", "corrected"]
 
 @dataclass(frozen=True)
 class ReproduceOptions:
-    """Options that all experiments share; an experiment ignores those that it has no use for.
+    """Options that all experiments share; an experiment ignores those that it has no use for."""
 
-    Attributes
-    ----------
-    protocol : {"printed", "authors", "corrected"}
-        Follow the paper's text, the authors' code, or what is right.
-    trials : int, optional
-        Trials a cell; by default the paper's count.
-    seed : int
-        Of all random numbers.
-    jobs : int, optional
-        Worker processes, by default one a core; the numbers do not depend on it.
-    out : Path
-        Folder of the results; an experiment writes into its own folder in it.
-    landmarks : bool
-        Tables 1 and 2 on synthetic landmarks instead of tracks in rendered images.
-    mp3d_vo : Path, optional
-        Folder of the data set 360-MP3D-VO, for Table 3.
-    tum_vi : Path, optional
-        Folder of the data set TUM-VI, for Table 3.
-    image_width : int
-        Width of rendered panoramas in pixels.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its range.
-    """
-
+    # Follow the paper's text, the authors' code, or what is right.
     protocol: ProtocolName = "printed"
-    trials: int | None = None
-    seed: int = 0
-    jobs: int | None = None
+    trials: int | None = None  # trials a cell; by default the paper's count
+    seed: int = 0  # seed of all random numbers
+    jobs: int | None = None  # worker processes, by default one a core
+    # Folder of the results; each experiment writes into its own folder in it.
     out: Path = Path("out/reproduce")
+    # Tables 1 and 2 on synthetic landmarks instead of tracks in rendered images.
     landmarks: bool = False
-    mp3d_vo: Path | None = None
-    tum_vi: Path | None = None
-    image_width: int = 1024
+    mp3d_vo: Path | None = None  # folder of the data set 360-MP3D-VO, for Table 3
+    tum_vi: Path | None = None  # folder of the data set TUM-VI, for Table 3
+    image_width: int = 1024  # width of rendered panoramas in pixels
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -70,49 +46,18 @@ class ReproduceOptions:
         return self.jobs or os.cpu_count() or 1
 
     def num_trials(self, papers_count: int) -> int:
-        """Trials a cell.
-
-        Parameters
-        ----------
-        papers_count : int
-            The paper's number, used where none is given.
-
-        Returns
-        -------
-        num_trials : int
-        """
+        """Trials a cell: the wanted number, or else the paper's."""
         return self.trials or papers_count
 
     def folder(self, name: str) -> Path:
-        """Folder of an experiment's results: runs under another protocol get their own.
-
-        Parameters
-        ----------
-        name : str
-            Of the experiment, such as "fig4a" or "table1-landmarks".
-
-        Returns
-        -------
-        folder : Path
-            ``out/name``, with the protocol at the end unless it is "printed".
-        """
+        """Folder of an experiment's results: runs under another protocol get their own."""
         return self.out / (name if self.protocol == "printed" else f"{name}-{self.protocol}")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What an experiment has made.
+    """What an experiment has made."""
 
-    Attributes
-    ----------
-    name : str
-        Of the experiment.
-    files : tuple of Path
-        Files written, the raw trials first.
-    summary : str
-        The table in Markdown, *paper | ours*; empty for a figure without numbers.
-    """
-
-    name: str
-    files: tuple[Path, ...]
-    summary: str = ""
+    name: str  # name of the experiment
+    files: tuple[Path, ...]  # files written, the raw trials first
+    summary: str = ""  # the table in Markdown, *paper | ours*; empty for a figure without numbers

@@ -21,18 +21,11 @@ FACING, AVERTED = 3, 1  # layers: what faces the reader lies on what is behind t
 
 @dataclass(frozen=True)
 class Eye:
-    """Where a solid is looked at from, without perspective.
+    """Where a solid is looked at from, without perspective."""
 
-    Attributes
-    ----------
-    azimuth_deg : float
-        Turn of the line of sight about the vertical; 0 looks along +z, negative from the right.
-    elevation_deg : float
-        How far the eye looks down.
-    """
-
+    # Turn of the line of sight about the vertical: 0 looks along +z, negative from the right.
     azimuth_deg: float = -38.0
-    elevation_deg: float = 18.0
+    elevation_deg: float = 18.0  # how far the eye looks down
 
     @property
     def axes(self) -> Array:
@@ -43,18 +36,7 @@ class Eye:
         return np.stack([right, np.cross(forward, right), forward])
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Coordinates on paper, y up, and the depth behind it.
-
-        Parameters
-        ----------
-        points : ndarray, shape (..., 3)
-
-        Returns
-        -------
-        paper : ndarray, shape (..., 2)
-        depths : ndarray, shape (...)
-            Positive away from the reader.
-        """
+        """Coordinates on paper, y up, and the depth behind it."""
         seen = points @ self.axes.T
         return seen[..., :2] * (1.0, -1.0), seen[..., 2]
 
@@ -73,35 +55,7 @@ def draw_ovoid(
     area: float = 26.0,
     axis_length: float = 0.22,
 ) -> PathCollection:
-    """Draw the unit sphere deformed by N with the bearings N q on it (paper eq. 5).
-
-    Parameters
-    ----------
-    axes : Axes
-        Cleared of its frame, one unit as long as the other.
-    bearings : ndarray, shape (M, 3)
-        Unit bearings q.
-    normalizer : ndarray, shape (3, 3), optional
-        N; by default the unit matrix.
-    colours : colour, sequence of M colours, or M numbers for `norm` and `cmap`
-    norm, cmap
-        As in `Axes.scatter`.
-    eye : Eye, optional
-        Where it is seen from.
-    center : array_like, shape (3,)
-        Where it stands, in its units.
-    extent : float, optional
-        Half of what the axes show; None leaves the limits alone.
-    area : float
-        Of a dot, in square points.
-    axis_length : float
-        Of the camera's axes outside of the surface; relative to its size.
-
-    Returns
-    -------
-    points : PathCollection
-        The dots that face the reader.
-    """
+    """Draw the unit sphere deformed by N with the bearings N q on it (paper eq. 5)."""
     eye = eye or Eye()
     N = np.eye(3) if normalizer is None else normalizer
     place = np.asarray(center, dtype=np.float64)
@@ -175,15 +129,7 @@ def _draw_frame(axes: Axes, N: Array, center: Array, eye: Eye, length: float) ->
 
 
 def great_circle(normal: Array, num: int = 181) -> Array:
-    """Return unit vectors once around the great circle with a normal, shape (num, 3).
-
-    Parameters
-    ----------
-    normal : ndarray, shape (3,)
-        Any length.
-    num : int
-        The last repeats the first.
-    """
+    """Unit vectors once around the great circle with a normal, shape (num, 3)."""
     unit = normal / np.linalg.norm(normal)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     first /= np.linalg.norm(first)
@@ -202,6 +148,6 @@ def _graticule() -> list[Array]:
 
 
 def _directions(longitude: Array, latitude: Array) -> Array:
-    """Paper eq. 2."""
+    """Unit vectors of longitudes and latitudes (paper eq. 2)."""
     c = np.cos(latitude)
     return np.stack([c * np.sin(longitude), -np.sin(latitude), c * np.cos(longitude)], axis=-1)

@@ -27,18 +27,10 @@ _BATCH = 128  # samples solved at once; the arrays of 400 matches stay below hal
 
 @dataclass(frozen=True)
 class PaperRansac:
-    """What the RANSAC has kept.
+    """What the RANSAC has kept."""
 
-    Attributes
-    ----------
-    inlier_mask : ndarray, shape (N,), bool
-        Matches below the threshold of the best sample.
-    num_iterations : int
-        Samples drawn.
-    """
-
-    inlier_mask: NDArray[np.bool_]
-    num_iterations: int
+    inlier_mask: NDArray[np.bool_]  # (N,): matches below the threshold for the best sample
+    num_iterations: int  # samples drawn
 
 
 def paper_ransac(
@@ -50,38 +42,11 @@ def paper_ransac(
     residual: Literal["paper", "solarte2021"] = "solarte2021",
     num_iterations: int | None = None,
 ) -> PaperRansac:
-    """Matches that agree with the best eight of them.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Unit bearing vectors without NaN, N >= 8.
-    threshold : float
-        Largest residual of an inlier, in the unit of `residual`.
-    rng : numpy.random.Generator
-        Draws the samples.
-    residual : {"paper", "solarte2021"}
-        See `essential_residuals`.
-    num_iterations : int, optional
-        Samples to draw. By default until, with the largest share of inliers so far, one sample
-        without outliers was drawn with a probability of 0.99, at most 1177.
-
-    Returns
-    -------
-    result : PaperRansac
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than eight matches.
-
-    Notes
-    -----
-    The best sample has the most inliers; among equals, the least sum of squared residuals of all
-    matches. Both, and the stopping rule, are those of the authors' published code.
-    """
+    """Matches that agree with the best eight of them."""
     if len(bearings1) < SAMPLE_SIZE:
         raise ValueError(f"RANSAC needs {SAMPLE_SIZE} matches or more, got {len(bearings1)}")
+    # The best sample has the most inliers; among equals, the least sum of squared residuals of all
+    # matches. Both, and the stopping rule, are those of the authors' published code.
     best, best_mask = (-1, -np.inf), np.zeros(len(bearings1), dtype=np.bool_)
     done, limit = 0, num_iterations or MAX_ITERATIONS
     for residuals in _residuals_of_samples(bearings1, bearings2, residual, rng, limit):
@@ -101,22 +66,10 @@ def paper_ransac(
 def essential_residuals(
     E: Array, bearings1: Array, bearings2: Array, residual: Literal["paper", "solarte2021"]
 ) -> Array:
-    """Absolute residuals of one essential matrix, or of many at once.
-
-    Parameters
-    ----------
-    E : ndarray, shape (..., 3, 3)
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Unit bearing vectors.
-    residual : {"paper", "solarte2021"}
-        "paper" is eq. 13 for each match: |b2^T E b1| / |E b1|, the sine of the angle to the
-        epipolar plane. "solarte2021" divides by the norms of the whole arrays instead, as the
-        authors' code does: |b2^T E b1| / (sqrt(N) |E B1|_F), about 1/N of the other.
-
-    Returns
-    -------
-    residuals : ndarray, shape (..., N)
-    """
+    """Absolute residuals (..., N) of essential matrices (..., 3, 3)."""
+    # "paper" is eq. 13 for each match: |b2^T E b1| / |E b1|, the sine of the angle to the epipolar
+    # plane. "solarte2021" divides by the norms of the whole arrays instead, as the authors' code
+    # does: |b2^T E b1| / (sqrt(N) |E B1|_F), about 1/N of the other.
     products = np.abs(E.reshape(*E.shape[:-2], 9) @ observation_matrix(bearings1, bearings2).T)
     planes = np.linalg.norm(E @ bearings1.T, axis=-2)
     if residual == "paper":

@@ -30,36 +30,18 @@ _TYPES: dict[str, Callable[[str], Any]] = {"float": float, "int": int, "str": st
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What determines the numbers of a part.
-
-    Attributes
-    ----------
-    name, protocol, seed, version : str, str, int, str
-        Experiment, protocol, seed of the run, version of the package.
-    cell, value, settings : str
-        Key of the cell, ``repr`` of its value, and what else the experiment depends on.
-    """
+    """What determines the numbers of a part."""
 
     name: str
     protocol: str
     seed: int
-    version: str
+    version: str  # of the package
     cell: str
-    value: str
-    settings: str
+    value: str  # ``repr`` of the cell's value
+    settings: str  # what else the experiment depends on
 
     def difference(self, other: Mapping[str, Any]) -> str:
-        """First thing in which a part's header differs, in words; "" where none does.
-
-        Parameters
-        ----------
-        other : mapping
-            Header of a part.
-
-        Returns
-        -------
-        difference : str
-        """
+        """First difference to the header of a part, in words; "" where there is none."""
         for key, mine in asdict(self).items():
             if other.get(key) != mine:
                 return f"{key} {other.get(key)!r}, not {mine!r}"
@@ -68,18 +50,11 @@ class Fingerprint:
 
 @dataclass(frozen=True)
 class Trials:
-    """Raw results of an experiment, one row a trial (or several).
+    """Raw results of an experiment, one row a trial (or several)."""
 
-    Attributes
-    ----------
-    columns : dict of str to ndarray, each of shape (N,)
-        By name; "cell" and "trial" first.
-    seconds : float
-        Processor time of all parts together.
-    """
-
+    # (N,) by name; "cell" and "trial" come first.
     columns: dict[str, NDArray[Any]] = field(default_factory=dict)
-    seconds: float = 0.0
+    seconds: float = 0.0  # processor time of all parts together
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -90,18 +65,7 @@ class Trials:
         return self.columns[column]
 
     def where(self, **equal: str | int | float) -> Trials:
-        """Rows in which the named columns have the given values.
-
-        Parameters
-        ----------
-        **equal : str, int or float
-            Value by column, such as ``cell="50%"``.
-
-        Returns
-        -------
-        trials : Trials
-            In the same order.
-        """
+        """Rows in which the named columns have the given values."""
         mask = np.ones(len(self), dtype=bool)
         for column, value in equal.items():
             mask &= self.columns[column] == value
@@ -109,24 +73,7 @@ class Trials:
 
 
 def write_part(path: Path, fingerprint: Fingerprint, rows: Sequence[Row], seconds: float) -> None:
-    """Write the trials of a part; readers never see half of it.
-
-    Parameters
-    ----------
-    path : Path
-        Written or replaced.
-    fingerprint : Fingerprint
-        Of the run.
-    rows : sequence of mapping
-        At least one; all with the same columns.
-    seconds : float
-        Processor time that they took.
-
-    Raises
-    ------
-    ValueError
-        If there is no row or the rows differ in their columns.
-    """
+    """Write the trials of a part; readers never see half of it."""
     if not rows:
         raise ValueError(f"a trial of {fingerprint.name} must give a row, got none")
     names = list(rows[0])
@@ -147,24 +94,7 @@ def write_part(path: Path, fingerprint: Fingerprint, rows: Sequence[Row], second
 
 
 def read_part(path: Path, fingerprint: Fingerprint) -> dict[str, Any] | None:
-    """Header of a part; None where there is no such part, or a damaged one.
-
-    Parameters
-    ----------
-    path : Path
-        Of the part.
-    fingerprint : Fingerprint
-        Of the run that wants it.
-
-    Returns
-    -------
-    header : dict or None
-
-    Raises
-    ------
-    ValueError
-        If the part belongs to another run.
-    """
+    """Header of a part; None if it is missing or damaged, ``ValueError`` if of another run."""
     try:
         with path.open(encoding="utf-8") as file:
             header: dict[str, Any] = json.loads(file.readline().removeprefix("# "))
@@ -180,22 +110,7 @@ def read_part(path: Path, fingerprint: Fingerprint) -> dict[str, Any] | None:
 
 
 def join_parts(parts: Sequence[tuple[Path, Fingerprint]]) -> Trials:
-    """Trials of several parts in the order given.
-
-    Parameters
-    ----------
-    parts : sequence of (Path, Fingerprint)
-        Files that exist.
-
-    Returns
-    -------
-    trials : Trials
-
-    Raises
-    ------
-    ValueError
-        If the parts differ in their columns or belong to another run.
-    """
+    """Trials of several parts in the order given."""
     pieces: dict[str, list[NDArray[Any]]] = {}
     seconds = 0.0
     for path, fingerprint in parts:

@@ -32,39 +32,21 @@ DARK_STROKE = [withStroke(linewidth=2.5, foreground="black")]
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """White figure on the Agg canvas, independent of pyplot.
-
-    Parameters
-    ----------
-    width_in, height_in : float
-        Size in inches of `DPI` pixels.
-    """
+    """White figure on the Agg canvas, independent of pyplot."""
     figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def png_of(figure: Figure) -> bytes:
-    """Encode a figure as PNG; equal figures give equal bytes.
-
-    Parameters
-    ----------
-    figure : Figure
-    """
+    """Encode a figure as PNG; equal figures give equal bytes."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def add_axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes in a box measured in inches from the figure's upper left corner.
-
-    Parameters
-    ----------
-    figure : Figure
-    left, top, width, height : float
-        Inches.
-    """
+    """Axes in a box measured in inches from the figure's upper left corner."""
     full_width, full_height = figure.get_size_inches()
     bottom = full_height - top - height
     return figure.add_axes(
@@ -73,28 +55,12 @@ def add_axes(figure: Figure, left: float, top: float, width: float, height: floa
 
 
 def write_panel_title(axes: Axes, letter: str, text: str) -> None:
-    """Write the letter of a panel in bold and what it shows above the axes.
-
-    Parameters
-    ----------
-    axes : Axes
-    letter : str
-        Without the parentheses.
-    text : str
-    """
+    """Write the letter of a panel in bold and what it shows above the axes."""
     axes.set_title(f"({letter})  {text}", loc="left", fontsize=12, color=INK, pad=6)
 
 
 def draw_panorama(axes: Axes, image: NDArray[np.uint8], *, fade: float = 0.0) -> None:
-    """Show an image; afterwards the axes are in its continuous pixels.
-
-    Parameters
-    ----------
-    axes : Axes
-    image : ndarray, shape (H, W, 3), uint8
-    fade : float
-        Share in [0, 1] of white laid over it.
-    """
+    """Show an image; afterwards the axes are in its continuous pixels."""
     height, width = image.shape[:2]
     shown = np.asarray(image * (1.0 - fade) + 255.0 * fade, dtype=np.uint8)
     axes.imshow(shown, extent=(0, width, height, 0), aspect="auto", interpolation="antialiased")
@@ -105,17 +71,7 @@ def draw_panorama(axes: Axes, image: NDArray[np.uint8], *, fade: float = 0.0) ->
 def draw_keypoints(
     axes: Axes, pixels: Array, colours: Any = LANDMARK, *, area: float = 26.0
 ) -> None:
-    """Mark key points with dots that stand out on any picture.
-
-    Parameters
-    ----------
-    axes : Axes
-        In pixels.
-    pixels : ndarray, shape (N, 2)
-    colours : colour or sequence of N colours
-    area : float
-        Of a dot, in square points.
-    """
+    """Mark key points with dots that stand out on any picture."""
     u, v = pixels.T
     axes.scatter(u, v, s=area, c=colours, linewidths=0.7, edgecolors="black", zorder=4)
 
@@ -129,22 +85,7 @@ def draw_top_view(
     ceiling_m: float = 0.9,
     cell_m: float = 0.02,
 ) -> None:
-    """Draw a room's coloured points and its landmarks from above, z up and x to the right.
-
-    Parameters
-    ----------
-    axes : Axes
-        Gets metres of the camera frame.
-    image : ndarray, shape (H, W, 3), uint8
-        Colours of the points.
-    points : ndarray, shape (H, W, 3)
-        One per pixel, in the frame of the (upright) camera at the origin.
-    landmarks : ndarray, shape (N, 3)
-    ceiling_m : float
-        What is higher above the camera is cut away.
-    cell_m : float
-        Side of a cell of the map; the highest point in it gives its colour.
-    """
+    """Draw points (H, W, 3) in the camera frame and landmarks from above, z up, x to the right."""
     flat, colours = points.reshape(-1, 3), image.reshape(-1, 3)
     kept = np.flatnonzero(np.isfinite(flat).all(axis=1) & (flat[:, 1] > -ceiling_m))
     order = kept[np.argsort(-flat[kept, 1], kind="stable")]  # y is down: the highest come last
@@ -181,12 +122,7 @@ def _map_of(
 
 
 def style_axes(axes: Axes) -> None:
-    """Give axes with ticks the look of the figures.
-
-    Parameters
-    ----------
-    axes : Axes
-    """
+    """Give axes with ticks the look of the figures."""
     axes.tick_params(labelsize=9, colors=INK, length=3)
     axes.xaxis.label.set_fontsize(10)
     axes.yaxis.label.set_fontsize(10)
@@ -194,18 +130,7 @@ def style_axes(axes: Axes) -> None:
 
 
 def spread_indices(bearings: Array, num: int) -> NDArray[np.intp]:
-    """Rows of bearings that lie far from each other, shape (min(num, N),).
-
-    Parameters
-    ----------
-    bearings : ndarray, shape (N, 3)
-        Unit directions.
-    num : int
-
-    Notes
-    -----
-    Farthest-point sampling from the first row on.
-    """
+    """Rows of bearings that lie far from each other, by farthest-point sampling."""
     chosen: list[int] = []
     nearest = np.full(len(bearings), np.inf)
     for _ in range(min(num, len(bearings))):

@@ -24,9 +24,8 @@ from epi360.synthetic.landmarks import Noise
 from epi360_paper.options import ProtocolName
 from epi360_scenes import scene
 
-# The depth panoramas that landmarks are cast from: places in a rendered room, and how many of the
-# 32,768 pixels of each are kept to draw from: so few that those with a large solid angle are not
-# used up.
+# Landmarks are cast from depth panoramas at this many places in a rendered room. So few of the
+# 32,768 pixels of each are kept that those with a large solid angle are not used up.
 NUM_PLACES = 12
 PANORAMA_WIDTH = 256
 LANDMARKS_KEPT = 4000
@@ -34,64 +33,31 @@ LANDMARKS_KEPT = 4000
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """One amount of noise of Fig. 4 (b).
+    """One amount of noise of Fig. 4 (b)."""
 
-    Attributes
-    ----------
-    kappa : float
-        Concentration of the von Mises-Fisher (or von Mises) noise.
-    printed_deg : float, optional
-        The angle that the paper prints for it; None where it prints none.
-    """
-
-    kappa: float
-    printed_deg: float | None = None
+    kappa: float  # concentration of the von Mises-Fisher (or von Mises) noise
+    printed_deg: float | None = None  # angle that the paper prints for it
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """How an experiment makes its problems, and which details of the method it follows.
-
-    Attributes
-    ----------
-    name : {"printed", "authors", "corrected"}
-    max_angle_deg : float
-        Each Euler angle is uniform in plus or minus this.
-    pose_is_inverse : bool
-        The sampled pose maps camera 2 to camera 1, not 1 to 2.
-    noise : {"bearings", "points"}
-        On the bearings of view 2, or in metres on its points; see `scene_from_points`.
-    outliers : {"uniform", "authors"}
-        See `replace_with_outliers`.
-    density : {"pixels", "sphere"}
-        Of the landmarks; see `landmarks_from_depth`.
-    noise_levels : tuple of NoiseLevel
-        Of Fig. 4 (b), the largest noise first.
-    sk_search : {"lm", "line"}
-        How (S, K) are found; see `paper_pose`.
-    parameterization : {"se3", "manifold"}
-        Of the non-linear refinement; see `paper_pose`.
-    weight_residual : {"paper", "solarte2021"}
-        That the weights of GSM come from: eq. 13 per point with its sign, or the authors' norm
-        over the whole array without a sign.
-    ransac_residual : {"paper", "solarte2021"}
-        That Table 4 compares with its thresholds.
-    adaptive_ransac : bool
-        Table 4 stops once a sample without outliers was drawn with 99 % confidence, as the
-        authors' code does, instead of after the printed numbers of iterations.
-    """
+    """How an experiment makes its problems, and which details of the method it follows."""
 
     name: ProtocolName
-    max_angle_deg: float
-    pose_is_inverse: bool
-    noise: Noise
-    outliers: OutlierModel
-    density: Density
-    noise_levels: tuple[NoiseLevel, ...]
-    sk_search: Literal["lm", "line"]
-    parameterization: Literal["se3", "manifold"]
+    max_angle_deg: float  # each Euler angle is uniform in plus or minus this
+    pose_is_inverse: bool  # the sampled pose maps camera 2 to camera 1, not 1 to 2
+    noise: Noise  # on the bearings of view 2 or in metres on its points, see `scene_from_points`
+    outliers: OutlierModel  # see `replace_with_outliers`
+    density: Density  # see `landmarks_from_depth`
+    noise_levels: tuple[NoiseLevel, ...]  # levels of Fig. 4 (b), the largest noise first
+    sk_search: Literal["lm", "line"]  # how (S, K) are found; see `paper_pose`
+    parameterization: Literal["se3", "manifold"]  # see `paper_pose`
+    # The weights of GSM come from this residual: eq. 13 per point with its sign, or the authors'
+    # norm over the whole array without a sign.
     weight_residual: Literal["paper", "solarte2021"]
-    ransac_residual: Literal["paper", "solarte2021"]
+    ransac_residual: Literal["paper", "solarte2021"]  # Table 4 thresholds this one
+    # Table 4 stops when a sample without outliers was drawn with 99 % confidence, as the authors'
+    # code does, instead of after the printed numbers of iterations.
     adaptive_ransac: bool
 
 
@@ -165,27 +131,7 @@ def draw_scene(
     scene_rng: np.random.Generator,
     rng: np.random.Generator,
 ) -> TwoViewScene:
-    """Matches of two cameras in a room, with the protocol's noise and outliers.
-
-    Parameters
-    ----------
-    protocol : Protocol
-    num_points : int
-        Number N of matches, outliers included.
-    kappa : float
-        Concentration of the noise.
-    outlier_ratio : float
-        Nominal share of outliers in [0, 1].
-    scene_rng : numpy.random.Generator
-        Draws landmarks and pose.
-    rng : numpy.random.Generator
-        Draws noise and outliers.
-
-    Returns
-    -------
-    scene : TwoViewScene
-        Its pose has a metric translation.
-    """
+    """Matches of two cameras in a room, with the protocol's noise and outliers."""
     places = landmark_clouds(protocol.density)
     cloud = places[scene_rng.integers(len(places))]
     points = cloud[scene_rng.choice(len(cloud), num_points, replace=False)]
@@ -201,35 +147,14 @@ def draw_scene(
 
 
 def draw_pose(protocol: Protocol, rng: np.random.Generator) -> Pose:
-    """Random ``cam2_from_cam1`` with a metric translation uniform in [-1, 1]^3.
-
-    Parameters
-    ----------
-    protocol : Protocol
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    cam2_from_cam1 : Pose
-    """
+    """Random ``cam2_from_cam1`` with a metric translation uniform in [-1, 1]^3."""
     pose = sample_relative_pose(rng, max_angle_deg=protocol.max_angle_deg)
     return pose.inverse() if protocol.pose_is_inverse else pose
 
 
 @lru_cache(maxsize=2)
 def landmark_clouds(density: Density) -> tuple[NDArray[np.float64], ...]:
-    """Landmarks of several places in a rendered room, each in its camera's frame.
-
-    Parameters
-    ----------
-    density : {"pixels", "sphere"}
-        See `landmarks_from_depth`.
-
-    Returns
-    -------
-    clouds : tuple of ndarray, each of shape (M, 3)
-        Metres. Always the same: the places do not depend on the seed of a run.
-    """
+    """Landmarks (M, 3) of several places in a rendered room, the same for every seed of a run."""
     camera = Equirectangular(width=PANORAMA_WIDTH, height=PANORAMA_WIDTH // 2)
     rng = np.random.Generator(np.random.PCG64(0))
     return tuple(

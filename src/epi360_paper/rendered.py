@@ -28,27 +28,14 @@ NUM_FRAMES = 22  # for 12 pairs of seven frames or more, and the walker may slow
 
 @dataclass(frozen=True)
 class RenderedTracks:
-    """Where the tracks of rendered sequences come from.
+    """Where the tracks of rendered sequences come from."""
 
-    Attributes
-    ----------
-    lens : {"360", "fisheye"}
-        Full panoramas, or a lens of 195 degrees like that of TUM-VI.
-    image_width : int
-        Of the panoramas; the fisheye images have half of it: about the same pixels per degree.
-    rule : PairRule
-        What makes a pair.
-    cache : Path
-        Folder of the tracks; not part of what they depend on.
-    num_frames : int
-        Of a sequence.
-    """
-
-    lens: Lens
+    lens: Lens  # full panoramas, or a lens of 195 degrees like that of TUM-VI
+    # Width of the panoramas; fisheye images have half of it, about as many pixels per degree.
     image_width: int
-    rule: PairRule
-    cache: Path = field(repr=False)
-    num_frames: int = NUM_FRAMES
+    rule: PairRule  # what makes a pair
+    cache: Path = field(repr=False)  # folder of the tracks, which do not depend on it
+    num_frames: int = NUM_FRAMES  # frames of a sequence
 
     def camera(self) -> Camera:
         """Camera of all sequences."""
@@ -57,19 +44,9 @@ class RenderedTracks:
         return fisheye_camera(self.image_width // 2)
 
     def pairs(self, trial: Trial) -> list[BearingPair]:
-        """Pairs of one sequence, rendered and tracked unless they are kept.
-
-        Parameters
-        ----------
-        trial : Trial
-            Its index is that of the sequence: the scenes take turns, each time furnished anew.
-            All experiments with one seed see the same sequences.
-
-        Returns
-        -------
-        pairs : list of BearingPair
-            At most `PAIRS_PER_SEQUENCE`; both lenses see the same scenes from the same paths.
-        """
+        """Pairs of one sequence, rendered and tracked unless they are kept."""
+        # The scenes take turns, each time furnished anew; both lenses see the same scenes from the
+        # same paths, and all experiments with one seed the same sequences.
         state = np.random.SeedSequence((trial.seed, zlib.crc32(b"rendered tracks"), trial.index))
         scene_seed, path_seed = (int(word) for word in state.generate_state(2))
         scene = SCENE_NAMES[trial.index % len(SCENE_NAMES)]
@@ -86,18 +63,8 @@ class RenderedTracks:
 
 
 def fisheye_camera(size: int) -> KannalaBrandt:
-    """Lens of 195 degrees on a square image, shaped like camera 0 of TUM-VI.
-
-    Parameters
-    ----------
-    size : int
-        Width and height in pixels; TUM-VI has 512.
-
-    Returns
-    -------
-    camera : KannalaBrandt
-        The image cuts the circle at its sides, 77 deg from the axis, and keeps it in the corners.
-    """
+    """Lens of 195 degrees on a square image, shaped like camera 0 of TUM-VI."""
+    # The image cuts the circle at its sides, 77 deg from the axis, and keeps it in the corners.
     focal = 0.373 * size  # 191 px of 512, their calibration
     coefficients = (0.0034, 0.0007, -0.002, 0.0002)
     center = size / 2

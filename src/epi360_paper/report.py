@@ -18,23 +18,7 @@ END = "<!-- end: epi360 reproduce report -->"
 
 
 def collect_tables(out: Path) -> str:
-    """All ``table.md`` of a run, in the paper's order, one heading level lower.
-
-    Parameters
-    ----------
-    out : Path
-        Folder that the experiments wrote into.
-
-    Returns
-    -------
-    text : str
-        Markdown, with the machine on which it was collected in the first line.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no table.
-    """
+    """All ``table.md`` of a run, in the paper's order, one heading level lower."""
     pages = sorted(out.glob("*/table.md"), key=lambda page: _place(page.parent.name))
     if not pages:
         raise ValueError(f"{out} must hold tables, found none; run epi360 reproduce all first")
@@ -44,20 +28,7 @@ def collect_tables(out: Path) -> str:
 
 
 def insert_tables(document: Path, tables: str) -> None:
-    """Replace what stands between the two marks of a document.
-
-    Parameters
-    ----------
-    document : Path
-        Holds the lines `BEGIN` and `END`.
-    tables : str
-        Of `collect_tables`.
-
-    Raises
-    ------
-    ValueError
-        If the document does not hold both marks, in their order.
-    """
+    """Replace what stands between the two marks of a document."""
     text = document.read_text(encoding="utf-8")
     head, begin, rest = text.partition(BEGIN)
     _, end, tail = rest.partition(END)

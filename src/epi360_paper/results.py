@@ -25,34 +25,14 @@ NO_NUMBER = "–"
 
 @dataclass(frozen=True)
 class Compared:
-    """A number of the paper beside ours.
+    """A number of the paper beside ours."""
 
-    Attributes
-    ----------
-    paper : float or None
-        As printed; None where the paper has none.
-    ours : float
-        Computed from our trials, never copied.
-    """
-
-    paper: float | None
-    ours: float
+    paper: float | None  # as printed; None where the paper has none
+    ours: float  # computed from our trials, never copied
 
 
 def save_trials(folder: Path, trials: Trials) -> tuple[Path, ...]:
-    """Files of the raw trials: ``trials.csv``, and ``trials.parquet`` where pyarrow is installed.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the experiment; it exists.
-    trials : Trials
-        Columns that start with ``time_`` are measured times.
-
-    Returns
-    -------
-    files : tuple of Path
-    """
+    """Write ``trials.csv``, and ``trials.parquet`` where pyarrow is installed."""
     text = io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     lines.writerow(trials.columns)
@@ -74,29 +54,7 @@ def comparison_table(
     *,
     formats: Sequence[str] | None = None,
 ) -> str:
-    """Markdown table with two columns, *paper* and *ours*, for each quantity.
-
-    Parameters
-    ----------
-    title : str
-        Heading of the first column.
-    columns : sequence of str
-        Names of the quantities, with their units.
-    rows : mapping of str to sequence of Compared
-        Numbers of each row by its name, one a quantity.
-    formats : sequence of str, optional
-        Format specification of each quantity; ``.3f`` by default.
-
-    Returns
-    -------
-    table : str
-        Without a line break at its end.
-
-    Raises
-    ------
-    ValueError
-        If one of our numbers is NaN: a table says what was measured.
-    """
+    """Markdown table with two columns, *paper* and *ours*, for each quantity."""
     formats = formats or [".3f"] * len(columns)
     heading = [title, *(f"{name}: {who}" for name in columns for who in ("paper", "ours"))]
     body = []
@@ -112,19 +70,7 @@ def comparison_table(
 
 
 def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Markdown table; all columns but the first are aligned to the right.
-
-    Parameters
-    ----------
-    heading : sequence of str
-    rows : sequence of sequence of str
-        As many cells each as the heading has.
-
-    Returns
-    -------
-    table : str
-        Without a line break at its end.
-    """
+    """Markdown table; all columns but the first are aligned to the right."""
     rule = ["---", *["---:"] * (len(heading) - 1)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heading, rule, *rows))
 
@@ -139,32 +85,7 @@ def save_page(
     trials: Trials | None = None,
     unit: str = "trials",
 ) -> tuple[Path, str]:
-    """Write ``table.md``: what was run, then the sections.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the experiment.
-    title : str
-        Heading, such as "Table 4: RANSAC at two thresholds".
-    sections : sequence of str
-        Tables and paragraphs.
-    options : ReproduceOptions
-        Of the run.
-    num_trials : int
-        Trials a cell.
-    trials : Trials, optional
-        For the computing time.
-    unit : str
-        What a trial is, in the plural.
-
-    Returns
-    -------
-    path : Path
-        Of the page.
-    text : str
-        Its content.
-    """
+    """Write ``table.md``: what was run, then the sections."""
     spent = f", {trials.seconds:.0f} s of processor time" if trials is not None else ""
     run = (
         f"Protocol `{options.protocol}`, {num_trials:,} {unit} a cell, seed {options.seed}{spent}."
@@ -176,36 +97,14 @@ def save_page(
 
 
 def in_thousandths(errors: ArrayLike, quantile: float = 0.5) -> float:
-    """Quantile of errors in the paper's unit: eq. 16 is a share of half a turn, printed in 1e-3.
-
-    Parameters
-    ----------
-    errors : array_like
-        Errors of eq. 16 (angle / pi); NaN is a trial without a pose and counts as the worst
-        error, 1.
-    quantile : float
-        In [0, 1]; the median by default.
-
-    Returns
-    -------
-    value : float
-    """
+    """Quantile of errors of eq. 16, shares of half a turn, in 1e-3 as the paper prints them."""
+    # A trial without a pose is NaN and counts as the worst error, 1.
     values = np.asarray(errors, dtype=np.float64)
     return float(1e3 * np.quantile(np.where(np.isnan(values), 1.0, values), quantile))
 
 
 def is_timing(column: str) -> bool:
-    """Whether a column holds measured times, which change from run to run.
-
-    Parameters
-    ----------
-    column : str
-        Name of the column.
-
-    Returns
-    -------
-    is_timing : bool
-    """
+    """Whether a column holds measured times, which change from run to run."""
     return column.startswith(TIMING_PREFIX)
 
 

@@ -34,7 +34,7 @@ from epi360_paper.trials import Trial
 
 DatasetName = Literal["mp3d_vo", "tum_vi"]
 
-# Section 5.1's setting, which the tables on tracks have no counterpart of.
+# The setting of section 5.1.
 NUM_POINTS, KAPPA, OUTLIER_RATIO = 200, 500.0, 0.2
 BLOCKS_PER_SCENE = 20  # a room of TUM-VI has 2800 frames: 140 a block, a minute of tracking
 
@@ -48,28 +48,12 @@ class PairSource(Protocol):
 
 @dataclass(frozen=True)
 class LandmarkPairs:
-    """Synthetic landmarks: one pair a trial, 200 points with noise and 20 % outliers.
+    """Synthetic landmarks: one pair a trial, 200 points with noise and 20 % outliers."""
 
-    Attributes
-    ----------
-    protocol : {"printed", "authors", "corrected"}
-        How the problems are made.
-    """
-
-    protocol: ProtocolName
+    protocol: ProtocolName  # how the problems are made
 
     def pairs(self, trial: Trial) -> list[BearingPair]:
-        """Pair of a trial.
-
-        Parameters
-        ----------
-        trial : Trial
-            Its generators draw the scene, then noise and outliers.
-
-        Returns
-        -------
-        pairs : list of one BearingPair
-        """
+        """Pair of a trial."""
         protocol = PROTOCOLS[self.protocol]
         rngs = trial.scene_rng(), trial.rng()
         scene = draw_scene(protocol, NUM_POINTS, KAPPA, OUTLIER_RATIO, *rngs)
@@ -78,40 +62,16 @@ class LandmarkPairs:
 
 @dataclass(frozen=True)
 class FolderTracks:
-    """Tracks in one scene of a data set, a block of first frames a trial.
+    """Tracks in one scene of a data set, a block of first frames a trial."""
 
-    Attributes
-    ----------
-    dataset : {"mp3d_vo", "tum_vi"}
-        Its layout.
-    name : str
-        Of the scene.
-    rule : PairRule
-        What makes a pair.
-    scene : Path
-        Folder of the scene.
-    cache : Path
-        Folder of the tracks.
-    """
-
-    dataset: DatasetName
-    name: str
-    rule: PairRule
-    scene: Path = field(repr=False)
-    cache: Path = field(repr=False)
+    dataset: DatasetName  # its layout
+    name: str  # name of the scene
+    rule: PairRule  # what makes a pair
+    scene: Path = field(repr=False)  # folder of the scene
+    cache: Path = field(repr=False)  # folder of the tracks
 
     def pairs(self, trial: Trial) -> list[BearingPair]:
-        """Pairs whose first frames lie in a block of the scene, tracked unless they are kept.
-
-        Parameters
-        ----------
-        trial : Trial
-            Its index, below `BLOCKS_PER_SCENE`, is that of the block.
-
-        Returns
-        -------
-        pairs : list of BearingPair
-        """
+        """Pairs whose first frames lie in a block of the scene, tracked unless they are kept."""
         sequence = load_scene(self.dataset, self.scene)
         first, stop = (
             len(sequence) * block // BLOCKS_PER_SCENE for block in (trial.index, trial.index + 1)
@@ -132,49 +92,15 @@ class FolderTracks:
 
 
 def pair_rule(protocol: ProtocolName) -> PairRule:
-    """Rule of a protocol: what is right throws away tracks that do not lead back.
-
-    Parameters
-    ----------
-    protocol : {"printed", "authors", "corrected"}
-        The paper names no such test, nor do the settings in the authors' code.
-
-    Returns
-    -------
-    rule : PairRule
-    """
+    """Rule of a protocol; "corrected" also drops tracks that do not lead back to their start."""
     return PairRule(forward_backward_px=0.5) if protocol == "corrected" else PairRule()
 
 
 def dataset_sources(
     dataset: DatasetName, folder: Path, rule: PairRule, num_pairs: int, cache: Path
 ) -> dict[str, FolderTracks]:
-    """Source of each scene of a data set by a short name.
-
-    Parameters
-    ----------
-    dataset : {"mp3d_vo", "tum_vi"}
-        Its layout.
-    folder : Path
-        Of the data set, or of one scene.
-    rule : PairRule
-        What makes a pair; its stride is replaced.
-    num_pairs : int
-        Wanted from all scenes together, and the most: first frames are that far apart.
-    cache : Path
-        Folder of the tracks.
-
-    Returns
-    -------
-    sources : dict of str to FolderTracks
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder or a part of a scene is missing.
-    ValueError
-        If a part of a scene is damaged.
-    """
+    """Source of each scene of a data set by a short name."""
+    # First frames are so far apart that all scenes together give the wanted number of pairs.
     scenes = find_mp3d_vo_scenes(folder) if dataset == "mp3d_vo" else find_tum_vi_rooms(folder)
     num_frames = sum(len(load_scene(dataset, scene)) for scene in scenes)
     rule = replace(rule, stride=max(1, -(-num_frames // num_pairs)))
@@ -187,19 +113,7 @@ def dataset_sources(
 
 @lru_cache(maxsize=16)
 def load_scene(dataset: DatasetName, scene: Path) -> ImageSequence:
-    """Sequence of a scene of a data set, read once per process.
-
-    Parameters
-    ----------
-    dataset : {"mp3d_vo", "tum_vi"}
-        Its layout.
-    scene : Path
-        Folder of the scene.
-
-    Returns
-    -------
-    sequence : ImageSequence
-    """
+    """Sequence of a scene of a data set, read once per process."""
     return load_mp3d_vo(scene) if dataset == "mp3d_vo" else load_tum_vi(scene)
 
 

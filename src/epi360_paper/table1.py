@@ -62,26 +62,7 @@ SCALE = (
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Run Table 1.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        With ``landmarks`` on synthetic points, else on tracks in rendered sequences; ``trials``
-        is the number of pairs, by default 2,000.
-    progress : callable
-        Told the trials done.
-
-    Returns
-    -------
-    outcome : Outcome
-        Raw trials and the page.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds trials of another run, or no sequence has a pair.
-    """
+    """Run Table 1."""
     trials = run_pairs(experiment_name("table1", options), evaluate, options, progress)
     sections = comparison_sections(trials, PRINTED, ROW, MEASURED, options)
     return comparison_outcome(
@@ -90,17 +71,7 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
-    """Rows of a trial: stability, errors and time of the five methods on each of its pairs.
-
-    Parameters
-    ----------
-    cell : Cell
-    trial : Trial
-
-    Returns
-    -------
-    rows : list of dict
-    """
+    """Rows of a trial: stability, errors and time of the five methods on each of its pairs."""
     search = PROTOCOLS[cell.protocol].sk_search
 
     def measure(pair: BearingPair, method: str) -> dict[str, float]:

@@ -43,26 +43,7 @@ ROW = {"rotation": "Rot-e, 1e-3", "translation": "Tran-e, 1e-3", "time_ms": "tim
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Run Table 2.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        With ``landmarks`` on synthetic points, else on tracks in rendered sequences; ``trials``
-        is the number of pairs, by default 2,000.
-    progress : callable
-        Told the trials done.
-
-    Returns
-    -------
-    outcome : Outcome
-        Raw trials and the page.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds trials of another run, or no sequence has a pair.
-    """
+    """Run Table 2."""
     trials = run_pairs(experiment_name("table2", options), evaluate, options, progress)
     sections = comparison_sections(trials, PRINTED, ROW, (), options)
     return comparison_outcome(
@@ -71,15 +52,5 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
-    """Rows of a trial: errors and time of the nine methods on each of its pairs.
-
-    Parameters
-    ----------
-    cell : Cell
-    trial : Trial
-
-    Returns
-    -------
-    rows : list of dict
-    """
+    """Rows of a trial: errors and time of the nine methods on each of its pairs."""
     return pair_rows(cell.source.pairs(trial), tuple(PRINTED), cell.protocol)

@@ -60,29 +60,7 @@ HEADINGS = {
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Run Table 3.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-        ``trials`` is the number of pairs of each data set, by default 2,000 (the paper: 15,000
-        and 16,000); ``mp3d_vo`` and ``tum_vi`` are folders of the real ones.
-    progress : callable
-        Told the trials done.
-
-    Returns
-    -------
-    outcome : Outcome
-        Raw trials of each data set and the page.
-
-    Raises
-    ------
-    FileNotFoundError
-        If a folder or a part of a scene is missing.
-    ValueError
-        If the folder of results holds trials of another run, a data set is damaged or has no
-        pair.
-    """
+    """Run Table 3."""
     # A wrong folder is told before the hour that the rendered sequences take.
     recorded = {name: _cells(name, folder, options) for name, folder in _folders(options).items()}
     parts = {"table3": _rendered(options, progress)}
@@ -107,17 +85,7 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
-    """Rows of a trial: errors and time of the five methods on each of its pairs.
-
-    Parameters
-    ----------
-    cell : Cell
-    trial : Trial
-
-    Returns
-    -------
-    rows : list of dict
-    """
+    """Rows of a trial: errors and time of the five methods on each of its pairs."""
     return pair_rows(cell.source.pairs(trial), METHODS, cell.protocol)
 
 

@@ -39,35 +39,19 @@ NUM_POINTS, KAPPA, OUTLIER_RATIO = 400, 500.0, 0.5
 
 @dataclass(frozen=True)
 class Setting:
-    """One half of the table.
-
-    Attributes
-    ----------
-    protocol : {"printed", "authors", "corrected"}
-    threshold : float
-        As printed.
-    iterations : int
-        As printed.
-    """
+    """One half of the table."""
 
     protocol: ProtocolName
-    threshold: float
-    iterations: int
+    threshold: float  # as printed
+    iterations: int  # as printed
 
 
 @dataclass(frozen=True)
 class Printed:
-    """What the paper prints for one half.
+    """What the paper prints for one half."""
 
-    Attributes
-    ----------
-    outliers_left : float
-        Percent of the kept matches.
-    methods : dict of str to tuple
-        Rotation and translation error in 1e-3, residual in 1e-6, time in seconds.
-    """
-
-    outliers_left: float
+    outliers_left: float  # percentage of the kept matches
+    # Rotation and translation error in 1e-3, residual in 1e-6, time in seconds.
     methods: dict[str, tuple[float, float, float, float]]
 
 
@@ -101,17 +85,7 @@ ROWS = {**{method: TITLES[method] for method in METHODS}, **OURS}
 
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Outcome of both halves of the table.
-
-    Parameters
-    ----------
-    options : ReproduceOptions
-    progress : callable
-
-    Returns
-    -------
-    outcome : Outcome
-    """
+    """Run both halves of Table 4."""
     cells = {name: Setting(options.protocol, *values) for name, values in SETTINGS.items()}
     count = options.num_trials(PAPERS_TRIALS)
     trials = run_trials("table4", cells, evaluate, count, options, progress, chunk_size=25)
@@ -130,18 +104,7 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
 
 
 def evaluate(setting: Setting, trial: Trial) -> Row:
-    """What RANSAC and all methods make of one scene.
-
-    Parameters
-    ----------
-    setting : Setting
-    trial : Trial
-
-    Returns
-    -------
-    row : dict
-        What RANSAC did, and errors, residual and time of each method.
-    """
+    """What RANSAC and all methods make of one scene."""
     protocol = PROTOCOLS[setting.protocol]
     rng = trial.rng()
     scene = draw_scene(protocol, NUM_POINTS, KAPPA, OUTLIER_RATIO, trial.scene_rng(), rng)
@@ -176,19 +139,9 @@ def evaluate(setting: Setting, trial: Trial) -> Row:
 
 
 def ransac_threshold(setting: Setting, protocol: Protocol) -> float:
-    """Threshold in the unit of the protocol's residual.
-
-    Parameters
-    ----------
-    setting : Setting
-    protocol : Protocol
-
-    Returns
-    -------
-    threshold : float
-        As printed for the authors' residual. For eq. 13 the sine that it stands for: their norm
-        over the whole array divides by about N more.
-    """
+    """Threshold in the unit of the protocol's residual."""
+    # It is printed for the authors' residual: their norm over the whole array divides by about N
+    # more than the sine of eq. 13.
     factor = 1 if protocol.ransac_residual == "solarte2021" else NUM_POINTS
     return setting.threshold * factor
 

@@ -28,25 +28,14 @@ MIN_BASELINE_M = 0.5  # paper, section 5.2
 
 @dataclass(frozen=True)
 class TrackedPair:
-    """Two rendered panoramas and the key points that were followed from one to the other.
-
-    Attributes
-    ----------
-    image1, image2 : ndarray, shape (H, W, 3), uint8
-    points1 : ndarray, shape (H, W, 3)
-        Scene point of each pixel of image 1 in the frame of camera 1, in metres.
-    camera : Equirectangular
-    cam2_from_cam1 : Pose
-        True pose, metric.
-    keypoints1, keypoints2 : ndarray, shape (N, 2)
-        Continuous pixels; row i of both is one match.
-    """
+    """Two rendered panoramas and the key points that were followed from one to the other."""
 
     image1: NDArray[np.uint8]
     image2: NDArray[np.uint8]
-    points1: Array
+    points1: Array  # (H, W, 3): scene point of each pixel of image 1 in camera 1, in metres
     camera: Equirectangular
-    cam2_from_cam1: Pose
+    cam2_from_cam1: Pose  # true pose, metric
+    # (N, 2): continuous pixels; row i of both is one match.
     keypoints1: Array
     keypoints2: Array
 
@@ -70,29 +59,7 @@ class TrackedPair:
 def track_pair(
     room: Room, width: int, seed: int, progress: Callable[[int, int], None]
 ) -> TrackedPair:
-    """Two panoramas of a room, at least 0.5 m apart, and about 200 key points tracked between them.
-
-    Parameters
-    ----------
-    room : Room
-        Where the pictures are taken.
-    width : int
-        Of the panoramas in pixels, even.
-    seed : int
-        Of the path.
-    progress : callable
-        Told the frames rendered and their number.
-
-    Returns
-    -------
-    pair : TrackedPair
-        At most 200 matches: Shi-Tomasi corners of image 1 that the KLT tracker could follow.
-
-    Raises
-    ------
-    ValueError
-        If the width is odd.
-    """
+    """Two panoramas of a room, 0.5 m apart or more, with at most 200 key points tracked."""
     if width % 2:
         raise ValueError(f"image_width must be even, got {width}: a panorama is 2:1")
     camera = Equirectangular(width=width, height=width // 2)
@@ -120,25 +87,7 @@ def track_pair(
 def save_pair_page(
     folder: Path, title: str, sections: Sequence[str], options: ReproduceOptions
 ) -> tuple[Path, str]:
-    """Write ``table.md`` of a figure that shows one tracked pair.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the figure.
-    title : str
-    sections : sequence of str
-        Tables and paragraphs.
-    options : ReproduceOptions
-        Of the run.
-
-    Returns
-    -------
-    path : Path
-        Of the page.
-    text : str
-        Its content.
-    """
+    """Write ``table.md`` of a figure that shows one tracked pair."""
     width = options.image_width
     run = f"One pair of panoramas, rendered at {width} x {width // 2}, seed {options.seed}."
     text = "\n\n".join([f"## {title}", run, *sections]) + "\n"

@@ -30,63 +30,38 @@ Array = NDArray[np.float64]
 
 # The tracker's windows overlap from one reference to the next: the images between are read once.
 KEPT_IMAGES = 64
-TRACKS_VERSION = 1  # of the files; raise it when the tracker or the renderer changes
+TRACKS_VERSION = 1  # raise it when the tracker or the renderer changes: old files are left alone
 
 
 @dataclass(frozen=True)
 class PairRule:
-    """Which frames make a pair and how many tracks it has.
+    """Which frames make a pair and how many tracks it has."""
 
-    Attributes
-    ----------
-    min_baseline_m : float
-        Distance of the two cameras (paper, section 5.2).
-    num_tracks : int
-        Most tracks of a pair: the strongest corners that lived (paper: around 200).
-    num_corners : int
-        Corners to start with: of 300 more than 200 are alive after 0.5 m in a room.
-    min_distance_deg : float
-        Between corners: at 1.5 deg a fisheye lens before a bare wall finds 200 as well.
-    forward_backward_px : float
-        A track is lost when tracking it back misses its start by more. Infinite, the default:
-        neither the paper nor the settings in the authors' code name such a test.
-    min_tracks : int
-        A pair with fewer is left out.
-    max_frames : int
-        Longest way from one frame of a pair to the other.
-    stride : int
-        Frames from one reference to the next.
-    """
-
-    min_baseline_m: float = 0.5
+    min_baseline_m: float = 0.5  # distance of the two cameras (paper, section 5.2)
+    # Most tracks of a pair: the strongest corners that lived (paper: around 200).
     num_tracks: int = 200
+    # Corners to start with: of 300 more than 200 are alive after 0.5 m in a room.
     num_corners: int = 300
+    # At this distance between corners a fisheye lens before a bare wall finds 200 as well.
     min_distance_deg: float = 1.5
+    # A track is lost if tracking it back misses its start by more. Infinite by default: neither the
+    # paper nor the settings in the authors' code name such a test.
     forward_backward_px: float = np.inf
-    min_tracks: int = 50
-    max_frames: int = 60
-    stride: int = 1
+    min_tracks: int = 50  # a pair with fewer is left out
+    max_frames: int = 60  # longest way from one frame of a pair to the other
+    stride: int = 1  # frames from one reference to the next
 
 
 @dataclass(frozen=True, eq=False)
 class BearingPair:
-    """Tracks between two frames and the truth between them.
+    """Tracks between two frames and the truth between them."""
 
-    Attributes
-    ----------
-    frame1, frame2 : int
-        Indices in the sequence.
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Unit vectors; row i of both is one track.
-    cam2_from_cam1 : Pose
-        True pose, metric.
-    """
-
-    frame1: int
+    frame1: int  # number in the sequence
     frame2: int
+    # (N, 3): unit vectors; row i of both is one track.
     bearings1: Array
     bearings2: Array
-    cam2_from_cam1: Pose
+    cam2_from_cam1: Pose  # true pose, metric
 
     def true_residuals_rad(self) -> Array:
         """Angle of each track out of its true epipolar plane, shape (N,)."""
@@ -104,30 +79,7 @@ def pairs_of_frames(
     segments: Iterable[range] | None = None,
     first_frames: range | None = None,
 ) -> list[BearingPair]:
-    """Pairs of a sequence, in the order of their first frames.
-
-    Parameters
-    ----------
-    image : callable
-        Picture of a frame by its index.
-    world_from_cam : sequence of Pose or None
-        True pose of each frame.
-    camera : Camera
-        Of all frames.
-    rule : PairRule
-        What makes a pair.
-    mask : ndarray, shape (H, W), bool, optional
-        Pixels to use.
-    segments : iterable of range, optional
-        Runs of frames in which tracks may go on; None: one run of all frames.
-    first_frames : range, optional
-        Where the first frames of the pairs may lie; None: anywhere.
-
-    Returns
-    -------
-    pairs : list of BearingPair
-        May be empty: where the camera never gets far enough away or too few tracks live.
-    """
+    """Pairs of a sequence, in the order of their first frames."""
     everything = range(len(world_from_cam))
     first_frames = everything if first_frames is None else first_frames
     kept_image = lru_cache(KEPT_IMAGES)(image)
@@ -154,17 +106,7 @@ def pairs_of_frames(
 
 
 def sequence_key(sequence: ImageSequence) -> str:
-    """Text that changes with the images, poses, camera, mask or grey levels of a sequence.
-
-    Parameters
-    ----------
-    sequence : ImageSequence
-        Of files on a disk: their names and sizes stand for their content.
-
-    Returns
-    -------
-    key : str
-    """
+    """Text that changes with the images, poses, camera, mask or grey levels of a sequence."""
     files = [(path.name, path.stat().st_size) for path in sequence.image_paths]
     numbers = [
         b"none" if pose is None else pose.matrix().tobytes() for pose in sequence.world_from_cam
@@ -178,21 +120,7 @@ def sequence_key(sequence: ImageSequence) -> str:
 def cached_pairs(
     folder: Path, key: str, make: Callable[[], list[BearingPair]]
 ) -> list[BearingPair]:
-    """Pairs from a file, or made and then written to it.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the files; made if it is not there.
-    key : str
-        All that the pairs depend on; its hash names the file.
-    make : callable
-        Makes the pairs; called where the file is missing or damaged.
-
-    Returns
-    -------
-    pairs : list of BearingPair
-    """
+    """Pairs from a file, or made and then written to it."""
     name = hashlib.sha256(f"{TRACKS_VERSION} {key}".encode()).hexdigest()[:24]
     path = folder / f"{name}.npz"
     kept = _read_pairs(path)

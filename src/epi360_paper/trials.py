@@ -38,41 +38,19 @@ SHARED_CELL = 2**32 - 1
 
 @dataclass(frozen=True)
 class Trial:
-    """Which trial it is, and its random numbers.
+    """Which trial it is, and its random numbers."""
 
-    Attributes
-    ----------
-    seed : int
-        Of the run.
-    name : str
-        Of the experiment.
-    cell : int
-        Index of the cell.
-    index : int
-        Index of the trial in its cell.
-    """
-
-    seed: int
-    name: str
-    cell: int
-    index: int
+    seed: int  # seed of the run
+    name: str  # name of the experiment
+    cell: int  # index of the cell
+    index: int  # index of the trial in its cell
 
     def rng(self) -> np.random.Generator:
-        """Generator of this trial of this cell.
-
-        Returns
-        -------
-        rng : numpy.random.Generator
-        """
+        """Generator of this trial of this cell."""
         return _generator(self.seed, zlib.crc32(self.name.encode()), self.cell, self.index)
 
     def scene_rng(self) -> np.random.Generator:
-        """Generator of this trial that is the same in all cells: one scene at several levels.
-
-        Returns
-        -------
-        rng : numpy.random.Generator
-        """
+        """Generator of this trial that is the same in all cells: one scene at several levels."""
         return _generator(self.seed, zlib.crc32(self.name.encode()), SHARED_CELL, self.index)
 
 
@@ -116,46 +94,10 @@ def run_trials(
     chunk_size: int = 100,
     settings: str = "",
 ) -> Trials:
-    """Results of all trials, in the order of cells and trials.
-
-    Parameters
-    ----------
-    name : str
-        Of the experiment; the parts go to ``options.folder(name) / "parts"``.
-    cells : mapping of str to object
-        Value of each cell by its key. The key is a column and a part of file names: letters,
-        digits, ``.``, ``-``, ``+``, ``%``. The value goes to `trial_function`; it must be
-        picklable and its ``repr`` must say what it is (it is kept in the parts).
-    trial_function : callable
-        ``trial_function(value, trial)`` gives one row or a sequence of rows, as mappings from
-        column to float, int, bool or str; the same columns in all cells. A function of a module
-        (it is sent to other processes). Columns that start with ``time_`` are measured times:
-        the only numbers that change from run to run.
-    num_trials : int
-        Trials a cell. A later run with more of them keeps the full chunks of this one.
-    options : ReproduceOptions
-        Seed, number of workers, folder.
-    progress : callable
-        Told the number of trials done.
-    chunk_size : int
-        Trials a part; small where a trial is long.
-    settings : str
-        What else determines the numbers (image width, a data set): parts made under other
-        settings are refused.
-
-    Returns
-    -------
-    trials : Trials
-
-    Raises
-    ------
-    ValueError
-        If the folder holds parts of another run (other seed, protocol, version, cell, settings).
-    ChildProcessError
-        If a worker process was killed; finished parts stay.
-    KeyboardInterrupt
-        When interrupted; finished parts stay.
-    """
+    """Results of all trials, in the order of cells and trials; finished parts are kept."""
+    # trial_function(value, trial) gives one row or several, with the same columns in all cells. It
+    # is a function of a module and the values of the cells are picklable: both are sent to other
+    # processes. The ``repr`` of a value must say what it is: parts of another are refused.
     folder = options.folder(name) / "parts"
     chunks = [
         _Chunk(

@@ -74,10 +74,8 @@ class Furniture:
         shadow: bool = True,
         faces: dict[int, Material] | None = None,
     ) -> None:
-        """Add a box by its spans to the right, above the floor and towards the front.
-
-        `faces` gives single faces another material; a box without `shadow` shades nothing else.
-        """
+        """Add a box by its spans to the right, above the floor and towards the front."""
+        # `faces` gives single faces another material; without `shadow` it shades nothing else.
         spans = np.array([across, (-heights[1], -heights[0]), depths])
         x, y, z = spans.mean(axis=1).tolist()
         a, b, c = (np.diff(spans, axis=1)[:, 0] / 2).tolist()

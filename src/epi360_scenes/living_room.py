@@ -21,31 +21,12 @@ ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M, ROOM_HEIGHT_M = 3.0, 2.5, 2.7
 
 
 def on_wall(wall: Wall) -> Place:
-    """Origin at the foot of a wall's middle, +z into the room.
-
-    Parameters
-    ----------
-    wall : {"north", "east", "south", "west"}
-
-    Returns
-    -------
-    place : Place
-    """
+    """Origin at the foot of a wall's middle, +z into the room."""
     return wall_place(wall, ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M)
 
 
 def furnish_living_room(rng: np.random.Generator) -> Furniture:
-    """List everything in the living room, its shell first.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Decides what hangs where and how pieces are turned.
-
-    Returns
-    -------
-    furniture : Furniture
-    """
+    """List everything in the living room, its shell first."""
     room = Furniture()
     _shell(room)
     _north_wall(room, rng)

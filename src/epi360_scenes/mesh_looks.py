@@ -22,45 +22,19 @@ GREY = 0.6
 
 @dataclass(frozen=True)
 class MeshLooks:
-    """Colours of the faces of a mesh.
+    """Colours of the faces of a mesh."""
 
-    Attributes
-    ----------
-    atlas : TextureAtlas
-        Textures, with display values.
-    textures : ndarray, shape (F,), int
-        Texture of each face, -1 for none.
-    uv : ndarray, shape (F, 3, 2), float32
-        Texture positions of the corners, in turns; row 0 of the texture is v = 0.
-    scales : ndarray, shape (F,), float32
-        Turns per metre.
-    corners : ndarray, shape (F, 3, 3), float32
-        RGB in [0, 1] of the corners; with a texture it is multiplied with it.
-    """
-
-    atlas: TextureAtlas
-    textures: NDArray[np.intp]
+    atlas: TextureAtlas  # textures, in display values
+    textures: NDArray[np.intp]  # (F,): texture of each face, -1 for none
+    # (F, 3, 2): texture positions of the corners, in turns; row 0 of the texture is v = 0.
     uv: Floats
-    scales: Floats
-    corners: Floats
+    scales: Floats  # (F,): turns per metre
+    corners: Floats  # (F, 3, 3): RGB in [0, 1] of the corners; multiplies the texture
 
     def colors(
         self, face: NDArray[np.intp], weights: NDArray[np.float64], widths: NDArray[np.float64]
     ) -> Floats:
-        """Display colours of points on faces.
-
-        Parameters
-        ----------
-        face : ndarray, shape (N,), int
-        weights : ndarray, shape (N, 3)
-            Barycentric.
-        widths : ndarray, shape (N,)
-            Width of the pixel at the point in metres.
-
-        Returns
-        -------
-        rgb : ndarray, shape (N, 3)
-        """
+        """Display colours of points on faces."""
         shares = weights.astype(np.float32)
         rgb: Floats = np.einsum("nk,nkc->nc", shares, self.corners[face])
         textured = self.textures[face] >= 0
@@ -73,17 +47,7 @@ class MeshLooks:
 
 
 def looks_of_parts(parts: list[Any]) -> MeshLooks:
-    """Colours of the faces of several meshes, one after the other.
-
-    Parameters
-    ----------
-    parts : list of trimesh.Trimesh
-        Each has a texture, or colours of vertices or faces, or nothing.
-
-    Returns
-    -------
-    looks : MeshLooks
-    """
+    """Colours of the faces of several meshes, one after the other."""
     images: list[Floats] = []
     textures, uvs, corners = [], [], []
     for part in parts:

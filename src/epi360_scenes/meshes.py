@@ -32,27 +32,13 @@ RAYS_AT_A_TIME = 1 << 19
 
 @dataclass(frozen=True)
 class MeshScene:
-    """A mesh to take pictures in; `load_mesh_scene` makes one.
+    """A mesh to take pictures in, in metres of its own coordinates; see `load_mesh_scene`."""
 
-    The world is that of the mesh's coordinates, in metres.
-
-    Attributes
-    ----------
-    vertices : ndarray, shape (V, 3)
-    faces : ndarray, shape (F, 3), int
-    surfaces : ndarray, shape (F,), int
-        Faces of one number are one smooth surface.
-    looks : MeshLooks
-        Colours of the faces.
-    up : ndarray, shape (3,)
-        Unit vector against gravity.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.intp]
-    surfaces: NDArray[np.intp]
-    looks: MeshLooks
-    up: Floats
+    vertices: Floats  # (V, 3)
+    faces: NDArray[np.intp]  # (F, 3)
+    surfaces: NDArray[np.intp]  # (F,): faces of one number are one smooth surface
+    looks: MeshLooks  # colours of the faces
+    up: Floats  # (3,): unit vector against gravity
 
     @property
     def bounds(self) -> Floats:
@@ -67,20 +53,7 @@ class MeshScene:
         supersample: int = 2,
         num_threads: int | None = None,
     ) -> Rendering:
-        """Picture and depth that a camera sees from a pose; see `render_view`.
-
-        Parameters
-        ----------
-        camera : Camera
-        world_from_cam : Pose
-        supersample : int
-        num_threads : int, optional
-
-        Returns
-        -------
-        rendering : Rendering
-            Black with depth 0 where a ray meets nothing.
-        """
+        """Picture and depth that a camera sees from a pose; see `render_view`."""
         return render_view(
             self, camera, world_from_cam, supersample=supersample, num_threads=num_threads
         )
@@ -98,18 +71,7 @@ class MeshScene:
         return colors, depth, np.where(hit, self.surfaces[face], -1)
 
     def distances(self, points: Floats) -> Floats:
-        """Distance from points to the nearest surface among rays to all sides.
-
-        Parameters
-        ----------
-        points : ndarray, shape (N, 3)
-
-        Returns
-        -------
-        distances : ndarray, shape (N,)
-            Metres, a little more than the true distance; negative outside the scene, where most
-            rays meet nothing.
-        """
+        """Distance from points to the nearest surface among rays to all sides; -1 outside."""
         feelers = _feelers()
         step = max(1, RAYS_AT_A_TIME // len(feelers))
         parts = [self._felt(points[i : i + step], feelers) for i in range(0, len(points), step)]
@@ -152,10 +114,8 @@ class MeshScene:
     def _meet(
         self, face: NDArray[np.intp], origins: Floats, directions: Floats
     ) -> tuple[Floats, Floats]:
-        """Ranges (N,) of rays on their faces and barycentric weights (N, 3), in double precision.
-
-        Embree computes in single precision; Möller and Trumbore 1997.
-        """
+        """Ranges (N,) of rays on their faces and barycentric weights (N, 3)."""
+        # Möller and Trumbore 1997; Embree itself computes in single precision.
         a, b, c = (self.vertices[self.faces[face, k]] for k in range(3))
         edge1, edge2, start = b - a, c - a, origins - a
         across, beside = np.cross(directions, edge2), np.cross(start, edge1)
@@ -168,30 +128,7 @@ class MeshScene:
 
 
 def load_mesh_scene(path: str | os.PathLike[str], *, up: UpAxis = "+y") -> MeshScene:
-    """Scene of a mesh file: OBJ, PLY, GLB and what else trimesh reads.
-
-    Parameters
-    ----------
-    path : path-like
-        Its coordinates are world coordinates in metres. Textures, vertex and face colours are
-        shown as they are, without light; faces without any are grey.
-    up : {"+x", "-x", "+y", "-y", "+z", "-z"}
-        Axis that points up: glTF says +y, many scans +z. The pictures do not depend on it, the
-        path of a camera does.
-
-    Returns
-    -------
-    scene : MeshScene
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ImportError
-        If the extra ``render`` is missing.
-    ValueError
-        If the file holds no faces or cannot be read, or `up` is no axis.
-    """
+    """Scene of a mesh file: OBJ, PLY, GLB and what else trimesh reads."""
     if up not in get_args(UpAxis):
         raise ValueError(f"up must be one of {', '.join(get_args(UpAxis))}, got {up!r}")
     parts = _read_parts(Path(path))

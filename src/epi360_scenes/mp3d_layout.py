@@ -19,38 +19,13 @@ POSES_FILE = "frm_ref.txt"
 
 
 def frame_files(folder: Path, index: int) -> tuple[Path, Path]:
-    """Picture and depth files of a frame.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the sequence.
-    index : int
-        Of the frame and its pose, from 0; the files count from 1.
-
-    Returns
-    -------
-    image_file, depth_file : Path
-    """
+    """Picture and depth files of a frame."""
     number = index + 1
     return folder / "rgb" / f"{number}.png", folder / "depth" / "tiff" / f"{number}.tiff"
 
 
 def write_frame(folder: Path, index: int, rendering: Rendering) -> None:
-    """Write the two files of a frame; the folders are made where they lack.
-
-    Parameters
-    ----------
-    folder : Path
-    index : int
-        From 0.
-    rendering : Rendering
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
-    """
+    """Write the two files of a frame; the folders are made where they lack."""
     image_file, depth_file = frame_files(folder, index)
     bgr = cv2.cvtColor(rendering.image, cv2.COLOR_RGB2BGR)
     depth = np.ascontiguousarray(rendering.depth, dtype=np.float32)
@@ -59,17 +34,7 @@ def write_frame(folder: Path, index: int, rendering: Rendering) -> None:
 
 
 def poses_text(world_from_cam: Sequence[Pose]) -> str:
-    """Content of ``frm_ref.txt``: one row a pose; the time is the number of the row, from 0.
-
-    Parameters
-    ----------
-    world_from_cam : sequence of Pose
-
-    Returns
-    -------
-    text : str
-        Numbers with 17 digits, so that reading them loses nothing.
-    """
+    """Content of ``frm_ref.txt``: one row a pose; the time is the number of the row, from 0."""
     rows = []
     for time, pose in enumerate(world_from_cam):
         w, *xyz = pose.quaternion_wxyz
@@ -78,18 +43,6 @@ def poses_text(world_from_cam: Sequence[Pose]) -> str:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name beside it and rename: readers never see half of it.
-
-    Parameters
-    ----------
-    path : Path
-        Its folder is made where it lacks.
-    data : bytes
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
+    """Write a file under a temporary name beside it and rename: readers never see half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_file(path, data)

@@ -12,18 +12,7 @@ WALLS: tuple[Wall, ...] = ("north", "east", "south", "west")
 
 
 def wall_place(wall: Wall, half_width_m: float, half_depth_m: float) -> Place:
-    """Origin at the foot of a wall's middle, +z into a room of these half sizes.
-
-    Parameters
-    ----------
-    wall : {"north", "east", "south", "west"}
-    half_width_m, half_depth_m : float
-        Half the size of the room along x and z.
-
-    Returns
-    -------
-    place : Place
-    """
+    """Origin at the foot of a wall's middle, +z into a room of these half sizes."""
     places = {
         "north": Place(0.0, half_depth_m, np.pi),
         "east": Place(half_width_m, 0.0, -np.pi / 2),

@@ -17,39 +17,19 @@ AROUND = np.array([(np.cos(k * np.pi / 4), np.sin(k * np.pi / 4)) for k in range
 
 @dataclass(frozen=True)
 class Solids:
-    """Geometry of a scene; solid 0 is the room itself, a box seen from inside.
+    """Geometry of a scene; solid 0 is the room itself, a box seen from inside."""
 
-    Attributes
-    ----------
-    box_centers, box_halves : ndarray, shape (B, 3)
-        Centres and half extents in metres.
-    box_yaws : ndarray, shape (B,)
-        Turn of each box about the vertical (y) axis in radians.
-    box_shadows : ndarray, shape (B,), bool
-        Which boxes shade others when the light is computed.
-    ellipsoid_centers, ellipsoid_radii : ndarray, shape (K, 3)
-        Axis-aligned ellipsoids; they are solids B, B + 1, ...
-    """
-
+    # (B, 3): centres and half extents in metres.
     box_centers: NDArray[np.float64]
     box_halves: NDArray[np.float64]
-    box_yaws: NDArray[np.float64]
-    box_shadows: NDArray[np.bool_]
+    box_yaws: NDArray[np.float64]  # (B,): turn of each box about the vertical (y) axis in radians
+    box_shadows: NDArray[np.bool_]  # (B,): which boxes shade others when the light is computed
+    # (K, 3): axis-aligned ellipsoids; they are the solids B, B + 1 and so on.
     ellipsoid_centers: NDArray[np.float64]
     ellipsoid_radii: NDArray[np.float64]
 
     def distances(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance from each point to the nearest surface, for points inside the room.
-
-        Parameters
-        ----------
-        points : ndarray, shape (N, 3)
-
-        Returns
-        -------
-        distances : ndarray, shape (N,)
-            Metres; negative inside a solid or outside the room. Lower bounds for ellipsoids.
-        """
+        """Distance from each point to the nearest surface, for points inside the room."""
         # Coordinate rows: operations over contiguous memory take a third of the time.
         x, y, z = (points - self.box_centers[0]).T
         nearest = np.minimum.reduce(
@@ -76,19 +56,7 @@ class Solids:
     def in_cone(
         self, origin: NDArray[np.float64], directions: NDArray[np.float64]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """All boxes and ellipsoids that rays of one bundle meet, and a few that they miss.
-
-        Parameters
-        ----------
-        origin : ndarray, shape (3,)
-        directions : ndarray, shape (N, 3)
-            Unit directions of the bundle.
-
-        Returns
-        -------
-        boxes, ellipsoids : ndarray of int
-            Indices into the boxes (0, the room, left out) and into the ellipsoids.
-        """
+        """All boxes and ellipsoids that rays of one bundle meet, and a few that they miss."""
         axis = directions.mean(axis=0)
         axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
         half_angle = np.arccos(np.clip((directions @ axis).min(), -1.0, 1.0)) + 1e-3
@@ -143,21 +111,7 @@ def _frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
 def box_ranges(
     solids: Solids, boxes: NDArray[np.intp], origins: Floats, directions: Floats
 ) -> tuple[Floats, Floats]:
-    """Ranges at which rays enter and leave boxes (slab test).
-
-    Parameters
-    ----------
-    solids : Solids
-    boxes : ndarray of int, shape (B,)
-    origins : ndarray, shape (3, N) or (3, 1)
-        Coordinate rows, so that every operation runs over contiguous memory.
-    directions : ndarray, shape (3, N)
-
-    Returns
-    -------
-    entries, exits : ndarray, shape (B, N)
-        The ray meets the box where entry <= exit and exit > 0.
-    """
+    """Ranges at which rays enter and leave boxes (slab test)."""
     cos = np.cos(solids.box_yaws[boxes]).astype(np.float32)[:, None]
     sin = np.sin(solids.box_yaws[boxes]).astype(np.float32)[:, None]
     center = solids.box_centers[boxes].astype(np.float32)
@@ -188,18 +142,7 @@ def ellipsoid_ranges(
     origin: NDArray[np.float64],
     directions: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Range at which rays from one point meet each ellipsoid, inf where they miss.
-
-    Parameters
-    ----------
-    centers, radii : ndarray, shape (K, 3)
-    origin : ndarray, shape (3,)
-    directions : ndarray, shape (3, N)
-
-    Returns
-    -------
-    ranges : ndarray, shape (K, N)
-    """
+    """Range at which rays from one point meet each ellipsoid, inf where they miss."""
     start = ((origin - centers) / radii)[:, :, None]
     slope = directions[None] / radii[:, :, None]
     a = np.sum(slope * slope, axis=1)
@@ -214,22 +157,7 @@ def ellipsoid_ranges(
 def nearest_hits(
     solids: Solids, origin: NDArray[np.float64], directions: NDArray[np.float64]
 ) -> tuple[Floats, NDArray[np.intp]]:
-    """First surface that rays from one point inside the room meet.
-
-    Parameters
-    ----------
-    solids : Solids
-    origin : ndarray, shape (3,)
-    directions : ndarray, shape (N, 3)
-        Unit directions of neighbouring rays (the narrower the bundle, the fewer solids to test).
-
-    Returns
-    -------
-    ranges : ndarray, shape (N,)
-        Distance along the ray in metres.
-    solid : ndarray, shape (N,), int
-        Index of the solid: boxes first, then ellipsoids.
-    """
+    """First surface that rays from one point inside the room meet."""
     boxes, ellipsoids = solids.in_cone(origin, directions)
     rays = np.ascontiguousarray(directions.T)
     rays32, origin32 = rays.astype(np.float32), origin.astype(np.float32)[:, None]
@@ -265,22 +193,7 @@ def free_ranges(
     *,
     inside_stops: bool,
 ) -> Floats:
-    """How far rays get before one of the boxes stops them.
-
-    Parameters
-    ----------
-    solids : Solids
-    boxes : ndarray of int, shape (B,)
-        The boxes that may stop a ray.
-    origins, directions : ndarray, shape (3, N)
-    inside_stops : bool
-        Whether a box that holds the origin stops the ray at once; otherwise it is transparent.
-
-    Returns
-    -------
-    ranges : ndarray, shape (N,)
-        Metres; inf for a free ray.
-    """
+    """How far rays get before one of the boxes stops them."""
     free = np.full(directions.shape[1], np.inf, np.float32)
     if len(boxes):
         entries, exits = box_ranges(solids, boxes, origins, directions)

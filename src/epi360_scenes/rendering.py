@@ -40,22 +40,12 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays from one point.
+    """Rays from one point."""
 
-    Attributes
-    ----------
-    origin : ndarray, shape (3,)
-    directions : ndarray, shape (N, 3)
-        Unit directions in the world.
-    widths : ndarray, shape (N,), float32
-        Angle in radians that the ray's pixel covers.
-    bundles : list of ndarray of int
-        Which rays look in about the same direction; every ray is in one bundle.
-    """
-
-    origin: NDArray[np.float64]
-    directions: NDArray[np.float64]
-    widths: Floats
+    origin: NDArray[np.float64]  # (3,)
+    directions: NDArray[np.float64]  # (N, 3): unit directions in the world
+    widths: Floats  # (N,): angle in radians that the ray's pixel covers
+    # Indices of rays that look in about the same direction; every ray is in one bundle.
     bundles: list[NDArray[np.intp]]
 
 
@@ -63,22 +53,7 @@ class RayCaster(Protocol):
     """A scene as `render_view` needs it."""
 
     def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:
-        """What rays meet.
-
-        Parameters
-        ----------
-        rays : Rays
-            N rays.
-
-        Returns
-        -------
-        colors : ndarray, shape (N, 3)
-            Display values in [0, 1].
-        ranges : ndarray, shape (N,)
-            Metres; 0 where a ray meets nothing.
-        surfaces : ndarray, shape (N,), int
-            Any numbers that differ between surfaces; -1 where a ray meets nothing.
-        """
+        """Display colours (N, 3), ranges in metres and surface numbers of what rays meet."""
 
 
 def render_view(
@@ -89,28 +64,7 @@ def render_view(
     supersample: int = 2,
     num_threads: int | None = None,
 ) -> Rendering:
-    """Picture and depth that a camera sees from a pose.
-
-    Parameters
-    ----------
-    scene : RayCaster
-    camera : Camera
-        Any central camera.
-    world_from_cam : Pose
-    supersample : int
-        Rays per axis in pixels that hold an edge.
-    num_threads : int, optional
-        Threads to use, by default one per core; the result does not depend on it.
-
-    Returns
-    -------
-    rendering : Rendering
-
-    Raises
-    ------
-    ValueError
-        If `supersample` or `num_threads` is below 1.
-    """
+    """Picture and depth that a camera sees from a pose."""
     if supersample < 1:
         raise ValueError(f"supersample must be 1 or more, got {supersample}")
     if num_threads is not None and num_threads < 1:

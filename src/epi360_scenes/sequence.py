@@ -35,26 +35,7 @@ def prepare_sequence(
     world_from_cam: Sequence[Pose],
     options: Mapping[str, Any],
 ) -> None:
-    """Make the folder of a sequence with its poses, camera and options, or check that it is this.
-
-    Parameters
-    ----------
-    folder : Path
-        New, empty, or begun with the same arguments.
-    camera : Camera
-        Written as ``camera.json``, which `load_camera` reads.
-    world_from_cam : sequence of Pose
-        Written as ``frm_ref.txt``.
-    options : mapping
-        What the pictures depend on, as JSON can hold it; written as ``render.json``.
-
-    Raises
-    ------
-    ValueError
-        If the folder is a file, or holds something else than this sequence.
-    OSError
-        If it cannot be written.
-    """
+    """Make the folder of a sequence with its poses, camera and options, or check that they fit."""
     files = {
         OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
         CAMERA_FILE: json.dumps(_camera_record(camera), indent=2) + "\n",
@@ -83,61 +64,25 @@ def render_sequence(
     supersample: int = 2,
     progress: Progress = no_progress,
 ) -> int:
-    """Render the frames of a sequence that are not there yet, in the layout of 360-MP3D-VO.
-
-    Parameters
-    ----------
-    scene : RenderableScene
-    camera : Camera
-    world_from_cam : sequence of Pose
-        One pose a frame.
-    folder, options
-        See `prepare_sequence`, which is called first.
-    supersample : int
-        Rays per axis in pixels that hold an edge.
-    progress : callable
-        Called with "frames", before the first of them and after each.
-
-    Returns
-    -------
-    num_rendered : int
-        How many frames were rendered now.
-
-    Raises
-    ------
-    ValueError
-        If the folder belongs to something else, or a pose is inside a solid.
-    OSError
-        If a file cannot be written.
-    """
+    """Render the frames of a sequence that are not there yet, in the layout of 360-MP3D-VO."""
     prepare_sequence(folder, camera, world_from_cam, options)
     missing = [
         index
         for index in range(len(world_from_cam))
         if not all(path.is_file() for path in frame_files(folder, index))
     ]
-    there, total = len(world_from_cam) - len(missing), len(world_from_cam)
-    progress("frames", there, total)
+    total = len(world_from_cam)
+    num_kept = total - len(missing)
+    progress("frames", num_kept, total)
     for count, index in enumerate(missing, start=1):
         rendering = scene.render(camera, world_from_cam[index], supersample=supersample)
         write_frame(folder, index, rendering)
-        progress("frames", there + count, total)
+        progress("frames", num_kept + count, total)
     return len(missing)
 
 
 def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise if a sequence of these options cannot go there; nothing is written.
-
-    Parameters
-    ----------
-    folder : Path
-    options : mapping
-
-    Raises
-    ------
-    ValueError
-        If it is a file, or a folder that holds something else than a sequence of these options.
-    """
+    """Raise if a sequence of these options cannot go there; nothing is written."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the sequence must go into a folder, {folder} is a file")
     if not folder.is_dir() or not any(folder.iterdir()):

@@ -20,17 +20,7 @@ STUDIO_HALF_WIDTH_M, STUDIO_HALF_DEPTH_M, STUDIO_HEIGHT_M = 3.8, 2.4, 2.9
 
 
 def furnish_studio(rng: np.random.Generator) -> Furniture:
-    """List everything in the studio, its shell first.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Decides what hangs where and how pieces are turned.
-
-    Returns
-    -------
-    furniture : Furniture
-    """
+    """List everything in the studio, its shell first."""
     room = Furniture()
     _shell(room)
     _busy_east_wall(room, rng)

@@ -31,22 +31,13 @@ LIFT_M = 0.004
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays met a scene.
+    """Where rays met a scene."""
 
-    Attributes
-    ----------
-    solid : ndarray, shape (N,), int
-        What was hit, as `nearest_hits` counts.
-    points, directions : ndarray, shape (N, 3), float32
-        Place of the hit and unit direction of the ray in the world.
-    widths : ndarray, shape (N,), float32
-        Width of the ray's pixel across the ray at the hit, in metres.
-    """
-
-    solid: NDArray[np.intp]
+    solid: NDArray[np.intp]  # (N,): what was hit, as `nearest_hits` counts
+    # (N, 3): place of the hit and unit direction of the ray in the world.
     points: Floats
     directions: Floats
-    widths: Floats
+    widths: Floats  # (N,): width of the ray's pixel across the ray at the hit, in metres
 
     def __getitem__(self, mask: NDArray[np.bool_]) -> "Hits":
         """Return some of the hits."""
@@ -55,49 +46,22 @@ class Hits:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """Looks of all faces: six for each box (-x, +x, -y, +y, -z, +z), one for each ellipsoid.
-
-    Attributes
-    ----------
-    atlas : TextureAtlas
-    textures : ndarray, shape (F,), int
-        Texture of each face.
-    uv_from_face : ndarray, shape (F, 2, 3), float32
-        Texture position in turns = matrix times (first, second in-plane metre, 1).
-    glow : ndarray, shape (F,), float32
-        Light a face sends out by itself, as a multiple of its texture; 0: it is lit.
-    light_starts, light_shapes : ndarray, shape (B * 6,) and (B * 6, 2), int
-        Where in `light` a box face's grid begins and how many samples it has along each axis.
-    light : ndarray, shape (S, 3), float32
-        Irradiance samples.
-    lights : tuple of Light
-        For the ellipsoids, which are lit without shadows.
-    """
+    """Looks of all faces: six for each box (-x, +x, -y, +y, -z, +z), one for each ellipsoid."""
 
     atlas: TextureAtlas
-    textures: NDArray[np.intp]
+    textures: NDArray[np.intp]  # (F,): texture of each face
+    # (F, 2, 3): texture position in turns = matrix times (first, second in-plane metre, 1).
     uv_from_face: Floats
-    glow: Floats
+    glow: Floats  # (F,): light of the face itself, as a multiple of its texture; 0: it is lit
+    # (B * 6,) and (B * 6, 2): where the grid of a box face begins in `light`, and its samples
+    # along both axes.
     light_starts: NDArray[np.intp]
     light_shapes: NDArray[np.intp]
-    light: Floats
-    lights: tuple[Light, ...]
+    light: Floats  # (S, 3): irradiance samples
+    lights: tuple[Light, ...]  # for the ellipsoids, which are lit without shadows
 
     def shade(self, solids: Solids, hits: Hits) -> tuple[Floats, NDArray[np.intp]]:
-        """Linear light that comes back from hits.
-
-        Parameters
-        ----------
-        solids : Solids
-        hits : Hits
-            N hits.
-
-        Returns
-        -------
-        rgb : ndarray, shape (N, 3)
-        surface : ndarray, shape (N,), int
-            Face that was hit.
-        """
+        """Linear light that comes back from hits."""
         rgb = np.empty((len(hits.solid), 3), np.float32)
         surface = np.empty(len(hits.solid), np.intp)
         on_box = hits.solid < len(solids.box_centers)
@@ -178,19 +142,7 @@ class Surfaces:
 
 
 def build_surfaces(solids: Solids, furniture: Furniture, atlas: TextureAtlas) -> Surfaces:
-    """Materials of all faces and the light on them.
-
-    Parameters
-    ----------
-    solids : Solids
-    furniture : Furniture
-        The same solids with their materials, and the lights.
-    atlas : TextureAtlas
-
-    Returns
-    -------
-    surfaces : Surfaces
-    """
+    """Materials of all faces and the light on them."""
     materials = [m for faces in furniture.box_materials for m in faces]
     sizes = [
         (2 * half[FACE_AXES[face // 2][0]], 2 * half[FACE_AXES[face // 2][1]])

@@ -18,42 +18,17 @@ GAMMA = 2.2
 
 @dataclass(frozen=True)
 class TextureAtlas:
-    """All textures of a scene with their mip maps in one buffer, in linear light.
+    """All textures of a scene with their mip maps in one buffer, in linear light."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Texture i is called names[i].
-    texels : ndarray, shape (T, 3)
-        RGB rows of all textures, level after level.
-    starts : ndarray, shape (len(names), L)
-        First row of each level; levels past the last repeat it.
-    sizes : ndarray, shape (len(names), L)
-        Side of each level in texels, a power of two.
-    """
-
-    names: tuple[str, ...]
-    texels: Floats
+    names: tuple[str, ...]  # texture i is called names[i]
+    texels: Floats  # (T, 3): RGB rows of all textures, level after level
+    # (len(names), L): first row of each level, and its side in texels, a power of two; levels past
+    # the last repeat it.
     starts: NDArray[np.int64]
     sizes: NDArray[np.int64]
 
     def sample(self, texture: NDArray[np.intp], uv: Floats, footprint: Floats) -> Floats:
-        """Trilinear, repeating look-up.
-
-        Parameters
-        ----------
-        texture : ndarray, shape (N,), int
-            Index of the texture.
-        uv : ndarray, shape (2, N)
-            Position in turns: 1 is once across the texture.
-        footprint : ndarray, shape (N,)
-            Width of the pixel on the texture, in turns.
-
-        Returns
-        -------
-        rgb : ndarray, shape (N, 3)
-            Linear light.
-        """
+        """RGB (N, 3) at positions (2, N) in turns, trilinear and repeating."""
         top = self.sizes.shape[1] - 1
         level = np.log2(np.maximum(footprint * self.sizes[texture, 0], 1.0))
         level = np.minimum(level, np.float32(top)).astype(np.float32)
@@ -84,20 +59,7 @@ def _mix(a: Floats, b: Floats, weight: Floats) -> Floats:
 
 
 def build_atlas(seed: int, names: Iterable[str] = PAINTERS) -> TextureAtlas:
-    """Textures painted for a seed.
-
-    Parameters
-    ----------
-    seed : int
-        Each texture has its own random stream of this seed and its name, so that a new texture
-        changes no other.
-    names : iterable of str
-        Which of the textures of `PAINTERS`, by default all.
-
-    Returns
-    -------
-    atlas : TextureAtlas
-    """
+    """Textures painted for a seed; each name has its own random numbers."""
 
     def painted(name: str) -> Floats:
         rng = np.random.Generator(np.random.PCG64([seed, zlib.crc32(name.encode())]))
@@ -109,18 +71,7 @@ def build_atlas(seed: int, names: Iterable[str] = PAINTERS) -> TextureAtlas:
 
 
 def atlas_of_images(images: Mapping[str, Floats]) -> TextureAtlas:
-    """Textures made of pictures, with their mip maps.
-
-    Parameters
-    ----------
-    images : mapping of str to ndarray, shape (S, S, 3)
-        Square pictures whose side is a power of two, in any scale: `TextureAtlas.sample` mixes
-        their values.
-
-    Returns
-    -------
-    atlas : TextureAtlas
-    """
+    """Textures made of square pictures by name, with their mip maps."""
     pyramids = [_pyramid(image) for image in images.values()]
     num_levels = max((len(levels) for levels in pyramids), default=1)
     starts, sizes, start = [], [], 0

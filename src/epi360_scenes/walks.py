@@ -28,31 +28,7 @@ def plan_walk(
     height_m: float,
     clearance_m: float,
 ) -> Floats:
-    """Way of at least a length between random places of a scene, in the middle of free space.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    distances : callable
-        Distance (N,) from points (N, 3) to the nearest surface.
-    bounds : ndarray, shape (2, 3)
-        Lowest and highest coordinates; y is down, the floor is at the highest y.
-    length_m : float
-    height_m : float
-        Of the camera over the floor.
-    clearance_m : float
-        Least distance of the camera from surfaces.
-
-    Returns
-    -------
-    walk : ndarray, shape (M, 3)
-        Corners of the way at the height of the camera.
-
-    Raises
-    ------
-    ValueError
-        If there is no place to walk.
-    """
+    """Way of at least a length between random places of a scene, in the middle of free space."""
     grid = _Grid(distances, bounds, height_m, clearance_m)
     here = int(rng.choice(grid.connected))
     cells, walked = [here], 0.0

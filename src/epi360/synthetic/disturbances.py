@@ -114,13 +114,7 @@ def replace_with_outliers(
 
 
 def check_outliers(ratio: float, model: str) -> None:
-    """Raise ``ValueError`` if a share or a model of outliers is none.
-
-    Parameters
-    ----------
-    ratio : float
-    model : str
-    """
+    """Raise ``ValueError`` if a share or a model of outliers is none."""
     if not 0.0 <= ratio <= 1.0:
         raise ValueError(f"outlier_ratio must be in [0, 1], got {ratio}; 0.2 is 20 %")
     if model not in get_args(OutlierModel):

@@ -24,32 +24,14 @@ from epi360.features.image_files import MAX_PIXELS, decode_image_file
 
 NUM_SAMPLED_FRAMES = 16  # spread over the sequence; 16 of 2800 frames of a room take 0.1 s
 DARK_PERCENT, BRIGHT_PERCENT = 1.0, 99.5  # lamps and dead pixels must not set the range
-RIM_SHARE = 0.1  # of the median brightness: darker than any lit part after the maximum over frames
-RIM_MARGIN = 0.98  # of the radius: the last pixels are blurred and coloured
+# Share of the median brightness below which a pixel is rim: no lit part is as dark after the
+# maximum over the frames.
+RIM_SHARE = 0.1
+RIM_MARGIN = 0.98  # share of the radius that is used: the last pixels are blurred and coloured
 
 
 def eight_bit_image(path: Path, levels: tuple[float, float] | None) -> NDArray[np.uint8]:
-    """8-bit RGB of an image file.
-
-    Parameters
-    ----------
-    path : Path
-        Any picture that `read_image` takes.
-    levels : (float, float), optional
-        16-bit values that become 0 and 255, with the square root between them; None: as
-        `read_image` does. Ignored for 8-bit files.
-
-    Returns
-    -------
-    image : ndarray, shape (H, W, 3), uint8
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no complete picture.
-    """
+    """8-bit RGB of an image file; 16-bit values become 0 and 255 at the two levels."""
     if levels is None:
         return read_image(path)
     raw = decode_image_file(path, MAX_PIXELS, "image")
@@ -62,24 +44,7 @@ def eight_bit_image(path: Path, levels: tuple[float, float] | None) -> NDArray[n
 
 
 def intensity_levels(paths: Sequence[Path]) -> tuple[float, float] | None:
-    """Values of 16-bit images that should become black and white.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Images of one sequence; 16 spread over it are read.
-
-    Returns
-    -------
-    levels : (float, float) or None
-        Percentiles 1 and 99.5 of all pixels brighter than 0 (the rim of a fisheye is 0); None
-        for 8-bit images.
-
-    Raises
-    ------
-    ValueError
-        If an image is damaged, or all of them are black.
-    """
+    """Values of 16-bit images that should become black and white; None for 8-bit images."""
     samples = [_gray(path) for path in _sampled(paths)]
     if any(sample.dtype != np.uint16 for sample in samples):
         return None
@@ -91,30 +56,7 @@ def intensity_levels(paths: Sequence[Path]) -> tuple[float, float] | None:
 
 
 def lens_circle_mask(paths: Sequence[Path], camera: Camera) -> NDArray[np.bool_]:
-    """Pixels inside the lit circle of a fisheye lens, where the camera also has a ray.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        Images of one sequence; 16 spread over it are read.
-    camera : Camera
-        Of these images; the circle is centred where its axis is seen.
-
-    Returns
-    -------
-    mask : ndarray, shape (height, width), bool
-
-    Raises
-    ------
-    ValueError
-        If an image is damaged or has another size than the camera.
-
-    Notes
-    -----
-    What is black in the brightest value over all sampled frames is rim. The circle ends at the
-    largest radius of which a quarter of the visible circumference is brighter than a tenth of
-    the median; 2 % of it are given away. Without a rim the circle covers the image.
-    """
+    """Pixels inside the lit circle of a fisheye lens, where the camera also has a ray."""
     brightest = np.max([_gray(path, camera) for path in _sampled(paths)], axis=0)
     center = camera.pixels_from_bearings([[0.0, 0.0, 1.0]])[0]
     x = np.arange(camera.width) + 0.5 - center[0]
@@ -122,6 +64,7 @@ def lens_circle_mask(paths: Sequence[Path], camera: Camera) -> NDArray[np.bool_]
     radii = np.hypot(x[None, :], y[:, None])
     rings = radii.astype(np.intp).ravel()
     lit = (brightest > RIM_SHARE * np.median(brightest[radii < 0.25 * camera.width])).ravel()
+    # The circle ends where less than a quarter of the visible circumference is lit.
     share = np.bincount(rings, lit) / np.maximum(np.bincount(rings), 1)
     radius = float(np.flatnonzero(share >= 0.25).max(initial=0) + 1)
     if radius < rings.max():  # else nothing is dark: there is no rim to stay away from

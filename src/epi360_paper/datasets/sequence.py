@@ -22,9 +22,9 @@ class ImageSequence:
     Attributes
     ----------
     name : str
-        Of the scene, for tables.
+        Name of the scene, for tables.
     camera : Camera
-        Of every image.
+        Camera of every image.
     image_paths : tuple of Path
         One per frame.
     timestamps_s : ndarray, shape (F,)
@@ -72,7 +72,7 @@ class ImageSequence:
         Parameters
         ----------
         index : int
-            Of the frame, from 0.
+            Number of the frame, from 0.
 
         Returns
         -------
@@ -96,7 +96,7 @@ class ImageSequence:
         Parameters
         ----------
         index : int
-            Of the frame, from 0.
+            Number of the frame, from 0.
 
         Returns
         -------

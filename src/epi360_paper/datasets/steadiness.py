@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epi360.poses import Pose, rotation_error_deg
+from epi360.poses import rotation_error_deg
 from epi360_paper.datasets.intensities import mean_brightness
 from epi360_paper.datasets.sequence import ImageSequence
 
@@ -25,7 +25,7 @@ class SkipRule:
         At 20 images per second 120 deg/s are 6 deg or 20 px of TUM-VI's 512-pixel images per
         frame, and about 1 px of blur in 3 ms of exposure.
     max_brightness_ratio : float
-        Of the mean grey values of the two frames, the larger over the smaller.
+        Largest ratio of the mean grey values of the two frames, the brighter to the darker.
 
     Raises
     ------
@@ -96,10 +96,6 @@ def _is_calm(
     seconds = float(sequence.timestamps_s[index] - sequence.timestamps_s[index - 1])
     dark, bright = sorted((brightness_before, brightness))
     return (
-        _turn_deg(before, after) <= rule.max_rotation_deg_per_s * seconds
+        rotation_error_deg(before, after) <= rule.max_rotation_deg_per_s * seconds
         and bright <= rule.max_brightness_ratio * dark
     )
-
-
-def _turn_deg(before: Pose, after: Pose) -> float:
-    return rotation_error_deg(before, after)

@@ -10,23 +10,8 @@ from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
 
 
 def interpolate_pose(before: Pose, after: Pose, share: float) -> Pose:
-    """Pose between two: linear in the translation, at constant turning speed in the rotation.
-
-    Parameters
-    ----------
-    before, after : Pose
-        Both from the same frame to the same frame.
-    share : float
-        0 gives ``before``, 1 gives ``after``.
-
-    Returns
-    -------
-    Pose
-
-    Notes
-    -----
-    Shoemake's spherical linear interpolation (SIGGRAPH 1985), written with rotation vectors.
-    """
+    """Pose between two: linear in the translation, at constant turning speed in the rotation."""
+    # Spherical linear interpolation (Shoemake, SIGGRAPH 1985), written with rotation vectors.
     turn = vector_from_rotation(before.rotation.T @ after.rotation)
     rotation = before.rotation @ rotation_from_vector(share * turn)
     translation = (1 - share) * before.translation + share * after.translation
@@ -39,24 +24,7 @@ def poses_at_times(
     wanted_ns: NDArray[np.int64],
     max_gap_ns: int,
 ) -> list[Pose | None]:
-    """Pose at each wanted time, None where the known ones are too far apart.
-
-    Parameters
-    ----------
-    known_ns : ndarray, shape (K,), int64
-        Increasing times of the known poses.
-    world_from_body : list of K Pose
-        The known poses.
-    wanted_ns : ndarray, shape (F,), int64
-        Times to interpolate at.
-    max_gap_ns : int
-        Largest time between the known poses around a wanted one.
-
-    Returns
-    -------
-    poses : list of F Pose or None
-        None also before the first and after the last known time.
-    """
+    """Pose at each wanted time, None where the known ones are too far apart."""
     poses: list[Pose | None] = []
     for time in wanted_ns:
         after = int(np.searchsorted(known_ns, time))

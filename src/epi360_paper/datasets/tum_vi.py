@@ -163,7 +163,7 @@ def _check_header(table: Table) -> None:
 
 
 def _calibration(scene: Path, calibration: str | os.PathLike[str] | None) -> tuple[Camera, Pose]:
-    """Camera 0 and the pose cam_from_imu."""
+    """Camera 0 of a calibration and its pose cam_from_imu."""
     path = Path(calibration) if calibration is not None else _part(scene, *CALIBRATION_FILES)
     rig = load_kalibr_rig(path)
     if "cam0" not in rig or rig["cam0"].cam_from_imu is None:
