@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from epi360.epipolar import EightPointSolution, eight_point, pose_from_essential, stability
-from epi360.files import write_file
+from epi360.epipolar import EightPointSolution, pose_from_essential, stability
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.progress import Progress
 from epi360_paper.options import Outcome, ReproduceOptions
@@ -26,8 +25,8 @@ from epi360_paper.plots import (
     png_of,
     write_panel_title,
 )
-from epi360_paper.results import markdown_table, save_trials
-from epi360_paper.tracked_pair import TrackedPair, save_pair_page, track_pair
+from epi360_paper.results import markdown_table, save_outcome
+from epi360_paper.tracked_pair import TrackedPair, pair_line, ratio_of, solutions, track_pair
 from epi360_scenes import scene
 
 Array = NDArray[np.float64]
@@ -37,22 +36,22 @@ TITLE = "Fig. 1: distribution of the key points of a panorama"
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 1 from a rendered pair: key points, top view, unit sphere, ovoid."""
+    room = scene("studio", options.seed)
     pair = track_pair(
-        scene("studio", options.seed),
-        options.image_width,
-        options.seed,
-        lambda done, total: progress("fig1", done, total),
+        room, options.image_width, options.seed, lambda *frames: progress("fig1", *frames)
     )
-    unit = eight_point(pair.bearings1, pair.bearings2)
-    best = eight_point(pair.bearings1, pair.bearings2, normalization="sk")
-    folder = options.folder("fig1")
-    folder.mkdir(parents=True, exist_ok=True)
-    files = save_trials(folder, Trials(_columns(pair, best)))
-    table = _table(pair, unit, best)
-    page, text = save_pair_page(folder, TITLE, [_words(best), table], options)
-    write_file(folder / "figure.png", png_of(_draw(pair, best)))
+    unit, best = solutions(pair)
+    outcome = save_outcome(
+        "fig1",
+        TITLE,
+        pair_line(options),
+        [_words(best), _table(pair, unit, best)],
+        Trials(_columns(pair, best)),
+        options,
+        figure=png_of(_draw(pair, best)),
+    )
     progress("fig1", 1, 1)
-    return Outcome("fig1", (*files, page, folder / "figure.png"), text)
+    return outcome
 
 
 def _columns(pair: TrackedPair, best: EightPointSolution) -> dict[str, Any]:
@@ -72,7 +71,7 @@ def _columns(pair: TrackedPair, best: EightPointSolution) -> dict[str, Any]:
 
 
 def _words(best: EightPointSolution) -> str:
-    ratio = _ratio(best)
+    ratio = ratio_of(best)
     return (
         f"The search ends at K/S = {ratio:.3f} (E depends on this ratio alone; the longer "
         "semi-axis of the drawn ovoid is 1). "
@@ -119,10 +118,6 @@ def _internal_angles_deg(pair: TrackedPair, N: Array) -> tuple[Array, Array]:
     return before, after
 
 
-def _ratio(solution: EightPointSolution) -> float:
-    return float(solution.normalizer1[2, 2] / solution.normalizer1[0, 0])
-
-
 def _draw(pair: TrackedPair, best: EightPointSolution) -> Figure:
     figure = new_figure(14.0, 10.2)
     axes = add_axes(figure, 0.15, 0.45, 9.0, 4.5)
@@ -138,7 +133,7 @@ def _draw(pair: TrackedPair, best: EightPointSolution) -> Figure:
     write_panel_title(axes, "c", "landmarks on the unit sphere")
     draw_ovoid(axes, pair.bearings1, extent=extent, area=36.0)
     axes = add_axes(figure, 7.4, 5.55, 5.8, 4.2)
-    write_panel_title(axes, "d", f"the same on the ovoid $Nq$ with $K/S$ = {_ratio(best):.2f}")
+    write_panel_title(axes, "d", f"the same on the ovoid $Nq$ with $K/S$ = {ratio_of(best):.2f}")
     draw_ovoid(axes, pair.bearings1, N / np.abs(N).max(), extent=extent, area=36.0)
     figure.text(0.5, 0.01, _caption(pair, N), fontsize=11, color=SOFT, ha="center", va="bottom")
     return figure

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from epi360.epipolar import (
     EightPointSolution,
     angular_residuals,
-    eight_point,
     essential_from_pose,
     pose_from_essential,
     triangulate,
 )
-from epi360.files import write_file
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.progress import Progress
 from epi360_paper.options import Outcome, ReproduceOptions
@@ -42,8 +40,8 @@ from epi360_paper.plots import (
     spread_indices,
     write_panel_title,
 )
-from epi360_paper.results import markdown_table, save_trials
-from epi360_paper.tracked_pair import TrackedPair, save_pair_page, track_pair
+from epi360_paper.results import markdown_table, save_outcome
+from epi360_paper.tracked_pair import TrackedPair, pair_line, ratio_of, solutions, track_pair
 from epi360_scenes import furnished_room
 
 Array = NDArray[np.float64]
@@ -58,22 +56,22 @@ NUM_NEAREST = 12  # the planes of panel d end at some of the points nearest to t
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 2 from a rendered pair: matches, spheres, ovoids, essential matrix and pose."""
+    room = furnished_room(options.seed)
     pair = track_pair(
-        furnished_room(options.seed),
-        options.image_width,
-        options.seed,
-        lambda done, total: progress("fig2", done, total),
+        room, options.image_width, options.seed, lambda *frames: progress("fig2", *frames)
     )
-    unit = eight_point(pair.bearings1, pair.bearings2)
-    best = eight_point(pair.bearings1, pair.bearings2, normalization="sk")
-    folder = options.folder("fig2")
-    folder.mkdir(parents=True, exist_ok=True)
-    files = save_trials(folder, Trials(_columns(pair, unit, best)))
-    sections = [_table(pair, unit, best), _matrix_words(best)]
-    page, text = save_pair_page(folder, TITLE, sections, options)
-    write_file(folder / "figure.png", png_of(_draw(pair, best)))
+    unit, best = solutions(pair)
+    outcome = save_outcome(
+        "fig2",
+        TITLE,
+        pair_line(options),
+        [_table(pair, unit, best), _matrix_words(best)],
+        Trials(_columns(pair, unit, best)),
+        options,
+        figure=png_of(_draw(pair, best)),
+    )
     progress("fig2", 1, 1)
-    return Outcome("fig2", (*files, page, folder / "figure.png"), text)
+    return outcome
 
 
 def _columns(
@@ -97,7 +95,7 @@ def _table(pair: TrackedPair, unit: EightPointSolution, best: EightPointSolution
         rows.append(
             [
                 name,
-                f"{_ratio(solution):.3f}",
+                f"{ratio_of(solution):.3f}",
                 f"{rotation_error_deg(pose, pair.cam2_from_cam1):.3f}",
                 f"{translation_error_deg(pose, pair.cam2_from_cam1):.3f}",
                 f"{np.degrees(np.median(np.abs(residuals))):.3f}",
@@ -115,17 +113,13 @@ def _matrix_words(best: EightPointSolution) -> str:
     return f"E after denormalisation, row by row: {rows}."
 
 
-def _ratio(solution: EightPointSolution) -> float:
-    return float(solution.normalizer1[2, 2] / solution.normalizer1[0, 0])
-
-
 def _draw(pair: TrackedPair, best: EightPointSolution) -> Figure:
     figure = new_figure(WIDTH_IN, HEIGHT_IN)
     numbered = spread_indices(pair.bearings1, NUM_NUMBERED)
     _draw_images(figure, pair, numbered)
     _draw_solids(figure, pair, numbered, np.eye(3), 6.25, ("b", "unit spheres"))
     N = best.normalizer1 / np.abs(best.normalizer1).max()
-    name = f"ovoids, $K/S$ = {_ratio(best):.2f}"
+    name = f"ovoids, $K/S$ = {ratio_of(best):.2f}"
     _draw_solids(figure, pair, numbered, N, 8.95, ("c", name))
     _draw_pose(figure, pair, best)
     for left, step in ((5.97, ""), (8.67, "$N$"), (11.37, "DLT, $N^T\\hat{E}N$")):

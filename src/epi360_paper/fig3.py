@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar import SkCost, pose_from_essential, search_sk, stability
-from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.progress import Progress
 from epi360.synthetic import TwoViewScene, two_view_scene
 from epi360_paper.fig3_drawing import Profile, Surface, draw_stability
 from epi360_paper.options import Outcome, ReproduceOptions
-from epi360_paper.parts import Trials
+from epi360_paper.parts import Trials, csv_bytes
 from epi360_paper.plots import png_of
-from epi360_paper.results import markdown_table, save_page, save_trials
+from epi360_paper.results import markdown_table, run_line, save_outcome
 from epi360_paper.trials import Trial, run_trials
 
 Array = NDArray[np.float64]
@@ -39,21 +36,25 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 3 from synthetic landmarks: geometry, three ovoids, error over (S, K)."""
     num_problems = options.num_trials(NUM_PROBLEMS)
     trials = run_trials("fig3", {"problems": None}, problem_rows, num_problems, options, progress)
-    folder = options.folder("fig3")
-    files = save_trials(folder, trials)
     shown = typical_problem(trials)
     problem = make_problem(Trial(options.seed, "fig3", 0, shown))
     surface = error_surface(problem, SURFACE_VALUES)
     clean = two_view_scene(options.seed, num_matches=NUM_COLOURED, layout="room", baseline_m=1.0)
     parallax = {panel: parallax_deg(clean, *PANELS[panel]) for panel in PANELS}
-    write_file(folder / "surface.csv", _csv(_surface_columns(surface)))
-    write_file(folder / "parallax.csv", _csv(_parallax_columns(clean, parallax)))
-    sections = [_parallax_table(parallax), _search_table(trials), _words(trials, surface)]
-    page, text = save_page(folder, TITLE, sections, options, num_trials=num_problems, trials=trials)
     figure = draw_stability(clean, PANELS, parallax, surface, _profile(trials), shown)
-    write_file(folder / "figure.png", png_of(figure))
-    more = (folder / "surface.csv", folder / "parallax.csv", page, folder / "figure.png")
-    return Outcome("fig3", (*files, *more), text)
+    return save_outcome(
+        "fig3",
+        TITLE,
+        run_line(options, num_problems, trials),
+        [_parallax_table(parallax), _search_table(trials), _words(trials, surface)],
+        trials,
+        options,
+        tables={
+            "surface.csv": _csv(_surface_columns(surface)),
+            "parallax.csv": _csv(_parallax_columns(clean, parallax)),
+        },
+        figure=png_of(figure),
+    )
 
 
 def make_problem(trial: Trial) -> TwoViewScene:
@@ -145,12 +146,8 @@ def _parallax_columns(scene: TwoViewScene, parallax: dict[str, Array]) -> dict[s
 
 
 def _csv(columns: dict[str, Array]) -> bytes:
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        lines.writerow([f"{value:.9g}" for value in row])
-    return text.getvalue().encode()
+    rows = zip(*columns.values(), strict=True)
+    return csv_bytes(columns, ([f"{value:.9g}" for value in row] for row in rows))
 
 
 def _parallax_table(parallax: dict[str, Array]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from epi360.progress import Progress
 from epi360.synthetic import mean_angle_deg_from_kappa
-from epi360_paper.fig4_curves import Curves, draw_curves, save_curves
+from epi360_paper.fig4_curves import Curves, csv_of_curves, draw_curves
 from epi360_paper.methods import LEGENDS, METHODS, TITLES, method_errors
 from epi360_paper.options import Outcome, ProtocolName, ReproduceOptions
 from epi360_paper.parts import Row, Trials
@@ -19,8 +19,8 @@ from epi360_paper.results import (
     Compared,
     comparison_table,
     markdown_table,
-    save_page,
-    save_trials,
+    run_line,
+    save_outcome,
 )
 from epi360_paper.trials import Trial, run_trials
 
@@ -119,19 +119,17 @@ def _report(
     options: ReproduceOptions,
 ) -> Outcome:
     """Files of a panel: raw trials, curves, page, figure."""
-    folder = options.folder(name)
     curves = Curves.from_trials(axis, groups, METHODS)
-    files = save_trials(folder, trials)
-    page, text = save_page(
-        folder,
+    return save_outcome(
+        name,
         f"Fig. 4 ({name[-1]}): errors against the {axis}",
+        run_line(options, options.num_trials(PAPERS_TRIALS), trials),
         _sections(curves, groups),
+        trials,
         options,
-        num_trials=options.num_trials(PAPERS_TRIALS),
-        trials=trials,
+        tables={"curves.csv": csv_of_curves(curves)},
+        figure=draw_curves(curves, LEGENDS),
     )
-    figure = draw_curves(curves, LEGENDS, folder / "figure.png")
-    return Outcome(name, (*files, save_curves(curves, folder / "curves.csv"), page, figure), text)
 
 
 def _sections(curves: Curves, groups: Mapping[str, Trials]) -> list[str]:

@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from epi360.files import write_file
-from epi360_paper.parts import Trials
+from epi360_paper.parts import Trials, csv_bytes
 from epi360_paper.results import in_thousandths
 
 QUANTILES = (0.25, 0.5, 0.75)
@@ -55,20 +52,19 @@ class Curves:
         return medians
 
 
-def save_curves(curves: Curves, path: Path) -> Path:
-    """Write the points of the curves as CSV."""
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow([curves.axis, "error", "method", "q25_1e-3", "q50_1e-3", "q75_1e-3"])
-    for (kind, method), values in curves.quartiles.items():
-        for level, column in zip(curves.levels, values.T, strict=True):
-            lines.writerow([level, kind, method, *(f"{value:.6g}" for value in column)])
-    write_file(path, text.getvalue().encode())
-    return path
+def csv_of_curves(curves: Curves) -> bytes:
+    """Points of the curves as CSV."""
+    heading = [curves.axis, "error", "method", "q25_1e-3", "q50_1e-3", "q75_1e-3"]
+    rows = (
+        [level, kind, method, *(f"{value:.6g}" for value in column)]
+        for (kind, method), values in curves.quartiles.items()
+        for level, column in zip(curves.levels, values.T, strict=True)
+    )
+    return csv_bytes(heading, rows)
 
 
-def draw_curves(curves: Curves, titles: Mapping[str, str], path: Path) -> Path:
-    """Draw rotation and translation errors side by side."""
+def draw_curves(curves: Curves, titles: Mapping[str, str]) -> bytes:
+    """PNG of the rotation and translation errors side by side."""
     figure = Figure(figsize=(10.0, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, 2)
@@ -78,8 +74,7 @@ def draw_curves(curves: Curves, titles: Mapping[str, str], path: Path) -> Path:
     sink = io.BytesIO()
     # Without the library's version in it the file is the same for the same numbers.
     figure.savefig(sink, dpi=120, metadata={"Software": None})
-    write_file(path, sink.getvalue())
-    return path
+    return sink.getvalue()
 
 
 def _draw_panel(axes: Axes, curves: Curves, kind: str, titles: Mapping[str, str]) -> None:

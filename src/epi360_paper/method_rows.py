@@ -23,8 +23,8 @@ from epi360_paper.results import (
     Compared,
     comparison_table,
     in_thousandths,
-    save_page,
-    save_trials,
+    run_line,
+    save_outcome,
 )
 from epi360_paper.sources import LandmarkPairs, PairSource, pair_rule
 from epi360_paper.tracks import BearingPair
@@ -75,21 +75,18 @@ def num_sequences(options: ReproduceOptions) -> int:
     return math.ceil(options.num_trials(PAPERS_PAIRS) / PAIRS_PER_SEQUENCE)
 
 
-def run_pairs(
+def run_sequences(
     name: str,
+    cells: Mapping[str, Cell],
     trial_function: Callable[[Cell, Trial], Sequence[Row]],
+    num_trials: int,
     options: ReproduceOptions,
     progress: Progress,
 ) -> Trials:
-    """Trials of Table 1 or 2: on landmarks or on tracks in rendered panoramas."""
-    if options.landmarks:
-        cells = {"landmarks": Cell(LandmarkPairs(options.protocol), options.protocol)}
-        count = options.num_trials(PAPERS_PAIRS)
-        return run_trials(name, cells, trial_function, count, options, progress)
-    cells = {"rendered-360": rendered_cell("360", options)}
-    count = num_sequences(options)
-    trials = run_trials(name, cells, trial_function, count, options, progress, chunk_size=1)
-    return with_pairs(trials)
+    """Rows of the trials of some sequences that had pairs."""
+    return with_pairs(
+        run_trials(name, cells, trial_function, num_trials, options, progress, chunk_size=1)
+    )
 
 
 def pair_rows(
@@ -151,50 +148,44 @@ def agreement_line(quantity: str, paper: Mapping[str, float], ours: Mapping[str,
     )
 
 
-def comparison_outcome(
-    table: str,
-    subject: str,
-    trials: Trials,
-    sections: Sequence[str],
-    options: ReproduceOptions,
-) -> Outcome:
-    """Files and page of Table 1 or 2."""
-    name = experiment_name(table, options)
-    folder = options.folder(name)
-    where = "synthetic landmarks" if options.landmarks else "tracks in rendered panoramas"
-    page, text = save_page(
-        folder,
-        f"{subject}, {where}",
-        sections,
-        options,
-        num_trials=int(trials["trial"].max()) + 1,
-        trials=trials,
-        unit=unit_of(options),
-    )
-    return Outcome(name, (*save_trials(folder, trials), page), text)
+@dataclass(frozen=True)
+class Comparison:
+    """What tells Table 1 from Table 2."""
+
+    name: str
+    title: str
+    evaluate: Callable[[Cell, Trial], Sequence[Row]]  # gives the rows of a trial
+    printed: Mapping[str, PrintedRow]  # the paper's row of each method
+    columns: Mapping[str, str]  # titles by the names in `printed`; one that it lacks is ours alone
+    measured: Sequence[str] = ()  # columns beside errors and time: medians of those with a number
+    notes: Sequence[str] = ()
 
 
-def experiment_name(table: str, options: ReproduceOptions) -> str:
-    """Name of Table 1 or 2, by where its pairs come from."""
-    return f"{table}-landmarks" if options.landmarks else table
+def run_comparison(table: Comparison, options: ReproduceOptions, progress: Progress) -> Outcome:
+    """Run Table 1 or 2: on landmarks, or on tracks in rendered panoramas."""
+    if options.landmarks:
+        name, where, unit = f"{table.name}-landmarks", "synthetic landmarks", "scenes"
+        cells = {"landmarks": Cell(LandmarkPairs(options.protocol), options.protocol)}
+        count = options.num_trials(PAPERS_PAIRS)
+        trials = run_trials(name, cells, table.evaluate, count, options, progress)
+    else:
+        name, where, unit = table.name, "tracks in rendered panoramas", "rendered sequences"
+        cells = {"rendered-360": rendered_cell("360", options)}
+        count = num_sequences(options)
+        trials = run_sequences(name, cells, table.evaluate, count, options, progress)
+    sections = [*_comparison_sections(table, trials, unit), *table.notes]
+    run = run_line(options, int(trials["trial"].max()) + 1, trials, unit)
+    return save_outcome(name, f"{table.title}, {where}", run, sections, trials, options)
 
 
-def unit_of(options: ReproduceOptions) -> str:
-    """What a trial of Table 1 or 2 is, in the plural."""
-    return "scenes" if options.landmarks else "rendered sequences"
-
-
-def comparison_sections(
-    trials: Trials,
-    printed: Mapping[str, PrintedRow],
-    columns: Mapping[str, str],
-    measured: Sequence[str],
-    options: ReproduceOptions,
-) -> list[str]:
+def _comparison_sections(table: Comparison, trials: Trials, unit: str) -> list[str]:
     """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree."""
-    ours = {method: _medians(trials.where(method=method), measured) for method in printed}
+    printed = table.printed
+    ours = {method: _medians(trials.where(method=method), table.measured) for method in printed}
     rows = {
-        row.title: [Compared(getattr(row, name, None), ours[method][name]) for name in columns]
+        row.title: [
+            Compared(getattr(row, name, None), ours[method][name]) for name in table.columns
+        ]
         for method, row in printed.items()
     }
     orders = [
@@ -205,8 +196,8 @@ def comparison_sections(
         )
         for quantity in ("rotation", "translation")
     ]
-    table = comparison_table("method", list(columns.values()), rows)
-    return [table, pairs_line(trials, unit_of(options)), " ".join(orders)]
+    compared = comparison_table("method", list(table.columns.values()), rows)
+    return [compared, pairs_line(trials, unit), " ".join(orders)]
 
 
 def _medians(trials: Trials, measured: Sequence[str]) -> dict[str, float]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -72,6 +72,15 @@ class Trials:
         return Trials({name: values[mask] for name, values in self.columns.items()}, self.seconds)
 
 
+def csv_bytes(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> bytes:
+    """Content of a CSV file."""
+    text = io.StringIO()
+    lines = csv.writer(text, lineterminator="\n")
+    lines.writerow(heading)
+    lines.writerows(rows)
+    return text.getvalue().encode()
+
+
 def write_part(path: Path, fingerprint: Fingerprint, rows: Sequence[Row], seconds: float) -> None:
     """Write the trials of a part; readers never see half of it."""
     if not rows:
@@ -82,15 +91,11 @@ def write_part(path: Path, fingerprint: Fingerprint, rows: Sequence[Row], second
         raise ValueError(f"all rows of {fingerprint.name} must have {names}, got {list(uneven)}")
     kinds = {name: _kind([row[name] for row in rows]) for name in names}
     header = {**asdict(fingerprint), "seconds": round(seconds, 3), "columns": kinds}
-    text = io.StringIO()
-    text.write(f"# {json.dumps(header)}\n")
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(names)
     formats = [_FORMATS[kind] for kind in kinds.values()]
-    lines.writerows(
+    lines = (
         [form(value) for form, value in zip(formats, row.values(), strict=True)] for row in rows
     )
-    write_file(path, text.getvalue().encode())
+    write_file(path, f"# {json.dumps(header)}\n".encode() + csv_bytes(names, lines))
 
 
 def read_part(path: Path, fingerprint: Fingerprint) -> dict[str, Any] | None:

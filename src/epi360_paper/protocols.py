@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -61,62 +61,54 @@ class Protocol:
     adaptive_ransac: bool
 
 
-PROTOCOLS: dict[ProtocolName, Protocol] = {
-    "printed": Protocol(
-        name="printed",
-        max_angle_deg=45.0,
-        pose_is_inverse=False,
-        noise="bearings",
-        outliers="uniform",
-        density="pixels",
-        # Five concentrations for six angles: 1.60 deg has none, and 100 is not 10.21 deg.
-        noise_levels=(
-            NoiseLevel(100, 10.21),
-            NoiseLevel(200, 5.22),
-            NoiseLevel(500, 3.21),
-            NoiseLevel(1000, 2.27),
-            NoiseLevel(10_000, 0.72),
-        ),
-        sk_search="lm",
-        parameterization="se3",
-        weight_residual="paper",
-        # With eq. 13 the printed thresholds keep next to nothing: Table 4 says how little.
-        ransac_residual="solarte2021",
-        adaptive_ransac=False,
+AS_PRINTED = Protocol(
+    name="printed",
+    max_angle_deg=45.0,
+    pose_is_inverse=False,
+    noise="bearings",
+    outliers="uniform",
+    density="pixels",
+    # Five concentrations for six angles: 1.60 deg has none, and 100 is not 10.21 deg.
+    noise_levels=(
+        NoiseLevel(100, 10.21),
+        NoiseLevel(200, 5.22),
+        NoiseLevel(500, 3.21),
+        NoiseLevel(1000, 2.27),
+        NoiseLevel(10_000, 0.72),
     ),
-    "authors": Protocol(
+    sk_search="lm",
+    parameterization="se3",
+    weight_residual="paper",
+    # With eq. 13 the printed thresholds keep next to nothing: Table 4 says how little.
+    ransac_residual="solarte2021",
+    adaptive_ransac=False,
+)
+PROTOCOLS: dict[ProtocolName, Protocol] = {
+    "printed": AS_PRINTED,
+    "authors": replace(
+        AS_PRINTED,
         name="authors",
         max_angle_deg=10.0,
         pose_is_inverse=True,
         noise="points",
         outliers="authors",
-        density="pixels",
         noise_levels=tuple(NoiseLevel(kappa) for kappa in (10, 50, 200, 500, 1000, 10_000)),
-        sk_search="lm",
-        parameterization="se3",
         weight_residual="solarte2021",
-        ransac_residual="solarte2021",
         adaptive_ransac=True,
     ),
-    "corrected": Protocol(
+    "corrected": replace(
+        AS_PRINTED,
         name="corrected",
-        max_angle_deg=45.0,
-        pose_is_inverse=False,
-        noise="bearings",
-        outliers="uniform",
         density="sphere",
         # The six concentrations whose mean angles are the six printed ones.
         noise_levels=(
             NoiseLevel(50, 10.21),
-            NoiseLevel(200, 5.22),
-            NoiseLevel(500, 3.21),
-            NoiseLevel(1000, 2.27),
+            *AS_PRINTED.noise_levels[1:4],
             NoiseLevel(2000, 1.60),
             NoiseLevel(10_000, 0.72),
         ),
         sk_search="line",
         parameterization="manifold",
-        weight_residual="paper",
         ransac_residual="paper",
         adaptive_ransac=True,
     ),

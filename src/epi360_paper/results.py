@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from epi360.files import write_file
-from epi360_paper.options import ReproduceOptions
-from epi360_paper.parts import TIMING_PREFIX, Trials
+from epi360_paper.options import Outcome, ReproduceOptions
+from epi360_paper.parts import TIMING_PREFIX, Trials, csv_bytes
 
 # What a Markdown table shows where the paper has no number.
 NO_NUMBER = "–"
@@ -33,11 +32,8 @@ class Compared:
 
 def save_trials(folder: Path, trials: Trials) -> tuple[Path, ...]:
     """Write ``trials.csv``, and ``trials.parquet`` where pyarrow is installed."""
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(trials.columns)
-    lines.writerows(zip(*(_texts(values) for values in trials.columns.values()), strict=True))
-    write_file(folder / "trials.csv", text.getvalue().encode())
+    rows = zip(*(_texts(values) for values in trials.columns.values()), strict=True)
+    write_file(folder / "trials.csv", csv_bytes(trials.columns, rows))
     if find_spec("pyarrow") is None:
         return (folder / "trials.csv",)
     table = import_module("pyarrow").table(dict(trials.columns))
@@ -75,25 +71,48 @@ def markdown_table(heading: Sequence[str], rows: Sequence[Sequence[str]]) -> str
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heading, rule, *rows))
 
 
-def save_page(
-    folder: Path,
-    title: str,
-    sections: Sequence[str],
-    options: ReproduceOptions,
-    *,
-    num_trials: int,
-    trials: Trials | None = None,
-    unit: str = "trials",
-) -> tuple[Path, str]:
-    """Write ``table.md``: what was run, then the sections."""
+def run_line(
+    options: ReproduceOptions, num_trials: int, trials: Trials | None = None, unit: str = "trials"
+) -> str:
+    """Sentence on how many trials were run, with the processor time that they took."""
     spent = f", {trials.seconds:.0f} s of processor time" if trials is not None else ""
-    run = (
+    return (
         f"Protocol `{options.protocol}`, {num_trials:,} {unit} a cell, seed {options.seed}{spent}."
     )
+
+
+def save_page(folder: Path, title: str, run: str, sections: Sequence[str]) -> tuple[Path, str]:
+    """Write ``table.md``: how it was run, then the sections."""
     text = "\n\n".join([f"## {title}", run, *sections]) + "\n"
     folder.mkdir(parents=True, exist_ok=True)
     write_file(folder / "table.md", text.encode())
     return folder / "table.md", text
+
+
+def save_outcome(
+    name: str,
+    title: str,
+    run: str,
+    sections: Sequence[str],
+    trials: Trials,
+    options: ReproduceOptions,
+    *,
+    tables: Mapping[str, bytes] | None = None,
+    figure: bytes | None = None,
+) -> Outcome:
+    """Write raw trials, more tables by the names of their files, the page and the figure."""
+    folder = options.folder(name)
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [*save_trials(folder, trials)]
+    for table, content in (tables or {}).items():
+        write_file(folder / table, content)
+        files.append(folder / table)
+    page, text = save_page(folder, title, run, sections)
+    files.append(page)
+    if figure is not None:
+        write_file(folder / "figure.png", figure)
+        files.append(folder / "figure.png")
+    return Outcome(name, tuple(files), text)
 
 
 def in_thousandths(errors: ArrayLike, quantile: float = 0.5) -> float:

@@ -8,14 +8,7 @@ from typing import Any, NamedTuple
 from epi360.epipolar.sk_search import search_sk
 from epi360.epipolar.stability import stability
 from epi360.progress import Progress
-from epi360_paper.method_rows import (
-    Cell,
-    comparison_outcome,
-    comparison_sections,
-    experiment_name,
-    pair_rows,
-    run_pairs,
-)
+from epi360_paper.method_rows import Cell, Comparison, pair_rows, run_comparison
 from epi360_paper.options import Outcome, ReproduceOptions
 from epi360_paper.protocols import PROTOCOLS
 from epi360_paper.tracks import BearingPair
@@ -61,15 +54,6 @@ SCALE = (
 )
 
 
-def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Run Table 1."""
-    trials = run_pairs(experiment_name("table1", options), evaluate, options, progress)
-    sections = comparison_sections(trials, PRINTED, ROW, MEASURED, options)
-    return comparison_outcome(
-        "table1", "Table 1: eight-point methods", trials, [*sections, SCALE], options
-    )
-
-
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
     """Rows of a trial: stability, errors and time of the five methods on each of its pairs."""
     search = PROTOCOLS[cell.protocol].sk_search
@@ -79,6 +63,16 @@ def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
 
     pairs = cell.source.pairs(trial)
     return pair_rows(pairs, tuple(PRINTED), cell.protocol, measure, MEASURED)
+
+
+TABLE = Comparison(
+    "table1", "Table 1: eight-point methods", evaluate, PRINTED, ROW, MEASURED, (SCALE,)
+)
+
+
+def run(options: ReproduceOptions, progress: Progress) -> Outcome:
+    """Run Table 1."""
+    return run_comparison(TABLE, options, progress)
 
 
 def _stability(pair: BearingPair, normalization: str, search: str) -> dict[str, float]:

@@ -6,14 +6,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from epi360.progress import Progress
-from epi360_paper.method_rows import (
-    Cell,
-    comparison_outcome,
-    comparison_sections,
-    experiment_name,
-    pair_rows,
-    run_pairs,
-)
+from epi360_paper.method_rows import Cell, Comparison, pair_rows, run_comparison
 from epi360_paper.options import Outcome, ReproduceOptions
 from epi360_paper.trials import Trial
 
@@ -42,15 +35,14 @@ PRINTED = {
 ROW = {"rotation": "Rot-e, 1e-3", "translation": "Tran-e, 1e-3", "time_ms": "time, ms"}
 
 
-def run(options: ReproduceOptions, progress: Progress) -> Outcome:
-    """Run Table 2."""
-    trials = run_pairs(experiment_name("table2", options), evaluate, options, progress)
-    sections = comparison_sections(trials, PRINTED, ROW, (), options)
-    return comparison_outcome(
-        "table2", "Table 2: weights of the gold standard method", trials, sections, options
-    )
-
-
 def evaluate(cell: Cell, trial: Trial) -> list[dict[str, Any]]:
     """Rows of a trial: errors and time of the nine methods on each of its pairs."""
     return pair_rows(cell.source.pairs(trial), tuple(PRINTED), cell.protocol)
+
+
+TABLE = Comparison("table2", "Table 2: weights of the gold standard method", evaluate, PRINTED, ROW)
+
+
+def run(options: ReproduceOptions, progress: Progress) -> Outcome:
+    """Run Table 2."""
+    return run_comparison(TABLE, options, progress)

@@ -16,7 +16,7 @@ from epi360_paper.method_rows import (
     pair_rows,
     pairs_line,
     rendered_cell,
-    with_pairs,
+    run_sequences,
 )
 from epi360_paper.methods import METHODS, TITLES
 from epi360_paper.options import Outcome, ReproduceOptions
@@ -25,6 +25,7 @@ from epi360_paper.results import (
     Compared,
     comparison_table,
     in_thousandths,
+    run_line,
     save_page,
     save_trials,
 )
@@ -34,7 +35,7 @@ from epi360_paper.sources import (
     dataset_sources,
     pair_rule,
 )
-from epi360_paper.trials import Trial, run_trials
+from epi360_paper.trials import Trial
 
 # Quartile: rotation errors of the five methods in 1e-3, then translation errors.
 MP3D_VO = {
@@ -66,20 +67,16 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     parts = {"table3": _rendered(options, progress)}
     for dataset, cells in recorded.items():
         name = f"table3-{dataset}"
-        parts[name] = with_pairs(
-            run_trials(name, cells, evaluate, BLOCKS_PER_SCENE, options, progress, chunk_size=1)
-        )
+        parts[name] = run_sequences(name, cells, evaluate, BLOCKS_PER_SCENE, options, progress)
     files = [
         file for name, part in parts.items() for file in save_trials(options.folder(name), part)
     ]
+    count = num_sequences(options)
     page, text = save_page(
         options.folder("table3"),
         "Table 3: quartiles on sequences",
+        run_line(options, count, parts["table3"], "rendered sequences"),
         _sections(parts),
-        options,
-        num_trials=num_sequences(options),
-        trials=parts["table3"],
-        unit="rendered sequences",
     )
     return Outcome("table3", (*files, page), text)
 
@@ -95,7 +92,7 @@ def _rendered(options: ReproduceOptions, progress: Progress) -> Trials:
         "rendered-fisheye": rendered_cell("fisheye", options),
     }
     count = num_sequences(options)
-    return with_pairs(run_trials("table3", cells, evaluate, count, options, progress, chunk_size=1))
+    return run_sequences("table3", cells, evaluate, count, options, progress)
 
 
 def _folders(options: ReproduceOptions) -> dict[DatasetName, Path]:

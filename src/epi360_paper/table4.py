@@ -25,8 +25,8 @@ from epi360_paper.results import (
     Compared,
     comparison_table,
     in_thousandths,
-    save_page,
-    save_trials,
+    run_line,
+    save_outcome,
 )
 from epi360_paper.trials import Trial, run_trials
 
@@ -89,18 +89,10 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     cells = {name: Setting(options.protocol, *values) for name, values in SETTINGS.items()}
     count = options.num_trials(PAPERS_TRIALS)
     trials = run_trials("table4", cells, evaluate, count, options, progress, chunk_size=25)
-    folder = options.folder("table4")
-    files = save_trials(folder, trials)
-    sections = [_half(name, trials.where(cell=name), cells[name]) for name in cells]
-    page, text = save_page(
-        folder,
-        "Table 4: RANSAC at two thresholds",
-        [_reading(PROTOCOLS[options.protocol], trials), *sections],
-        options,
-        num_trials=count,
-        trials=trials,
-    )
-    return Outcome("table4", (*files, page), text)
+    halves = [_half(name, trials.where(cell=name), cells[name]) for name in cells]
+    sections = [_reading(PROTOCOLS[options.protocol], trials), *halves]
+    title, run = "Table 4: RANSAC at two thresholds", run_line(options, count, trials)
+    return save_outcome("table4", title, run, sections, trials, options)
 
 
 def evaluate(setting: Setting, trial: Trial) -> Row:

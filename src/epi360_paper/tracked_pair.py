@@ -3,16 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular
+from epi360.epipolar import EightPointSolution, eight_point
 from epi360.features import track_features
-from epi360.files import write_file
 from epi360.poses import Pose, rotation_from_vector
 from epi360_paper.options import ReproduceOptions
 from epi360_scenes import Room
@@ -84,15 +83,21 @@ def track_pair(
     )
 
 
-def save_pair_page(
-    folder: Path, title: str, sections: Sequence[str], options: ReproduceOptions
-) -> tuple[Path, str]:
-    """Write ``table.md`` of a figure that shows one tracked pair."""
+def solutions(pair: TrackedPair) -> tuple[EightPointSolution, EightPointSolution]:
+    """Eight-point solutions on the unit sphere and on the ovoid that the search finds."""
+    unit = eight_point(pair.bearings1, pair.bearings2)
+    return unit, eight_point(pair.bearings1, pair.bearings2, normalization="sk")
+
+
+def ratio_of(solution: EightPointSolution) -> float:
+    """K/S of a solution's ovoid."""
+    return float(solution.normalizer1[2, 2] / solution.normalizer1[0, 0])
+
+
+def pair_line(options: ReproduceOptions) -> str:
+    """Sentence on the pictures behind a figure."""
     width = options.image_width
-    run = f"One pair of panoramas, rendered at {width} x {width // 2}, seed {options.seed}."
-    text = "\n\n".join([f"## {title}", run, *sections]) + "\n"
-    write_file(folder / "table.md", text.encode())
-    return folder / "table.md", text
+    return f"One pair of panoramas, rendered at {width} x {width // 2}, seed {options.seed}."
 
 
 def _path(room: Room, rng: np.random.Generator) -> list[Pose]:

@@ -16,6 +16,7 @@ from epi360_paper.results import (
     comparison_table,
     in_thousandths,
     markdown_table,
+    run_line,
     save_page,
     save_trials,
 )
@@ -67,9 +68,8 @@ def test_errors_are_shares_of_half_a_turn_in_thousandths_and_no_pose_is_the_wors
 def page(out, name, **options):
     given = ReproduceOptions(out=out, **options)
     folder = given.folder(name)
-    return save_page(
-        folder, f"About {name}", [markdown_table(["a"], [["1"]])], given, num_trials=1500
-    )
+    run, table = run_line(given, 1500), markdown_table(["a"], [["1"]])
+    return save_page(folder, f"About {name}", run, [table])
 
 
 def test_a_page_says_how_it_was_run(tmp_path):
