@@ -18,7 +18,6 @@ from epi360.files import write_file
 
 Row = Mapping[str, float | int | str]
 
-TIMING_PREFIX = "time_"
 # Nine digits: 1e-9 of an error is below what any method means, and files stay half as large.
 _FORMATS: dict[str, Callable[[Any], str]] = {
     "float": "{:.9g}".format,

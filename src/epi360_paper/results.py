@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from epi360.files import write_file
 from epi360_paper.options import Outcome, ReproduceOptions
-from epi360_paper.parts import TIMING_PREFIX, Trials, csv_bytes
+from epi360_paper.parts import Trials, csv_bytes
 
 # What a Markdown table shows where the paper has no number.
 NO_NUMBER = "–"
@@ -120,11 +120,6 @@ def in_thousandths(errors: ArrayLike, quantile: float = 0.5) -> float:
     # A trial without a pose is NaN and counts as the worst error, 1.
     values = np.asarray(errors, dtype=np.float64)
     return float(1e3 * np.quantile(np.where(np.isnan(values), 1.0, values), quantile))
-
-
-def is_timing(column: str) -> bool:
-    """Whether a column holds measured times, which change from run to run."""
-    return column.startswith(TIMING_PREFIX)
 
 
 def _texts(values: np.ndarray[Any, Any]) -> list[str]:

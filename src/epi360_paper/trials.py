@@ -98,6 +98,7 @@ def run_trials(
     # trial_function(value, trial) gives one row or several, with the same columns in all cells. It
     # is a function of a module and the values of the cells are picklable: both are sent to other
     # processes. The ``repr`` of a value must say what it is: parts of another are refused.
+    # Columns that start with "time_" are measured: only they change from run to run.
     folder = options.folder(name) / "parts"
     chunks = [
         _Chunk(

@@ -11,6 +11,7 @@ from epi360_scenes.pieces import (
     ceiling_lamp,
     chair,
     floor_at,
+    legs,
     ornament,
     picture,
     potted_plant,
@@ -20,8 +21,7 @@ from epi360_scenes.pieces import (
 ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M, ROOM_HEIGHT_M = 3.0, 2.5, 2.7
 
 
-def on_wall(wall: Wall) -> Place:
-    """Origin at the foot of a wall's middle, +z into the room."""
+def _on_wall(wall: Wall) -> Place:
     return wall_place(wall, ROOM_HALF_WIDTH_M, ROOM_HALF_DEPTH_M)
 
 
@@ -53,7 +53,7 @@ def _shell(room: Furniture) -> None:
     white, beam = Material("white", 1.0), Material("oak", 0.9)
     for wall in WALLS:
         half = half_w if wall in ("north", "south") else half_d
-        room.box(on_wall(wall), (-half, half), (0.0, 0.09), (0.0, 0.015), white, shadow=False)
+        room.box(_on_wall(wall), (-half, half), (0.0, 0.09), (0.0, 0.015), white, shadow=False)
     for x in (-1.9, 0.0, 1.9):
         room.box(center, (x - 0.07, x + 0.07), (2.54, ROOM_HEIGHT_M), span_z, beam)
     for x, z in ((-0.95, -1.2), (-0.95, 1.2), (0.95, -1.2), (0.95, 1.2)):
@@ -61,7 +61,7 @@ def _shell(room: Furniture) -> None:
 
 
 def _north_wall(room: Furniture, rng: np.random.Generator) -> None:
-    wall = on_wall("north")
+    wall = _on_wall("north")
     white, view = Material("white", 1.0), Material("window", glow=1.5)
     left, right, sill, lintel = -2.0, -0.1, 0.85, 2.3
     room.box(wall, (left, right), (sill, lintel), (0.0, 0.02), view, shadow=False)
@@ -89,7 +89,7 @@ def _north_wall(room: Furniture, rng: np.random.Generator) -> None:
 
 
 def _east_wall(room: Furniture, rng: np.random.Generator) -> None:
-    wall = on_wall("east")
+    wall = _on_wall("east")
     cloth, dark = Material("sofa", 0.5), Material("walnut", 0.6)
     room.box(wall, (-1.1, 1.1), (0.10, 0.28), (0.06, 0.92), cloth)
     room.box(wall, (-1.1, 1.1), (0.28, 0.80), (0.06, 0.26), cloth)
@@ -97,12 +97,9 @@ def _east_wall(room: Furniture, rng: np.random.Generator) -> None:
         room.box(wall, (x, x + 0.18), (0.28, 0.60), (0.06, 0.90), cloth)
     for x in (-0.91, 0.01):
         room.box(wall, (x, x + 0.90), (0.285, 0.44), (0.27, 0.93), cloth)
-    for x in (-1.0, 0.9):
-        for z in (0.12, 0.78):
-            room.box(wall, (x, x + 0.06), (0.0, 0.10), (z, z + 0.06), dark)
+    legs(room, wall, (-1.0, 0.9), (0.12, 0.78), 0.06, (0.0, 0.10), dark)
     for x, cushion in ((-0.62, "cushion1"), (-0.22, "chair"), (0.60, "cushion2")):
-        print_ = Material(cushion, 0.5)
-        room.ellipsoid(wall, (x, 0.60, 0.36), (0.10, 0.19, 0.21), print_)
+        room.ellipsoid(wall, (x, 0.60, 0.36), (0.10, 0.19, 0.21), Material(cushion, 0.5))
     _side_table(room, Place(*floor_at(wall, -1.62, 0.35)))
     potted_plant(room, Place(*floor_at(wall, 1.85, 0.45), 0.3), 0.0, 0.34, rng)
     art = rng.permutation(["landscape", "abstract", "circles"])
@@ -117,9 +114,7 @@ def _east_wall(room: Furniture, rng: np.random.Generator) -> None:
 def _side_table(room: Furniture, place: Place) -> None:
     wood = Material("oak", 0.6)
     room.box(place, (-0.24, 0.24), (0.48, 0.52), (-0.24, 0.24), wood)
-    for x in (-0.22, 0.18):
-        for z in (-0.22, 0.18):
-            room.box(place, (x, x + 0.04), (0.0, 0.48), (z, z + 0.04), wood)
+    legs(room, place, (-0.22, 0.18), (-0.22, 0.18), 0.04, (0.0, 0.48), wood)
     room.ellipsoid(place, (0.0, 0.62, 0.0), (0.08, 0.11, 0.08), Material("brass", 0.5))
     shade = Material("cream", 0.6, glow=1.25)
     room.ellipsoid(place, (0.0, 0.86, 0.0), (0.17, 0.14, 0.17), shade)
@@ -127,7 +122,7 @@ def _side_table(room: Furniture, place: Place) -> None:
 
 
 def _south_wall(room: Furniture, rng: np.random.Generator) -> None:
-    wall, wood = on_wall("south"), Material("oak", 0.9)
+    wall, wood = _on_wall("south"), Material("oak", 0.9)
     room.box(wall, (1.5, 2.4), (0.0, 2.05), (0.0, 0.03), Material("door"), shadow=False)
     for x in (1.42, 2.40):
         room.box(wall, (x, x + 0.08), (0.0, 2.13), (0.0, 0.06), Material("white", 1.0))
@@ -135,8 +130,8 @@ def _south_wall(room: Furniture, rng: np.random.Generator) -> None:
     room.ellipsoid(wall, (1.60, 1.02, 0.07), (0.03, 0.03, 0.03), Material("brass", 0.5))
     room.box(wall, (-2.1, 0.3), (0.08, 0.72), (0.0, 0.42), wood)
     for left in np.linspace(-2.08, -0.28, 4):
-        front = Material("walnut" if rng.random() < 0.4 else "white", 0.9)
-        room.box(wall, (left, left + 0.56), (0.11, 0.69), (0.41, 0.435), front, shadow=False)
+        drawer = Material("walnut" if rng.random() < 0.4 else "white", 0.9)
+        room.box(wall, (left, left + 0.56), (0.11, 0.69), (0.41, 0.435), drawer, shadow=False)
         room.box(
             wall, (left + 0.25, left + 0.31), (0.60, 0.615), (0.435, 0.46), Material("brass", 0.5),
             shadow=False,
@@ -152,7 +147,7 @@ def _south_wall(room: Furniture, rng: np.random.Generator) -> None:
 
 
 def _west_wall(room: Furniture, rng: np.random.Generator) -> None:
-    wall, wood = on_wall("west"), Material("oak", 0.9)
+    wall, wood = _on_wall("west"), Material("oak", 0.9)
     for left, right, height in ((-1.9, -0.7, 1.35), (-1.7, -0.5, 1.75), (0.9, 2.1, 1.55)):
         room.box(wall, (left, right), (height, height + 0.03), (0.0, 0.24), wood)
         x = left + 0.04
@@ -184,9 +179,7 @@ def _west_wall(room: Furniture, rng: np.random.Generator) -> None:
 def _dining(room: Furniture, place: Place, rng: np.random.Generator) -> None:
     wood = Material("walnut", 0.9)
     room.box(place, (-0.45, 0.45), (0.70, 0.745), (-0.75, 0.75), wood)
-    for x in (-0.40, 0.33):
-        for z in (-0.70, 0.63):
-            room.box(place, (x, x + 0.07), (0.0, 0.70), (z, z + 0.07), wood)
+    legs(room, place, (-0.40, 0.33), (-0.70, 0.63), 0.07, (0.0, 0.70), wood)
     for side, z in ((-1, -0.35), (-1, 0.38), (1, -0.38), (1, 0.35)):
         x = side * (0.58 + rng.uniform(-0.05, 0.1))
         turn = place.yaw - side * np.pi / 2 + rng.uniform(-0.3, 0.3)
@@ -211,9 +204,7 @@ def _coffee_corner(room: Furniture, rng: np.random.Generator) -> None:
     place, wood = Place(1.25, 0.0, rng.uniform(-0.15, 0.15)), Material("oak", 0.8)
     room.box(place, (-0.32, 0.32), (0.36, 0.40), (-0.55, 0.55), wood)
     room.box(place, (-0.27, 0.27), (0.14, 0.16), (-0.50, 0.50), wood)
-    for x in (-0.31, 0.26):
-        for z in (-0.54, 0.49):
-            room.box(place, (x, x + 0.05), (0.012, 0.36), (z, z + 0.05), wood)
+    legs(room, place, (-0.31, 0.26), (-0.54, 0.49), 0.05, (0.012, 0.36), wood)
     ornament(room, place, 0.1, 0.40, 0.3, rng)
     magazine = Material(str(rng.choice(["poster1", "blocks"])))
     room.box(place, (-0.2, 0.02), (0.40, 0.41), (-0.1, 0.18), magazine, shadow=False)

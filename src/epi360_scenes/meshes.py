@@ -12,11 +12,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
 from epi360.extras import extra_library
-from epi360.poses import Pose
 from epi360_scenes.mesh_looks import MeshLooks, looks_of_parts
-from epi360_scenes.rendering import Rays, Rendering, render_view
+from epi360_scenes.rendering import RayCaster, Rays
 
 UpAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Floats = NDArray[np.float64]
@@ -31,7 +29,7 @@ RAYS_AT_A_TIME = 1 << 19
 
 
 @dataclass(frozen=True)
-class MeshScene:
+class MeshScene(RayCaster):
     """A mesh to take pictures in, in metres of its own coordinates; see `load_mesh_scene`."""
 
     vertices: Floats  # (V, 3)
@@ -44,19 +42,6 @@ class MeshScene:
     def bounds(self) -> Floats:
         """Lowest and highest coordinates, shape (2, 3)."""
         return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
-
-    def render(
-        self,
-        camera: Camera,
-        world_from_cam: Pose,
-        *,
-        supersample: int = 2,
-        num_threads: int | None = None,
-    ) -> Rendering:
-        """Picture and depth that a camera sees from a pose; see `render_view`."""
-        return render_view(
-            self, camera, world_from_cam, supersample=supersample, num_threads=num_threads
-        )
 
     def cast(self, rays: Rays) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
         """Colours, ranges and surfaces that rays meet, see `RayCaster`."""

@@ -28,21 +28,23 @@ def floor_at(place: Place, x: float, z: float) -> tuple[float, float]:
     return world[0], world[2]
 
 
+def legs(
+    room: Furniture, place: Place, xs: Span, zs: Span, width: float, heights: Span, wood: Material
+) -> None:
+    """Four square legs, whose lower corners are at the given places."""
+    for x in xs:
+        for z in zs:
+            room.box(place, (x, x + width), heights, (z, z + width), wood)
+
+
 def ceiling_lamp(room: Furniture, place: Place, ceiling_m: float) -> None:
     """Hang a square lamp under a ceiling of this height."""
     glow = Material("white", 1.0, glow=2.2)
-    room.box(
-        place,
-        (-0.17, 0.17),
-        (ceiling_m - 0.05, ceiling_m - 0.01),
-        (-0.17, 0.17),
-        glow,
-        shadow=False,
-    )
-    room.box(
-        place, (-0.19, 0.19), (ceiling_m - 0.03, ceiling_m), (-0.19, 0.19), Material("brass", 0.5),
-        shadow=False,
-    )  # fmt: skip
+    for half, low, high, material in (
+        (0.17, ceiling_m - 0.05, ceiling_m - 0.01, glow),
+        (0.19, ceiling_m - 0.03, ceiling_m, Material("brass", 0.5)),
+    ):
+        room.box(place, (-half, half), (low, high), (-half, half), material, shadow=False)
     room.lights.append(
         Light((place.x, 0.1 - ceiling_m, place.z), (0.0, 1.0, 0.0), (1.15, 1.02, 0.82))
     )

@@ -50,33 +50,32 @@ class Rays:
 
 
 class RayCaster(Protocol):
-    """A scene as `render_view` needs it."""
+    """A scene of which pictures can be made."""
+
+    def render(
+        self,
+        camera: Camera,
+        world_from_cam: Pose,
+        *,
+        supersample: int = 2,
+        num_threads: int | None = None,
+    ) -> Rendering:
+        """Picture and depth that a camera sees from a pose; `Room.render` says more."""
+        if supersample < 1:
+            raise ValueError(f"supersample must be 1 or more, got {supersample}")
+        if num_threads is not None and num_threads < 1:
+            raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+        frame = _Frame(self, camera, world_from_cam)
+        with ThreadPoolExecutor(num_threads or os.cpu_count()) as pool:
+            tiles = _tiles(camera.width, camera.height)
+            list(pool.map(frame.fill, tiles))
+            if supersample > 1:
+                edges = frame.edge_mask()
+                list(pool.map(lambda tile: frame.smooth(tile, edges, supersample), tiles))
+        return Rendering(frame.image(), frame.depth)
 
     def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:
         """Display colours (N, 3), ranges in metres and surface numbers of what rays meet."""
-
-
-def render_view(
-    scene: RayCaster,
-    camera: Camera,
-    world_from_cam: Pose,
-    *,
-    supersample: int = 2,
-    num_threads: int | None = None,
-) -> Rendering:
-    """Picture and depth that a camera sees from a pose."""
-    if supersample < 1:
-        raise ValueError(f"supersample must be 1 or more, got {supersample}")
-    if num_threads is not None and num_threads < 1:
-        raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
-    frame = _Frame(scene, camera, world_from_cam)
-    with ThreadPoolExecutor(num_threads or os.cpu_count()) as pool:
-        tiles = _tiles(camera.width, camera.height)
-        list(pool.map(frame.fill, tiles))
-        if supersample > 1:
-            edges = frame.edge_mask()
-            list(pool.map(lambda tile: frame.smooth(tile, edges, supersample), tiles))
-    return Rendering(frame.image(), frame.depth)
 
 
 def _tiles(width: int, height: int) -> list[tuple[slice, slice]]:

@@ -14,7 +14,7 @@ from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.furniture import Furniture
 from epi360_scenes.living_room import furnish_living_room
 from epi360_scenes.raycast import Solids, nearest_hits
-from epi360_scenes.rendering import Rays, Rendering, render_view
+from epi360_scenes.rendering import RayCaster, Rays, Rendering
 from epi360_scenes.studio import furnish_studio
 from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces
 from epi360_scenes.textures import GAMMA, build_atlas
@@ -54,7 +54,7 @@ class RenderedPair:
 
 
 @dataclass(frozen=True)
-class Room:
+class Room(RayCaster):
     """A furnished room to take pictures in; `furnished_room` makes one.
 
     The world has x to the east, y down, z to the north, its origin in the middle of the floor;
@@ -63,7 +63,7 @@ class Room:
     Attributes
     ----------
     solids : Solids
-        The geometry.
+        Geometry of the room and its furniture.
     surfaces : Surfaces
         Textures and light of every face.
     """
@@ -122,8 +122,8 @@ class Room:
                 f"world_from_cam puts the camera at {np.round(position, 2).tolist()}, inside a "
                 "solid or outside the room; take a pose from sample_pose"
             )
-        return render_view(
-            self, camera, world_from_cam, supersample=supersample, num_threads=num_threads
+        return super().render(
+            camera, world_from_cam, supersample=supersample, num_threads=num_threads
         )
 
     def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:

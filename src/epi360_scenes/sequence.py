@@ -5,7 +5,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from epi360.cameras import Camera
 from epi360.poses import Pose
@@ -17,16 +17,9 @@ from epi360_scenes.mp3d_layout import (
     write_frame,
     write_whole,
 )
-from epi360_scenes.rendering import Rendering
+from epi360_scenes.rendering import RayCaster
 
 OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
-
-
-class RenderableScene(Protocol):
-    """A scene that makes pictures: a `Room` or a `MeshScene`."""
-
-    def render(self, camera: Camera, world_from_cam: Pose, *, supersample: int = 2) -> Rendering:
-        """Picture and depth that a camera sees from a pose."""
 
 
 def prepare_sequence(
@@ -55,7 +48,7 @@ def prepare_sequence(
 
 
 def render_sequence(
-    scene: RenderableScene,
+    scene: RayCaster,
     camera: Camera,
     world_from_cam: Sequence[Pose],
     folder: Path,

@@ -101,10 +101,10 @@ def _plain_north_wall(room: Furniture) -> None:
 
 
 def _plain_west_wall(room: Furniture) -> None:
-    wall, front = _on_wall("west"), Material("lacquer", 2.0)
-    room.box(wall, (-2.4, -0.6), (0.0, 2.3), (0.0, 0.6), front)
+    wall, lacquer = _on_wall("west"), Material("lacquer", 2.0)
+    room.box(wall, (-2.4, -0.6), (0.0, 2.3), (0.0, 0.6), lacquer)
     for left in (-2.38, -1.48):
-        room.box(wall, (left, left + 0.86), (0.05, 2.27), (0.6, 0.62), front, shadow=False)
+        room.box(wall, (left, left + 0.86), (0.05, 2.27), (0.6, 0.62), lacquer, shadow=False)
     room.box(wall, (0.2, 2.1), (0.0, 0.42), (0.05, 0.6), Material("felt", 1.0))
 
 

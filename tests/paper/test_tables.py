@@ -7,6 +7,7 @@ import re
 import cv2
 import numpy as np
 import pytest
+from measured import is_timing
 
 from epi360.progress import no_progress
 from epi360.synthetic import two_view_scene
@@ -16,7 +17,6 @@ from epi360_paper.methods import METHODS
 from epi360_paper.options import ReproduceOptions
 from epi360_paper.parts import Trials
 from epi360_paper.rendered import PAIRS_PER_SEQUENCE, RenderedTracks
-from epi360_paper.results import is_timing
 from epi360_paper.tracks import BearingPair
 from epi360_paper.trials import Trial
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured import is_timing
 
 from epi360.progress import no_progress
 from epi360_paper.options import ReproduceOptions
 from epi360_paper.parts import Trials
-from epi360_paper.results import is_timing
 from epi360_paper.trials import Trial, run_trials
 
 CELLS = {"low": 1.0, "high": 10.0}
