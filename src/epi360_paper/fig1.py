@@ -81,10 +81,7 @@ def _words(best: EightPointSolution) -> str:
 
 
 def _table(pair: TrackedPair, unit: EightPointSolution, best: EightPointSolution) -> str:
-    rows = [
-        _row("unit sphere", pair, unit, np.eye(3)),
-        _row("ovoid", pair, best, best.normalizer1),
-    ]
+    rows = [_row("unit sphere", pair, unit, np.eye(3)), _row("ovoid", pair, best, best.normalizer1)]
     heading = [
         "", "K/S", "internal angle, quartiles (deg)", "widened pairs (%)", "sigma_8 / sigma_1",
         "rotation error (deg)", "translation error (deg)",

@@ -152,17 +152,34 @@ def _draw_images(figure: Figure, pair: TrackedPair, numbered: NDArray[np.intp]) 
         figure.add_artist(line)
 
 
-def _draw_numbers(axes: Axes, points: Array, numbered: NDArray[np.intp], size: float = 11) -> None:
-    """Write the numbers of some matches beside their dots, in the colours of the matches."""
-    for number, (index, colour) in enumerate(zip(numbered, MATCH_COLOURS, strict=False), start=1):
+def _draw_numbers(axes: Axes, points: Array, numbered: NDArray[np.intp]) -> None:
+    """Mark some matches of an image; the numbers turn inwards at its right border."""
+    border = 0.96 * axes.get_xlim()[1]
+    for number, index in enumerate(numbered):
         x, y = points[index]
-        axes.plot(x, y, "o", markersize=7, color=colour, markeredgecolor="black", zorder=6)
-        right = axes.get_xlim()[1]
-        inner = x < right - 0.04 * abs(right)
+        _draw_number(axes, number, (x, y), 11, shift=(6 if x < border else -6, 4))
+
+
+def _draw_number(
+    axes: Axes,
+    number: int,
+    point: tuple[float, float],
+    size: float,
+    *,
+    shift: tuple[float, float],
+    facing: bool = True,
+) -> None:
+    """Draw the dot of a match in its colour, with its number if it faces the reader."""
+    colour = MATCH_COLOURS[number]
+    axes.plot(
+        *point, "o", markersize=7, color=colour, markeredgecolor="black", zorder=6,
+        alpha=1.0 if facing else 0.35,
+    )  # fmt: skip
+    if facing:
         axes.annotate(
-            str(number), (x, y), xytext=(6 if inner else -6, 4), textcoords="offset points",
-            ha="left" if inner else "right", color=colour, fontsize=size, fontweight="bold",
-            path_effects=DARK_STROKE, zorder=7,
+            str(number + 1), point, xytext=shift, textcoords="offset points",
+            ha="left" if shift[0] > 0 else "right", color=colour, fontsize=size,
+            fontweight="bold", path_effects=DARK_STROKE, zorder=7,
         )  # fmt: skip
 
 
@@ -181,19 +198,9 @@ def _draw_solids(
         if view == 0:
             write_panel_title(axes, *title)
         facing = (bearings @ np.linalg.inv(N) @ eye.axes[2]) <= 0.0
-        for number, (index, colour) in enumerate(
-            zip(numbered, MATCH_COLOURS, strict=False), start=1
-        ):
+        for number, index in enumerate(numbered):
             (x, y), _ = eye.project(N @ bearings[index])
-            axes.plot(
-                x, y, "o", markersize=7, color=colour, markeredgecolor="black", zorder=6,
-                alpha=1.0 if facing[index] else 0.35,
-            )  # fmt: skip
-            if facing[index]:
-                axes.annotate(
-                    str(number), (x, y), xytext=(5, 3), textcoords="offset points", color=colour,
-                    fontsize=10, fontweight="bold", path_effects=DARK_STROKE, zorder=7,
-                )  # fmt: skip
+            _draw_number(axes, number, (x, y), 10, shift=(5, 3), facing=bool(facing[index]))
 
 
 def _draw_pose(figure: Figure, pair: TrackedPair, best: EightPointSolution) -> None:

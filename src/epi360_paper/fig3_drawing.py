@@ -121,16 +121,8 @@ def _draw_geometry(axes: Axes) -> None:
     for name, center in centers.items():
         axes.add_patch(Circle(tuple(center), 0.62, facecolor="#f4f6f8", edgecolor=SOFT, zorder=0))
         axes.plot(*center, "o", color=INK, markersize=5, zorder=6)
-        below = center - (0.0, 0.12)
-        axes.text(
-            below[0],
-            below[1],
-            f"$C_{name}$",
-            fontsize=13,
-            ha="center",
-            va="top",
-            path_effects=STROKE,
-        )
+        x, y = center - (0.0, 0.12)
+        axes.text(x, y, f"$C_{name}$", fontsize=13, ha="center", va="top", path_effects=STROKE)
         for colour, point in zip((BLUE, VERMILION), points.values(), strict=True):
             axes.plot(*np.stack([center, point]).T, color=colour, linewidth=1.4, zorder=3)
             inner = center + 0.62 * (point - center) / np.linalg.norm(point - center)

@@ -15,13 +15,7 @@ from epi360_paper.methods import LEGENDS, METHODS, TITLES, method_errors
 from epi360_paper.options import Outcome, ProtocolName, ReproduceOptions
 from epi360_paper.parts import Row, Trials
 from epi360_paper.protocols import PROTOCOLS, draw_scene
-from epi360_paper.results import (
-    Compared,
-    comparison_table,
-    markdown_table,
-    run_line,
-    save_outcome,
-)
+from epi360_paper.results import Compared, comparison_table, markdown_table, run_line, save_outcome
 from epi360_paper.trials import Trial, run_trials
 
 # Section 5.1: "the results of 15K evaluations".
@@ -112,11 +106,7 @@ def _run(
 
 
 def _report(
-    name: str,
-    axis: str,
-    groups: Mapping[str, Trials],
-    trials: Trials,
-    options: ReproduceOptions,
+    name: str, axis: str, groups: Mapping[str, Trials], trials: Trials, options: ReproduceOptions
 ) -> Outcome:
     """Files of a panel: raw trials, curves, page, figure."""
     curves = Curves.from_trials(axis, groups, METHODS)

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +19,7 @@ from epi360_paper.options import Outcome, ProtocolName, ReproduceOptions
 from epi360_paper.parts import Row, Trials
 from epi360_paper.protocols import PROTOCOLS
 from epi360_paper.rendered import PAIRS_PER_SEQUENCE, Lens, RenderedTracks
-from epi360_paper.results import (
-    Compared,
-    comparison_table,
-    in_thousandths,
-    run_line,
-    save_outcome,
-)
+from epi360_paper.results import Compared, comparison_table, in_thousandths, run_line, save_outcome
 from epi360_paper.sources import LandmarkPairs, PairSource, pair_rule
 from epi360_paper.tracks import BearingPair
 from epi360_paper.trials import Trial, run_trials
@@ -39,20 +33,14 @@ FAR_OFF_DEG = 1.0
 NORMAL_MEDIAN = 0.6745  # median absolute value of a normal variable of unit standard deviation
 
 
-class PrintedRow(Protocol):
-    """A method's row of the paper's table: its title, errors in 1e-3 and more."""
+@dataclass(frozen=True)
+class PrintedRow:
+    """A method's row of the paper's table: errors in 1e-3."""
 
-    @property
-    def title(self) -> str:
-        """The method, as the page names it."""
-
-    @property
-    def rotation(self) -> float:
-        """Median rotation error."""
-
-    @property
-    def translation(self) -> float:
-        """Median translation error."""
+    title: str
+    rotation: float
+    translation: float
+    time_ms: float
 
 
 @dataclass(frozen=True)
@@ -214,11 +202,7 @@ def _errors(pair: BearingPair, method: str, protocol: ProtocolName) -> dict[str,
     pose = estimate_pose(method, pair.bearings1, pair.bearings2, PROTOCOLS[protocol])
     seconds = time.perf_counter() - began
     rotation, translation = pose_errors(pose, pair.cam2_from_cam1)
-    return {
-        "rotation_error": rotation,
-        "translation_error": translation,
-        "time_ms": 1e3 * seconds,
-    }
+    return {"rotation_error": rotation, "translation_error": translation, "time_ms": 1e3 * seconds}
 
 
 def _empty_row(measured: Sequence[str]) -> dict[str, Any]:

@@ -23,13 +23,7 @@ from epi360_paper.datasets import (
 )
 from epi360_paper.options import ProtocolName
 from epi360_paper.protocols import PROTOCOLS, draw_scene
-from epi360_paper.tracks import (
-    BearingPair,
-    PairRule,
-    cached_pairs,
-    pairs_of_frames,
-    sequence_key,
-)
+from epi360_paper.tracks import BearingPair, PairRule, cached_pairs, pairs_of_frames, sequence_key
 from epi360_paper.trials import Trial
 
 DatasetName = Literal["mp3d_vo", "tum_vi"]

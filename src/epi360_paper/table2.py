@@ -3,33 +3,23 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from epi360.progress import Progress
-from epi360_paper.method_rows import Cell, Comparison, pair_rows, run_comparison
+from epi360_paper.method_rows import Cell, Comparison, PrintedRow, pair_rows, run_comparison
 from epi360_paper.options import Outcome, ReproduceOptions
 from epi360_paper.trials import Trial
 
-
-class Printed(NamedTuple):
-    """A row of the paper's table."""
-
-    title: str
-    rotation: float
-    translation: float
-    time_ms: float
-
-
 PRINTED = {
-    "gsm": Printed("GSM", 9.1029, 19.7902, 45.318),
-    "gsm_irls_xi": Printed("Gaussian, not const ω_ξ", 2.0951, 5.2065, 218.598),
-    "gsm_irls_sk": Printed("Gaussian, not const ω_SK", 2.0943, 5.1894, 212.924),
-    "gsm_w_xi": Printed("Gaussian, ω_ξ", 3.9048, 9.2592, 50.279),
-    "gsm_w_sk": Printed("Gaussian, ω_SK", 3.6802, 7.5717, 58.651),
-    "gsm_irls_xi_t": Printed("t, not const ω_ξ", 9.1810, 19.8160, 48.126),
-    "gsm_irls_sk_t": Printed("t, not const ω_SK", 8.9496, 18.9284, 58.836),
-    "gsm_w_xi_t": Printed("t, ω_ξ", 9.1810, 19.8160, 50.279),
-    "gsm_w_sk_t": Printed("t, ω_SK", 9.0581, 19.5573, 53.795),
+    "gsm": PrintedRow("GSM", 9.1029, 19.7902, 45.318),
+    "gsm_irls_xi": PrintedRow("Gaussian, not const ω_ξ", 2.0951, 5.2065, 218.598),
+    "gsm_irls_sk": PrintedRow("Gaussian, not const ω_SK", 2.0943, 5.1894, 212.924),
+    "gsm_w_xi": PrintedRow("Gaussian, ω_ξ", 3.9048, 9.2592, 50.279),
+    "gsm_w_sk": PrintedRow("Gaussian, ω_SK", 3.6802, 7.5717, 58.651),
+    "gsm_irls_xi_t": PrintedRow("t, not const ω_ξ", 9.1810, 19.8160, 48.126),
+    "gsm_irls_sk_t": PrintedRow("t, not const ω_SK", 8.9496, 18.9284, 58.836),
+    "gsm_w_xi_t": PrintedRow("t, ω_ξ", 9.1810, 19.8160, 50.279),
+    "gsm_w_sk_t": PrintedRow("t, ω_SK", 9.0581, 19.5573, 53.795),
 }
 # Columns of the page, by the names in `Printed`.
 ROW = {"rotation": "Rot-e, 1e-3", "translation": "Tran-e, 1e-3", "time_ms": "time, ms"}

@@ -29,12 +29,7 @@ from epi360_paper.results import (
     save_page,
     save_trials,
 )
-from epi360_paper.sources import (
-    BLOCKS_PER_SCENE,
-    DatasetName,
-    dataset_sources,
-    pair_rule,
-)
+from epi360_paper.sources import BLOCKS_PER_SCENE, DatasetName, dataset_sources, pair_rule
 from epi360_paper.trials import Trial
 
 # Quartile: rotation errors of the five methods in 1e-3, then translation errors.
@@ -44,10 +39,7 @@ MP3D_VO = {
     0.25: ((4.624, 4.075, 3.277, 1.638, 1.524), (14.745, 12.276, 8.501, 4.611, 4.009)),
 }
 TUM_VI = {
-    0.75: (
-        (44.479, 40.514, 49.291, 39.938, 38.256),
-        (221.131, 199.042, 166.594, 169.122, 140.846),
-    ),
+    0.75: ((44.479, 40.514, 49.291, 39.938, 38.256), (221.131, 199.042, 166.594, 169.122, 140.846)),
     0.50: ((27.211, 24.969, 27.226, 21.075, 19.241), (117.701, 104.742, 82.457, 74.661, 62.743)),
     0.25: ((15.512, 14.462, 14.595, 10.507, 9.708), (58.791, 53.283, 40.899, 33.724, 28.800)),
 }

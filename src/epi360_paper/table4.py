@@ -21,13 +21,7 @@ from epi360_paper.options import Outcome, ProtocolName, ReproduceOptions
 from epi360_paper.paper_ransac import essential_residuals, paper_ransac
 from epi360_paper.parts import Row, Trials
 from epi360_paper.protocols import PROTOCOLS, Protocol, draw_scene
-from epi360_paper.results import (
-    Compared,
-    comparison_table,
-    in_thousandths,
-    run_line,
-    save_outcome,
-)
+from epi360_paper.results import Compared, comparison_table, in_thousandths, run_line, save_outcome
 from epi360_paper.trials import Trial, run_trials
 
 Array = NDArray[np.float64]

@@ -83,13 +83,7 @@ class Furniture:
         self.box_materials.append(tuple((faces or {}).get(face, material) for face in range(6)))
         self.box_shadows.append(shadow)
 
-    def ellipsoid(
-        self,
-        place: Place,
-        center: Triple,
-        radii: Triple,
-        material: Material,
-    ) -> None:
+    def ellipsoid(self, place: Place, center: Triple, radii: Triple, material: Material) -> None:
         """Add an ellipsoid by its centre (right, above the floor, front) and its radii."""
         x, height, z = center
         self.ellipsoids.append((place.to_world((x, -height, z)), radii))

@@ -138,10 +138,7 @@ class _Level:
 
 
 def _carried(
-    rng: np.random.Generator,
-    walk: Floats,
-    options: _Options,
-    distances: Callable[[Floats], Floats],
+    rng: np.random.Generator, walk: Floats, options: _Options, distances: Callable[[Floats], Floats]
 ) -> Floats:
     """Positions (M, 3) of the hand, fine along the walk, that keep the clearance."""
     fine = options.step_m / SUBSTEPS

@@ -197,7 +197,7 @@ def free_ranges(
     free = np.full(directions.shape[1], np.inf, np.float32)
     if len(boxes):
         entries, exits = box_ranges(solids, boxes, origins, directions)
-        last = exits if inside_stops else entries
-        entries[(entries > exits) | (last <= 0)] = np.inf
+        behind = (exits if inside_stops else entries) <= 0
+        entries[(entries > exits) | behind] = np.inf
         free = np.maximum(entries, 0).min(axis=0)
     return free

@@ -140,11 +140,7 @@ class Room(RayCaster):
         return _developed(light), ranges, surface
 
     def sample_pose(
-        self,
-        rng: np.random.Generator,
-        *,
-        clearance_m: float = 0.5,
-        max_tilt_deg: float = 5.0,
+        self, rng: np.random.Generator, *, clearance_m: float = 0.5, max_tilt_deg: float = 5.0
     ) -> Pose:
         """Random upright pose in free space, as of a camera held at 1.2 to 1.7 m.
 

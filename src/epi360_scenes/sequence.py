@@ -10,23 +10,14 @@ from typing import Any
 from epi360.cameras import Camera
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
-from epi360_scenes.mp3d_layout import (
-    POSES_FILE,
-    frame_files,
-    poses_text,
-    write_frame,
-    write_whole,
-)
+from epi360_scenes.mp3d_layout import POSES_FILE, frame_files, poses_text, write_frame, write_whole
 from epi360_scenes.rendering import RayCaster
 
 OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
 
 
 def prepare_sequence(
-    folder: Path,
-    camera: Camera,
-    world_from_cam: Sequence[Pose],
-    options: Mapping[str, Any],
+    folder: Path, camera: Camera, world_from_cam: Sequence[Pose], options: Mapping[str, Any]
 ) -> None:
     """Make the folder of a sequence with its poses, camera and options, or check that they fit."""
     files = {

@@ -78,10 +78,10 @@ def atlas_of_images(images: Mapping[str, Floats]) -> TextureAtlas:
     for levels in pyramids:
         sides = [len(level) for level in levels] + [1] * (num_levels - len(levels))
         ends = start + np.cumsum(np.square(sides))
-        last = ends[len(levels) - 1]
-        starts.append(np.minimum([start, *ends[:-1]], last - 1))
+        end = ends[len(levels) - 1]
+        starts.append(np.minimum([start, *ends[:-1]], end - 1))
         sizes.append(sides)
-        start = int(last)
+        start = int(end)
     flat = [level.reshape(-1, 3) for levels in pyramids for level in levels]
     texels = np.concatenate([np.empty((0, 3), np.float32), *flat])
     return TextureAtlas(tuple(images), texels, np.array(starts), np.array(sizes))

@@ -34,11 +34,11 @@ def plan_walk(
     cells, walked = [here], 0.0
     # A third more: smoothing cuts corners.
     while walked < 1.35 * length_m + 1.0:
-        there = grid.far_place(rng, here)
-        way = grid.way(here, there)
+        goal = grid.far_place(rng, here)
+        way = grid.way(here, goal)
         cells += way[1:]
         walked += float(np.linalg.norm(np.diff(grid.centers[way], axis=0), axis=1).sum())
-        here = there
+        here = goal
     corners: Floats = grid.centers[cells]
     return corners
 
@@ -99,13 +99,13 @@ class _Grid:
         far = np.linalg.norm(self.centers[places] - self.centers[here], axis=1)
         return int(places[np.argmax(far)])
 
-    def way(self, here: int, there: int) -> list[int]:
+    def way(self, start: int, goal: int) -> list[int]:
         """Cells of the cheapest way, both ends included."""
         from scipy.sparse.csgraph import dijkstra
 
-        _, before = dijkstra(self.graph, directed=False, indices=here, return_predecessors=True)
-        cells = [there]
-        while cells[-1] != here:
+        _, before = dijkstra(self.graph, directed=False, indices=start, return_predecessors=True)
+        cells = [goal]
+        while cells[-1] != start:
             cells.append(int(before[cells[-1]]))
         return cells[::-1]
 

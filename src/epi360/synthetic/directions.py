@@ -12,9 +12,7 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return units
 
 
-def tangents(
-    directions: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def tangents(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Two unit vectors that make an orthonormal frame with each direction."""
     # The cross product with the axis of the smallest coordinate is never near zero.
     axis = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
