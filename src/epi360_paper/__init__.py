@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The figures and tables of Robust 360-8PA (2021), one module each.
 
-An experiment is a function ``run(options, progress) -> Outcome``; its module loads when it is
-asked for.
+An experiment is a function ``run(options, progress) -> Outcome``; its module is loaded when it
+runs.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def _row(name: str, pair: TrackedPair, solution: EightPointSolution, N: Array) -
 
 
 def _internal_angles_deg(pair: TrackedPair, N: Array) -> tuple[Array, Array]:
-    """Angles of all pairs of key points of view 1 (beta), on the sphere and on the ovoid."""
+    """Angles between all pairs of key points of view 1, on the sphere and on the ovoid."""
     pairs = np.triu_indices(len(pair.bearings1), 1)
     measured = [
         stability(pair.bearings1, pair.bearings2, normalization)

@@ -48,7 +48,7 @@ Array = NDArray[np.float64]
 
 TITLE = "Fig. 2: the normalised eight-point algorithm on a rendered pair"
 NUM_NUMBERED = len(MATCH_COLOURS)
-NUM_PLANES = 3  # epipolar planes in panel d: more hide each other
+NUM_PLANES = 3  # epipolar planes in panel d; more would hide each other
 WIDTH_IN, HEIGHT_IN = 15.0, 6.9
 BALL = 0.25  # radius of the cameras in panel d, in baselines
 NUM_NEAREST = 12  # the planes of panel d end at some of the points nearest to the cameras
@@ -210,7 +210,7 @@ def _draw_pose(figure: Figure, pair: TrackedPair, best: EightPointSolution) -> N
     figure.text(left, top, "(d)  relative pose", fontsize=12, color=INK)
     pose = pose_from_essential(best.E, pair.bearings1, pair.bearings2)
     center2 = pose.inverse().translation
-    # Across the baseline, from a little to the side of it: both cameras and no hidden line.
+    # Seen from beside the baseline, so that neither camera hides the other.
     eye = Eye(float(np.degrees(np.arctan2(center2[0], center2[2]))) - 65.0, 35.0)
     _draw_planes(axes, eye, pair, pose)
     for name, place, turn in (("1", np.zeros(3), np.eye(3)), ("2", center2, pose.rotation.T)):

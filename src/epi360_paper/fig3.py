@@ -211,7 +211,8 @@ def _words(trials: Trials, surface: Surface) -> str:
 
 
 def _profile(trials: Trials) -> Profile:
-    """Curves over K/S: rows of the grid are problem by problem, each in the order of RATIOS."""
+    """Curves over K/S of all problems."""
+    # The rows of the grid come problem by problem, each in the order of RATIOS.
     grid = trials.where(kind="grid")
     translation = grid["translation_deg"].reshape(-1, len(RATIOS))
     residual = np.degrees(grid["mean_residual"].reshape(-1, len(RATIOS)))

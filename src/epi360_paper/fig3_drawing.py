@@ -194,7 +194,7 @@ def _draw_surface(figure: Figure, surface: Surface) -> None:
 
 
 def _draw_profile(axes: Axes, surface: Surface, profile: Profile, shown: int) -> None:
-    """Draw panel f: all points of the surface over K/S fall on one curve; the median beside it."""
+    """Draw panel f: all points of the surface over K/S, and the median over the problems."""
     write_panel_title(axes, "f", "the same points over K/S alone, and the median over problems")
     S, K = np.meshgrid(surface.values, surface.values, indexing="ij")
     axes.scatter(

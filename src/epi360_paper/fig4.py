@@ -27,10 +27,10 @@ OUTLIER_RATIOS = tuple(step / 10 for step in range(8))
 # Panel (a) draws the number of points; its curve has one value for each of these ranges, which
 # hold their first number and not their last.
 POINT_BINS = (8, 16, 32, 48, 64, 96, 128, 160, 201)
-# What the paper says in words about this figure and its cause, in percent of the error.
+# Gains that the paper claims in words, in percent of the error: (better, worse).
 PAPERS_REDUCTION = {("opt_sk", "8pa"): 20.0, ("gsm_w_sk", "gsm_w_xi"): 10.0}
 
-# (better, worse) as the paper has it.
+# Orders that the paper claims: (better, worse).
 CLAIMED_BETTER = (*PAPERS_REDUCTION, ("gsm_w_xi", "gsm"), ("gsm_w_sk", "gsm"))
 
 
@@ -66,7 +66,7 @@ def run_b(options: ReproduceOptions, progress: Progress) -> Outcome:
     groups = {}
     for level in levels:
         name = f"κ {level.kappa:g}"
-        if PROTOCOLS[options.protocol].noise == "bearings":  # else it is no angle
+        if PROTOCOLS[options.protocol].noise == "bearings":  # in metres, noise has no angle
             name += f" ({mean_angle_deg_from_kappa(level.kappa):.2f}°)"
         groups[name] = trials.where(cell=f"{level.kappa:g}")
     return _report("fig4b", "noise", groups, trials, options)

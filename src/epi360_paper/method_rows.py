@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What Tables 1 to 3 share: methods on the pairs of a trial as rows, and how they are read."""
+"""What Tables 1 to 3 share: rows of methods on the pairs of a trial, and what pages say of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from epi360_paper.trials import Trial, run_trials
 
 Measure = Callable[[BearingPair, str], Mapping[str, float]]
 
-PAPERS_PAIRS = 2000  # section 5.2: "over 2K different environments"
+PAPERS_PAIRS = 2000  # paper, section 5.2: "over 2K different environments"
 # Tracks further out of their true epipolar plane are counted: about three pixels of the rendered
 # panoramas.
 FAR_OFF_DEG = 1.0
@@ -59,7 +59,7 @@ def rendered_cell(lens: Lens, options: ReproduceOptions) -> Cell:
 
 
 def num_sequences(options: ReproduceOptions) -> int:
-    """Rendered sequences that give the wanted number of pairs, if each gives its most."""
+    """Least number of rendered sequences that can give the wanted number of pairs."""
     return math.ceil(options.num_trials(PAPERS_PAIRS) / PAIRS_PER_SEQUENCE)
 
 
@@ -144,8 +144,8 @@ class Comparison:
     title: str
     evaluate: Callable[[Cell, Trial], Sequence[Row]]  # gives the rows of a trial
     printed: Mapping[str, PrintedRow]  # the paper's row of each method
-    columns: Mapping[str, str]  # titles by the names in `printed`; one that it lacks is ours alone
-    measured: Sequence[str] = ()  # columns beside errors and time: medians of those with a number
+    columns: Mapping[str, str]  # title of each quantity; the paper may lack some
+    measured: Sequence[str] = ()  # columns beside errors and time
     notes: Sequence[str] = ()
 
 

@@ -28,7 +28,7 @@ TITLES = {
     "gsm_w_xi": "ω_ξ",
     "gsm_w_sk": "ω_SK",
 }
-# The same for figures, which set mathematics.
+# The same names for figures, which set mathematics.
 LEGENDS = {
     **TITLES,
     "opt_sk": r"Opt $\epsilon(S, K)$",
@@ -72,7 +72,8 @@ def method_errors(
 
 
 def _weighted_as_published(method: str, b1: Array, b2: Array, protocol: Protocol) -> Pose:
-    """Weighted GSM with the authors' weights: one norm for all residuals, which have no sign."""
+    """Weighted GSM with the weights of the authors' code."""
+    # Their residuals have no sign and are divided by one norm of the whole array.
     start = estimate_pose("opt_sk" if method == "gsm_w_sk" else "8pa", b1, b2, protocol)
     linear = method == "gsm_w_sk"
     E = eight_point(b1, b2, normalization="sk").E if linear else essential_from_pose(start)

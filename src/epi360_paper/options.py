@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a run of an experiment is given and what it hands back."""
+"""Options of a run of an experiment, and what the run has made."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ReproduceOptions:
         return self.trials or papers_count
 
     def folder(self, name: str) -> Path:
-        """Folder of an experiment's results: runs under another protocol get their own."""
+        """Folder of an experiment's results; its name ends with a protocol other than "printed"."""
         return self.out / (name if self.protocol == "printed" else f"{name}-{self.protocol}")
 
 

@@ -16,7 +16,7 @@ from epi360_paper.plots import BLUE, GREEN, INK, LANDMARK, SOFT, STROKE, VERMILI
 
 Array = NDArray[np.float64]
 
-FACING, AVERTED = 3, 1  # layers: what faces the reader lies on what is behind the ball
+FACING, AVERTED = 3, 1  # layers: what faces the reader covers what is behind the ball
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def _faces_reader(bearings: Array, N: Array, eye: Eye) -> NDArray[np.bool_]:
 
 
 def _draw_surface(axes: Axes, N: Array, center: Array, eye: Eye) -> None:
-    """Outline, meridians and parallels, those behind the solid fainter."""
+    """Draw outline, meridians and parallels; lines behind the solid are fainter."""
     outline_normal = np.linalg.solve(N, eye.axes[2])
     outline, _ = eye.project(great_circle(outline_normal) @ N.T + center)
     axes.fill(*outline.T, facecolor="#f4f6f8", edgecolor=SOFT, linewidth=1.2, zorder=0)

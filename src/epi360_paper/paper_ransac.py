@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The eight-point RANSAC of Table 4, as the authors' code does it: a model of their method.
+"""The eight-point RANSAC of Table 4, as the authors' code does it.
 
-Not the package's robust estimator: no refinement, no cheirality, no choice of a threshold.
+It is not the package's robust estimator: it does not refine, test depths or choose a threshold.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _BATCH = 128  # samples solved at once; the arrays of 400 matches stay below hal
 
 @dataclass(frozen=True)
 class PaperRansac:
-    """What the RANSAC has kept."""
+    """Matches that RANSAC has kept."""
 
     inlier_mask: NDArray[np.bool_]  # (N,): matches below the threshold for the best sample
     num_iterations: int  # samples drawn
@@ -42,7 +42,7 @@ def paper_ransac(
     residual: Literal["paper", "solarte2021"] = "solarte2021",
     num_iterations: int | None = None,
 ) -> PaperRansac:
-    """Matches that agree with the best eight of them."""
+    """Matches that agree with the best sample of eight matches."""
     if len(bearings1) < SAMPLE_SIZE:
         raise ValueError(f"RANSAC needs {SAMPLE_SIZE} matches or more, got {len(bearings1)}")
     # The best sample has the most inliers; among equals, the least sum of squared residuals of all

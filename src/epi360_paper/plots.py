@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 DPI = 100
-# Hues that stay apart on pictures, also for most colour-blind readers (Okabe & Ito 2008,
-# brightened); those of numbered matches, in this order.
+# Colours of numbered matches: hues that most colour-blind readers can tell from each other
+# (Okabe & Ito 2008), brightened for pictures.
 MATCH_COLOURS = (
     "#ff4b33", "#33b5ff", "#ffd21f", "#ff7ad9", "#00d69a", "#ff9c1a", "#b79aff", "#d8ff3e",
 )  # fmt: skip
-# Okabe & Ito 2008: hues that most colour-blind readers tell apart, in the order of use.
+# The same hues for diagrams, in the order of use.
 BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILION = (
     "#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00",
 )  # fmt: skip
-LANDMARK = "#00d69a"  # the green of the list, brightened: it lies on pictures
+LANDMARK = "#00d69a"  # green, brightened because it is drawn on pictures
 INK, SOFT, FAINT = "#222222", "#777777", "#c8ccd0"
 STROKE = [withStroke(linewidth=2.5, foreground="white")]
 DARK_STROKE = [withStroke(linewidth=2.5, foreground="black")]
@@ -60,7 +60,7 @@ def write_panel_title(axes: Axes, letter: str, text: str) -> None:
 
 
 def draw_panorama(axes: Axes, image: NDArray[np.uint8], *, fade: float = 0.0) -> None:
-    """Show an image; afterwards the axes are in its continuous pixels."""
+    """Show an image on axes that then count its continuous pixels."""
     height, width = image.shape[:2]
     shown = np.asarray(image * (1.0 - fade) + 255.0 * fade, dtype=np.uint8)
     axes.imshow(shown, extent=(0, width, height, 0), aspect="auto", interpolation="antialiased")
@@ -105,7 +105,7 @@ def draw_top_view(
 def _map_of(
     ground: Array, colours: NDArray[np.uint8], low: Array, high: Array, cell_m: float
 ) -> NDArray[np.uint8]:
-    """Image of cells; rays are sparse far away, so that coarser cells fill gaps of finer ones."""
+    """Image of cells; coarser cells fill gaps of finer ones, as points are sparse far away."""
     factor = 4
     size = factor * np.ceil((high - low) / cell_m / factor).astype(int)
     top = np.full((size[1], size[0], 3), 255, np.uint8)

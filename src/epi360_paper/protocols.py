@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The synthetic problems of section 5.1: as the text has it, as the authors' code, as is right."""
+"""The synthetic problems of section 5.1 as printed, as in the authors' code, and corrected."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Protocol:
     # The weights of GSM come from this residual: eq. 13 per point with its sign, or the authors'
     # norm over the whole array without a sign.
     weight_residual: Literal["paper", "solarte2021"]
-    ransac_residual: Literal["paper", "solarte2021"]  # Table 4 thresholds this one
+    ransac_residual: Literal["paper", "solarte2021"]  # compared with the thresholds of Table 4
     # Table 4 stops when a sample without outliers was drawn with 99 % confidence, as the authors'
     # code does, instead of after the printed numbers of iterations.
     adaptive_ransac: bool
@@ -68,7 +68,8 @@ AS_PRINTED = Protocol(
     noise="bearings",
     outliers="uniform",
     density="pixels",
-    # Five concentrations for six angles: 1.60 deg has none, and 100 is not 10.21 deg.
+    # The paper prints five concentrations for six angles: none for 1.60 deg, and for 10.21 deg
+    # one that does not fit.
     noise_levels=(
         NoiseLevel(100, 10.21),
         NoiseLevel(200, 5.22),
@@ -79,7 +80,7 @@ AS_PRINTED = Protocol(
     sk_search="lm",
     parameterization="se3",
     weight_residual="paper",
-    # With eq. 13 the printed thresholds keep next to nothing: Table 4 says how little.
+    # With eq. 13 the printed thresholds keep almost no match; Table 4 says how few.
     ransac_residual="solarte2021",
     adaptive_ransac=False,
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rendered sequences in place of MINOS + Matterport3D and TUM-VI, tracked and kept."""
+"""Tracks in rendered sequences, which stand for MINOS + Matterport3D and TUM-VI."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from epi360_scenes.room import scene as make_scene
 Lens = Literal["360", "fisheye"]
 
 PAIRS_PER_SEQUENCE = 12
-# A walk of 1.2 m/s at 15 frames a second: half the frames of a video, and tracks live as long.
+# A walk of 1.2 m/s at 15 frames a second: tracks live as long as at 30, with half the pictures.
 STEP_M, MAX_TURN_DEG = 0.08, 4.0
 SCENE_NAMES: tuple[SceneName, ...] = get_args(SceneName)
-NUM_FRAMES = 22  # for 12 pairs of seven frames or more, and the walker may slow down
+NUM_FRAMES = 22  # enough for 12 pairs of about seven frames when the walker slows down
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class RenderedTracks:
 def fisheye_camera(size: int) -> KannalaBrandt:
     """Lens of 195 degrees on a square image, shaped like camera 0 of TUM-VI."""
     # The image cuts the circle at its sides, 77 deg from the axis, and keeps it in the corners.
-    focal = 0.373 * size  # 191 px of 512, their calibration
+    focal = 0.373 * size  # 191 px for 512 px in the calibration of TUM-VI
     coefficients = (0.0034, 0.0007, -0.002, 0.0002)
     center = size / 2
     lens = (focal, focal, center, center, *coefficients)

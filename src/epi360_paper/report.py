@@ -38,7 +38,7 @@ def insert_tables(document: Path, tables: str) -> None:
 
 
 def _section(page: Path) -> str:
-    """Page one heading level lower; its title tells the protocol unless that is "printed"."""
+    """Page one heading level lower; its title names a protocol other than "printed"."""
     text = re.sub(r"^#", "##", page.read_text(encoding="utf-8"), flags=re.M).strip()
     protocol = page.parent.name.rpartition("-")[2]
     if protocol in get_args(ProtocolName):
@@ -48,7 +48,7 @@ def _section(page: Path) -> str:
 
 
 def _place(name: str) -> tuple[int, str]:
-    """Order of a folder: its experiment's in the paper, then variants and protocols."""
+    """Sort key of a folder: first its experiment in the paper's order, then its name."""
     experiment = name.partition("-")[0]
     known = EXPERIMENTS.index(experiment) if experiment in EXPERIMENTS else len(EXPERIMENTS)
     return known, name

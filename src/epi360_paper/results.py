@@ -100,7 +100,7 @@ def save_outcome(
     tables: Mapping[str, bytes] | None = None,
     figure: bytes | None = None,
 ) -> Outcome:
-    """Write raw trials, more tables by the names of their files, the page and the figure."""
+    """Write raw trials, further tables (content by file name), the page and the figure."""
     folder = options.folder(name)
     folder.mkdir(parents=True, exist_ok=True)
     files = [*save_trials(folder, trials)]

@@ -30,7 +30,7 @@ DatasetName = Literal["mp3d_vo", "tum_vi"]
 
 # The setting of section 5.1.
 NUM_POINTS, KAPPA, OUTLIER_RATIO = 200, 500.0, 0.2
-BLOCKS_PER_SCENE = 20  # a room of TUM-VI has 2800 frames: 140 a block, a minute of tracking
+BLOCKS_PER_SCENE = 20  # of a room of TUM-VI a block has 140 frames, a minute of tracking
 
 
 class PairSource(Protocol):
@@ -113,6 +113,6 @@ def load_scene(dataset: DatasetName, scene: Path) -> ImageSequence:
 
 @lru_cache(maxsize=16)
 def _segments(dataset: DatasetName, scene: Path) -> list[range]:
-    """Where tracks may go on: only TUM-VI has violent motion and changes of light."""
+    """Runs of frames that can be tracked; only TUM-VI has violent motion and changes of light."""
     rule = SkipRule() if dataset == "tum_vi" else None
     return steady_segments(load_scene(dataset, scene), rule)

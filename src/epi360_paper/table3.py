@@ -54,7 +54,7 @@ HEADINGS = {
 
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Run Table 3."""
-    # A wrong folder is told before the hour that the rendered sequences take.
+    # A wrong folder is an error now, not after the hour that the rendered sequences take.
     recorded = {name: _cells(name, folder, options) for name, folder in _folders(options).items()}
     parts = {"table3": _rendered(options, progress)}
     for dataset, cells in recorded.items():

@@ -19,7 +19,7 @@ from epi360_scenes import Room
 Array = NDArray[np.float64]
 
 NUM_KEYPOINTS = 200  # paper, section 5.2
-# A few more corners than wanted: at 1024 px one in ten is lost on the way.
+# More corners than wanted, because at 1024 px one in ten is lost on the way.
 NUM_CORNERS = 240
 NUM_FRAMES = 7
 MIN_BASELINE_M = 0.5  # paper, section 5.2

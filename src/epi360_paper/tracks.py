@@ -28,7 +28,7 @@ from epi360_paper.datasets import ImageSequence
 
 Array = NDArray[np.float64]
 
-# The tracker's windows overlap from one reference to the next: the images between are read once.
+# Pairs share most of their images; each image is read once as long as it is among the last ones.
 KEPT_IMAGES = 64
 TRACKS_VERSION = 1  # raise it when the tracker or the renderer changes: old files are left alone
 
@@ -120,7 +120,7 @@ def sequence_key(sequence: ImageSequence) -> str:
 def cached_pairs(
     folder: Path, key: str, make: Callable[[], list[BearingPair]]
 ) -> list[BearingPair]:
-    """Pairs from a file, or made and then written to it."""
+    """Pairs from a file; if it is missing, they are made and written."""
     name = hashlib.sha256(f"{TRACKS_VERSION} {key}".encode()).hexdigest()[:24]
     path = folder / f"{name}.npz"
     kept = _read_pairs(path)

@@ -32,13 +32,13 @@ from epi360_paper.parts import Fingerprint, Row, Trials, join_parts, read_part, 
 # thread, so that J workers use J cores.
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
-# Stands for all cells in the seeds of what they share; no experiment has as many cells.
+# In the seed of what all cells share, this stands for the cell; no experiment has as many.
 SHARED_CELL = 2**32 - 1
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Which trial it is, and its random numbers."""
+    """One trial of an experiment and its random numbers."""
 
     seed: int  # seed of the run
     name: str  # name of the experiment
@@ -50,7 +50,7 @@ class Trial:
         return _generator(self.seed, zlib.crc32(self.name.encode()), self.cell, self.index)
 
     def scene_rng(self) -> np.random.Generator:
-        """Generator of this trial that is the same in all cells: one scene at several levels."""
+        """Generator of this trial that is the same in all cells, so that they share a scene."""
         return _generator(self.seed, zlib.crc32(self.name.encode()), SHARED_CELL, self.index)
 
 
@@ -70,7 +70,7 @@ class _Chunk:
     stop: int
 
     def compute(self) -> int:
-        """Number of trials, after they are in the file."""
+        """Number of trials, which are then in the file."""
         began = time.process_time()
         rows: list[Row] = []
         for index in range(self.first, self.stop):

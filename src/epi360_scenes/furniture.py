@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Faces of a box: axis x, y, z times low, high side. Pieces face +z; up is -y.
+# Faces of a box are -x, +x, -y, +y, -z, +z. Pieces face +z, and up is -y.
 FRONT, TOP = 5, 2
 # Textures whose grain follows the longer side of a board.
 GRAINED = ("oak", "walnut")
@@ -16,7 +16,7 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """A texture on a surface: repeated every `width_m`, or once over the face without it."""
+    """A texture that repeats every `width_m`; without that it covers the face once."""
 
     texture: str
     width_m: float | None = None
@@ -49,7 +49,7 @@ class Light:
 
 @dataclass
 class Furniture:
-    """Growing list of the solids of a scene; heights are positive upwards here only."""
+    """Growing list of the solids of a scene; only here, heights are positive upwards."""
 
     boxes: list[tuple[Triple, Triple, float]] = field(default_factory=list)
     box_materials: list[tuple[Material, ...]] = field(default_factory=list)

@@ -14,8 +14,8 @@ from epi360_scenes.textures import GAMMA, TextureAtlas, atlas_of_images
 
 Floats = NDArray[np.float32]
 
-# Larger textures are shrunk to this side: at 0.1 deg a pixel that is hardly seen, and a scan may
-# have dozens of them.
+# Larger textures are shrunk to this side: at 0.1 deg a pixel it is hardly seen, and a scan may
+# have dozens of textures.
 MAX_TEXTURE_SIDE = 2048
 GREY = 0.6
 
@@ -78,7 +78,7 @@ def _texture(part: Any) -> tuple[NDArray[Any], Floats | None]:
     if uv is None or picture is None:
         return np.zeros((len(part.faces), 3, 2)), None
     positions = np.asarray(uv, dtype=np.float64) * (1.0, -1.0) + (0.0, 1.0)  # v upwards in trimesh
-    # Far from 0, single precision would blur what repeats every turn.
+    # Whole turns are taken off: far from 0, single precision would blur the texture.
     corners = positions[part.faces]
     corners = corners - np.floor(corners.min(axis=1, keepdims=True))
     rgb = np.asarray(picture.convert("RGB"), dtype=np.uint8)

@@ -21,9 +21,9 @@ Floats = NDArray[np.float64]
 
 # Faces that meet at a smaller angle are one surface, whose inner edges are not smoothed.
 CREASE_RAD = 0.5
-# `distances` looks into so many directions, evenly over the sphere: 15 deg apart.
+# Number of directions that `distances` looks into, about 15 deg from each other.
 NUM_FEELERS = 180
-# A place is outside the scene when fewer of its rays than this meet something.
+# A place is outside the scene if a smaller share of its rays meets something.
 LEAST_ENCLOSED = 0.5
 RAYS_AT_A_TIME = 1 << 19
 

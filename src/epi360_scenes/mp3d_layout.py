@@ -25,7 +25,7 @@ def frame_files(folder: Path, index: int) -> tuple[Path, Path]:
 
 
 def write_frame(folder: Path, index: int, rendering: Rendering) -> None:
-    """Write the two files of a frame; the folders are made where they lack."""
+    """Write the two files of a frame; missing folders are made."""
     image_file, depth_file = frame_files(folder, index)
     bgr = cv2.cvtColor(rendering.image, cv2.COLOR_RGB2BGR)
     depth = np.ascontiguousarray(rendering.depth, dtype=np.float32)

@@ -77,8 +77,8 @@ def handheld_path(
     seed : int
         Equal arguments and seed give equal paths.
     step_m : float
-        Largest way between two frames; 0.04 m is 1.2 m/s at 30 frames a second: frames 0.5 m
-        apart are 13 frames apart.
+        Largest way between two frames; 0.04 m is 1.2 m/s at 30 frames a second, so that the
+        camera moves 0.5 m in 13 frames.
     height_m : float
         Mean height of the camera over the floor.
     clearance_m : float
@@ -89,7 +89,7 @@ def handheld_path(
     Returns
     -------
     world_from_cam : list of Pose
-        One pose a frame, `step_m` apart or less, where the walker slows down to turn round.
+        One pose a frame; steps are `step_m` long, or shorter where the walker turns round.
 
     Raises
     ------
@@ -120,11 +120,11 @@ def handheld_path(
 
 
 class _Level:
-    """A scene seen in a frame with y straight down, as the planner likes it."""
+    """A scene in a frame with y straight down, which the planner needs."""
 
     def __init__(self, scene: WalkableScene) -> None:
         down = -scene.up
-        # The axis furthest from the vertical becomes about z, so that rooms stay as they are.
+        # The axis furthest from the vertical becomes about z: a room keeps its axes.
         axis = np.eye(3)[2 - int(np.argmin(np.abs(down[::-1])))]
         right = np.cross(down, axis)
         right /= np.linalg.norm(right)
@@ -164,7 +164,7 @@ def _gait(rng: np.random.Generator, num: int, fine: float) -> Floats:
 
 
 def _sideways(ground: Floats, fine: float) -> Floats:
-    """Vectors (M, 3) across the walk; shorter where it is slow, before it turns round."""
+    """Vectors (M, 3) across the walk; they are shorter where the walker is slow."""
     x, _, z = np.gradient(ground, fine, axis=0).T
     return np.stack([z, np.zeros(len(ground)), -x], axis=1)
 
@@ -231,7 +231,7 @@ def _evenly(positions: Floats, spacing: float) -> Floats:
 
 
 def _in_steps(positions: Floats, fine: float, step_m: float) -> Floats:
-    """Points of a fine polyline at equal times, a step apart or less where the walker slows."""
+    """Points of a fine polyline at equal times; a step is shorter where the walker is slow."""
     lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     times = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, fine))])
     return _sampled(positions, times, step_m)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
 
-# Added to direction components, for which 0 would make the slab test's 0 / 0; float32 components
-# above 1e-5 do not change at all.
+# Added to direction components, because a zero would give 0 / 0 in the slab test. Components above
+# 1e-5 do not change in single precision.
 OFF_PLANE = np.float32(1e-13)
 # Cosine and sine of the eight azimuths of the planes around a bundle of rays.
 AROUND = np.array([(np.cos(k * np.pi / 4), np.sin(k * np.pi / 4)) for k in range(8)])
@@ -99,9 +99,10 @@ def _planes_around(axis: NDArray[np.float64], half_angle: float) -> NDArray[np.f
 
 
 def _frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two unit rows across a unit vector; NumPy's cross product takes longer than all of this."""
+    """Two unit rows across a unit vector."""
     x, y, z = axis.tolist()
-    # Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+    # Duff et al. 2017, "Building an Orthonormal Basis, Revisited"; NumPy's cross product alone
+    # takes longer.
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
     b = x * y * a

@@ -26,7 +26,7 @@ SCENES: dict[str, Callable[[np.random.Generator], Furniture]] = {
     "living_room": furnish_living_room,
     "studio": furnish_studio,
 }
-# By eye: white walls stay just below white, lamps and sky saturate.
+# Chosen by eye: white walls stay just below white, lamps and sky saturate.
 EXPOSURE = 1.25
 
 
@@ -255,7 +255,7 @@ def demo_pair(width: int = 1024, seed: int = 0) -> RenderedPair:
 
 
 def _demo_poses(room: Room, seed: int) -> tuple[Pose, Pose]:
-    """Camera 1 near the middle of the room, camera 2 to be reached with a step and a turn."""
+    """Pose of camera 1 near the middle of the room, and of camera 2 after a step and a turn."""
     rng = np.random.Generator(np.random.PCG64([seed, 1]))
     while True:
         angles = rng.uniform((-0.06, -0.4, -0.06), (0.06, 0.4, 0.06))

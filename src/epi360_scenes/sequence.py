@@ -48,7 +48,7 @@ def render_sequence(
     supersample: int = 2,
     progress: Progress = no_progress,
 ) -> int:
-    """Render the frames of a sequence that are not there yet, in the layout of 360-MP3D-VO."""
+    """Render the missing frames of a sequence, in the layout of 360-MP3D-VO."""
     prepare_sequence(folder, camera, world_from_cam, options)
     missing = [
         index
@@ -66,7 +66,7 @@ def render_sequence(
 
 
 def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise if a sequence of these options cannot go there; nothing is written."""
+    """Raise if a folder cannot take a sequence of these options; nothing is written."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the sequence must go into a folder, {folder} is a file")
     if not folder.is_dir() or not any(folder.iterdir()):

@@ -188,7 +188,7 @@ def _turned(vectors: Floats, cos: Floats | np.float32, sin: Floats | np.float32)
 
 
 def _irradiance(points: Floats, normals: Floats, light: Light) -> Floats:
-    """Unshaded light of one source; a zero normal of the source shines to all sides."""
+    """Unshaded light of one source; a source with a zero normal shines to all sides."""
     towards = np.asarray(light.position, np.float32) - points
     squared = np.sum(towards * towards, axis=1)
     towards = towards / np.sqrt(squared)[:, None]
@@ -217,8 +217,8 @@ def _light_on(
     grids = [_face_grid(solids, face, shapes[face]) for face in faces]
     points = np.concatenate([points for points, _ in grids])
     normals = np.concatenate([np.tile(normal, (len(points), 1)) for points, normal in grids])
-    # A board's end may lie inside its neighbour: dark there would spread over the whole board.
-    # On walls and floor it is what makes furniture stand firmly.
+    # The end of a board may lie inside its neighbour, and darkness from there would spread over
+    # the whole board. On walls and floor it makes furniture stand firmly.
     inside_is_dark = faces[0] < 6
     sky = _sky_share(solids, points, normals, inside_is_dark)
     downward = 0.5 + 0.5 * normals[:, 1:2]
@@ -236,7 +236,7 @@ def _light_on(
 def _reached(
     solids: Solids, points: Floats, position: NDArray[np.float64], inside_is_dark: bool
 ) -> NDArray[np.bool_]:
-    """Which points a small light reaches."""
+    """Whether a small light reaches each point."""
     towards = position - points
     reach = np.linalg.norm(towards, axis=1)
     towards /= reach[:, None]
@@ -271,7 +271,7 @@ def _face_grid(solids: Solids, face: int, shape: NDArray[np.intp]) -> tuple[Floa
 
 
 def _sky_share(solids: Solids, points: Floats, normals: Floats, inside_is_dark: bool) -> Floats:
-    """Mean free share of cosine-distributed rays of the corner reach over points on faces."""
+    """Light from all around that corners leave at points on faces."""
     casters = np.flatnonzero(solids.box_shadows)
     centers = solids.box_centers[casters]
     low, high = points.min(axis=0), points.max(axis=0)

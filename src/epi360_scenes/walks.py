@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 CELL_M = 0.1
-# A body is in the way of furniture below the camera, from the knee up.
+# Furniture at these heights is in the way of the body that carries the camera.
 BODY_HEIGHTS_M = (0.4, 0.8, 1.1)
 BODY_RADIUS_M = 0.2
-# The camera bobs, sways and is held higher and lower by less than this, and cells are coarse.
+# More than the camera bobs and sways, and more than its height changes; cells are coarse.
 MARGIN_M = 0.12
 HEIGHT_MARGIN_M = 0.25
 
@@ -28,11 +28,11 @@ def plan_walk(
     height_m: float,
     clearance_m: float,
 ) -> Floats:
-    """Way of at least a length between random places of a scene, in the middle of free space."""
+    """Way between random places of a scene, at least as long as asked for, in free space."""
     grid = _Grid(distances, bounds, height_m, clearance_m)
     here = int(rng.choice(grid.connected))
     cells, walked = [here], 0.0
-    # A third more: smoothing cuts corners.
+    # A third more than asked for, because smoothing cuts corners.
     while walked < 1.35 * length_m + 1.0:
         goal = grid.far_place(rng, here)
         way = grid.way(here, goal)
@@ -76,7 +76,7 @@ class _Grid:
             )
 
     def _graph(self, free: NDArray[np.bool_]) -> Any:
-        """Sparse matrix of the costs of steps between neighbour cells, dear beside furniture."""
+        """Sparse matrix of the costs of steps between neighbour cells, larger near furniture."""
         from scipy.sparse import csr_matrix
 
         index = np.arange(free.size).reshape(self.shape)
@@ -94,7 +94,7 @@ class _Grid:
         return csr_matrix((steps * tightness, (a, b)), shape=(free.size, free.size))
 
     def far_place(self, rng: np.random.Generator, here: int) -> int:
-        """Pick a random cell, rather one far away."""
+        """Pick a random cell that is likely to be far away."""
         places = rng.choice(self.connected, 4)
         far = np.linalg.norm(self.centers[places] - self.centers[here], axis=1)
         return int(places[np.argmax(far)])
@@ -113,7 +113,7 @@ class _Grid:
 def _free_room(
     distances: Callable[[Floats], Floats], centers: Floats, height_m: float, clearance_m: float
 ) -> Floats:
-    """How much more room than it needs a camera (and its bearer) has at each place."""
+    """Distance at each place beyond what the camera and its bearer need."""
     needs = [(height_m, clearance_m + MARGIN_M)]
     needs += [(height_m + k * HEIGHT_MARGIN_M, clearance_m + MARGIN_M) for k in (-1, 1)]
     needs += [(height, BODY_RADIUS_M) for height in BODY_HEIGHTS_M if height < height_m - 0.3]

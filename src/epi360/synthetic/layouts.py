@@ -14,7 +14,7 @@ Layout = Literal["room", "sphere", "cone", "plane", "behind"]
 
 # No landmark is closer than this to either camera, so that every bearing is well defined.
 MIN_RANGE_M = 0.3
-# Ranges of the layouts without walls: log-uniform between these, an indoor scene's spread.
+# In layouts without walls, ranges are log-uniform between these, as in an indoor scene.
 NEAREST_M, FARTHEST_M = 1.0, 10.0
 # Half extents of the room of the layout "room"; it grows where camera 2 stands outside.
 ROOM_HALF_M = (3.5, 1.6, 2.5)

@@ -23,25 +23,25 @@ def load_image_folder(
     Parameters
     ----------
     folder : path-like
-        Its JPEG, PNG, TIFF, WebP and BMP files are taken, other files are left alone. Numbers in
-        the names count as numbers: 2.png comes before 10.png.
+        Folder whose JPEG, PNG, TIFF, WebP and BMP files are taken. Numbers in their names count
+        as numbers: 2.png comes before 10.png.
     camera : Camera, optional
-        None: full equirectangular panoramas of the first image's size.
+        Camera of the images. By default they are full panoramas of the first image's size.
     frames_per_s : float
         Rate for the timestamps, which start at 0.
 
     Returns
     -------
     sequence : ImageSequence
-        Without poses.
+        Sequence without poses.
 
     Raises
     ------
     FileNotFoundError
         If the folder does not exist or holds no images.
     ValueError
-        If the first image is damaged, or no panorama where no camera is given, or the rate is
-        not positive.
+        If the first image is damaged, if it is no panorama and no camera is given, or if the rate
+        is not positive.
     """
     if not frames_per_s > 0:
         raise ValueError(f"frames_per_s must be positive, got {frames_per_s}")
@@ -61,7 +61,7 @@ def load_image_folder(
 
 
 def panorama_camera(path: Path) -> Equirectangular:
-    """Full equirectangular camera of an image's size; ``ValueError`` where it is no panorama."""
+    """Full equirectangular camera of an image's size; ``ValueError`` if it is no panorama."""
     image = read_image(path)
     require_panorama(image, f"image {path}")
     return Equirectangular.for_image(image.shape[1], image.shape[0])

@@ -84,7 +84,7 @@ def _sampled(paths: Sequence[Path]) -> list[Path]:
 
 
 def _gray(path: Path, camera: Camera | None = None) -> NDArray[Any]:
-    """Grey values of the file's own type."""
+    """Grey values of a file, in the type of its pixels."""
     raw = decode_image_file(path, MAX_PIXELS, "image")
     if camera is not None and raw.shape[:2] != (camera.height, camera.width):
         raise ValueError(

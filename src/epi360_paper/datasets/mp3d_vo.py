@@ -30,14 +30,14 @@ def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
     Returns
     -------
     sequence : ImageSequence
-        With a full equirectangular camera.
+        Sequence with a full equirectangular camera.
 
     Raises
     ------
     FileNotFoundError
         If the folder, its images or its poses are missing.
     ValueError
-        If a file number is missing, the counts differ, a row is bad or an image no panorama.
+        If a file number is missing, the counts differ, a row is bad or an image is no panorama.
     """
     scene = existing_folder(scene, "MP3D-VO scene")
     images = _numbered_files(existing_folder(scene / "rgb", "folder of images"), ".png")

@@ -26,15 +26,15 @@ class ImageSequence:
     camera : Camera
         Camera of every image.
     image_paths : tuple of Path
-        One per frame.
+        Image file of each frame.
     timestamps_s : ndarray, shape (F,)
-        Seconds; those of TUM-VI, counted from 1970, are exact to a quarter of a microsecond.
+        Times in seconds; those of TUM-VI count from 1970, to a quarter of a microsecond.
     world_from_cam : tuple of Pose or None
         True pose of each frame in metres; None where it is not known.
     depth_paths : tuple of Path
-        One per frame, or empty.
+        Depth map of each frame, or empty.
     mask : ndarray, shape (H, W), bool, optional
-        Pixels to use; None: all.
+        Pixels to use; None stands for all.
     levels : (float, float), optional
         Values of 16-bit images that become black and white, see `intensity_levels`; None
         where the images have 8 bits.
@@ -83,7 +83,7 @@ class ImageSequence:
         FileNotFoundError
             If the file is gone.
         ValueError
-            If it is no complete picture or has not the camera's size.
+            If it is no complete picture or its size is not that of the camera.
         """
         path = self.image_paths[index]
         image = eight_bit_image(path, self.levels)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which frames of a sequence can be tracked: the rule by which violent ones are skipped."""
+"""Which frames of a sequence can be tracked, and the rule that skips violent motion."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def steady_segments(sequence: ImageSequence, rule: SkipRule | None = None) -> li
     sequence : ImageSequence
         Its images are read if the rule has a brightness ratio to test.
     rule : SkipRule, optional
-        None: frames are split only where a pose is missing.
+        When a step is too violent. By default only a missing pose ends a run.
 
     Returns
     -------

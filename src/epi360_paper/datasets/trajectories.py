@@ -24,7 +24,7 @@ def poses_at_times(
     wanted_ns: NDArray[np.int64],
     max_gap_ns: int,
 ) -> list[Pose | None]:
-    """Pose at each wanted time, None where the known ones are too far apart."""
+    """Pose at each wanted time, None if the known poses around it are too far from each other."""
     poses: list[Pose | None] = []
     for time in wanted_ns:
         after = int(np.searchsorted(known_ns, time))

@@ -20,7 +20,7 @@ from epi360_paper.datasets.trajectories import poses_at_times
 
 IMAGE_COLUMNS = ("timestamp", "filename")
 POSE_COLUMNS = ("t", "x", "y", "z", "qw", "qx", "qy", "qz")
-POSE_FILES = ("dso/gt_imu.csv", "mav0/mocap0/data.csv")  # the same numbers where both are there
+POSE_FILES = ("dso/gt_imu.csv", "mav0/mocap0/data.csv")  # both hold the same numbers
 CALIBRATION_FILES = ("../omni_calib.yaml", "dso/camchain.yaml")
 ROOM_NAME = re.compile(r"(?:dataset-)?room([1-6])(?:_\w+)?")
 MAX_GAP_S = 0.05  # motion capture has 120 Hz: six lost samples
@@ -41,8 +41,8 @@ def load_tum_vi(
         of the IMU in ``dso/gt_imu.csv`` or ``mav0/mocap0/data.csv``
         (``t,x,y,z,qw,qx,qy,qz``, nanoseconds).
     calibration : path-like, optional
-        Kalibr file with ``T_cam_imu``. None: the paper's ``omni_calib.yaml`` in the folder above
-        where it is there (unified model), else ``dso/camchain.yaml`` (equidistant).
+        Kalibr file with ``T_cam_imu``. By default the paper's ``omni_calib.yaml`` (unified model)
+        if the folder above holds it, else ``dso/camchain.yaml`` (equidistant model).
     max_gap_s : float
         Largest time between the two motion-capture poses that an image lies between; beyond it
         the image has no pose.
