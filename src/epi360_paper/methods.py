@@ -74,9 +74,9 @@ def method_errors(
 def _weighted_as_published(method: str, b1: Array, b2: Array, protocol: Protocol) -> Pose:
     """Weighted GSM with the weights of the authors' code."""
     # Their residuals have no sign and are divided by one norm of the whole array.
-    start = estimate_pose("opt_sk" if method == "gsm_w_sk" else "8pa", b1, b2, protocol)
-    linear = method == "gsm_w_sk"
-    E = eight_point(b1, b2, normalization="sk").E if linear else essential_from_pose(start)
+    normalized = method == "gsm_w_sk"
+    start = estimate_pose("opt_sk" if normalized else "8pa", b1, b2, protocol)
+    E = eight_point(b1, b2, normalization="sk").E if normalized else essential_from_pose(start)
     weights = residual_weights(essential_residuals(E, b1, b2, "solarte2021"), kind="gaussian")
     # Over the manifold, natively: xi in se(3) has the same minimum.
     return refine_pose(b1, b2, start, residual="paper", weights=weights).pose

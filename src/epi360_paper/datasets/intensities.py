@@ -4,8 +4,8 @@
 The 16-bit pictures of TUM-VI are linear in light and mostly dark: divided by 257 they would keep
 a few dozen grey values. One pair of levels per sequence, not per frame, keeps a surface's value
 the same from frame to frame, which is what Lucas and Kanade's tracker assumes. Between the levels
-the square root is taken: it gives the noise of counted photons one size at all brightnesses, so
-that dark corners are neither drowned nor blown up.
+the square root is taken: it makes the noise of counted photons equally large at all
+brightnesses, so that dark corners show their texture and not their noise.
 """
 
 from __future__ import annotations
