@@ -7,7 +7,7 @@ import unicodedata
 from pathlib import Path
 
 from epi360.features.image_headers import read_image_header
-from epi360.files import IMAGE_SUFFIXES
+from epi360.image_folders import IMAGE_SUFFIXES
 from epi360.jobs.folder_files import files_below
 
 

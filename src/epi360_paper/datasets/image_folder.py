@@ -10,7 +10,7 @@ import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.features import read_image, require_panorama
-from epi360.files import IMAGE_SUFFIXES, existing_folder, natural_order
+from epi360.image_folders import IMAGE_SUFFIXES, existing_folder, natural_order
 from epi360_paper.datasets.intensities import intensity_levels
 from epi360_paper.datasets.sequence import ImageSequence
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from epi360.files import existing_folder
+from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
 from epi360_paper.datasets.image_folder import panorama_camera

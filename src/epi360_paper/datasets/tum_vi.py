@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, load_kalibr_rig
-from epi360.files import existing_folder
+from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import Table, read_table
 from epi360.poses import Pose, pose_from_quaternion
 from epi360_paper.datasets.intensities import intensity_levels, lens_circle_mask
