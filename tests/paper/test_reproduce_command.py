@@ -3,6 +3,7 @@
 
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import get_args
@@ -11,7 +12,7 @@ import pytest
 
 import epi360_paper
 from epi360 import cli
-from epi360.cli.reproduce import Name
+from epi360.cli.reproduce import Name, ReproduceChoice
 from epi360_paper.options import Outcome, ReproduceOptions
 from epi360_paper.parts import Trials
 
@@ -61,6 +62,10 @@ def test_the_names_are_those_of_the_registry_in_the_papers_order():
     assert get_args(Name) == (*epi360_paper.EXPERIMENTS, "all", "report")
     with pytest.raises(ValueError, match="fig9"):
         epi360_paper.load_experiment("fig9")
+
+
+def test_the_words_of_the_command_are_the_options_of_the_experiments_with_their_defaults():
+    assert asdict(ReproduceChoice()) == asdict(ReproduceOptions())
 
 
 def test_options_reach_the_experiment(calls, tmp_path, capsys):
