@@ -30,7 +30,7 @@ from epi360.jobs.image_set import find_images
 from epi360.jobs.mapping import MapOptions, map_images
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg
 from epi360.report.files import check_writable
-from epi360.synthetic import handheld_path, scene
+from epi360_scenes import handheld_path, scene
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 ROOM_VIEWS, ROOM_STEP_FRAMES, ROOM_SEED = 12, 10, 3  # 0.4 m apart

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from epi360 import Equirectangular, cli, estimate_relative_pose, relative_pose_of_images
-from epi360.synthetic import demo_pair, two_view_scene
+from epi360.synthetic import two_view_scene
+from epi360_scenes import demo_pair
 
 
 def noise_image(height, width, seed=0):

@@ -9,8 +9,8 @@ import epi360
 from epi360 import relative_pose_of_images, rotation_error_deg, translation_error_deg
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import demo_pair, furnished_room
 from epi360.two_view import replaces
+from epi360_scenes import demo_pair, furnished_room
 
 WIDTH = 512
 CAMERA = Equirectangular(WIDTH, WIDTH // 2)

@@ -18,7 +18,7 @@ from epi360.jobs.cube_faces import (
 )
 from epi360.jobs.face_sampler import FaceSampler
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import furnished_room
+from epi360_scenes import furnished_room
 
 PANORAMA = Equirectangular(256, 128)
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)

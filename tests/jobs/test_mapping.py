@@ -11,9 +11,9 @@ import pytest
 
 from epi360 import cli
 from epi360.cameras import DoubleSphere, Equirectangular, KannalaBrandt, Pinhole
-from epi360.datasets.tables import read_table
+from epi360.interop.text_tables import read_table
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, rotation_from_vector
-from epi360.synthetic import furnished_room
+from epi360_scenes import furnished_room
 
 pycolmap = pytest.importorskip("pycolmap")
 

@@ -171,7 +171,7 @@ def _check_outputs(output: PairOutput, files_read: dict[str, Path]) -> None:
 
 
 def _demo_pair(progress: Say) -> _Pair:
-    from epi360.synthetic.room import demo_pair
+    from epi360_scenes.room import demo_pair
 
     progress("rendering two panoramas of a room")
     demo = demo_pair()

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from epi360.datasets.image_folder import natural_order
+from epi360.image_folders import natural_order
 
 # Folders that match, map and the cubemap export wrote: their pictures are no input.
 OUTPUT_RECORDS = ("epi360-match.json", "mapping.json", "cubemap.json")

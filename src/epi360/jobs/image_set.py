@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Protocol
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.datasets.image_folder import IMAGE_SUFFIXES, existing_folder
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
 from epi360.features.image_headers import read_image_header
+from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
 from epi360.interop.gpano import GPano, parse_gpano
 from epi360.jobs.folder_files import files_below
 from epi360.jobs.given_cameras import GivenCameras, read_given_cameras

@@ -6,8 +6,8 @@ from __future__ import annotations
 import unicodedata
 from pathlib import Path
 
-from epi360.datasets.image_folder import IMAGE_SUFFIXES
 from epi360.features.image_headers import read_image_header
+from epi360.image_folders import IMAGE_SUFFIXES
 from epi360.jobs.folder_files import files_below
 
 
