@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a rendered room for the tests of `epi360 match`, rendered once."""
+"""Pictures of a rendered room for the tests of `epi360 match` and `epi360 map`, rendered once."""
 
 from functools import cache
 
 import cv2
 import numpy as np
+from rendered_scenes import furnished_room
 
 from epi360.cameras import Equirectangular
 from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import furnished_room
 
 TURNS = [(0.05, 0.3, -0.04), (0.0, 0.1, 0.02), (0.1, -0.2, 0.05), (0.02, 0.5, 0.0)]
 PLACES = [(0.1, -1.5, -0.35), (0.45, -1.45, -0.2), (-0.2, -1.55, 0.1), (0.2, -1.4, 0.15)]
