@@ -119,7 +119,11 @@ def test_same_input_and_seed_give_the_same_bits(options):
             np.testing.assert_array_equal(
                 first.cam2_from_cam1.matrix(), second.cam2_from_cam1.matrix()
             )
-        elif field.name != "alternatives":
+        elif field.name == "alternatives":
+            assert len(first.alternatives) == len(second.alternatives)
+            for pose, again in zip(first.alternatives, second.alternatives, strict=True):
+                np.testing.assert_array_equal(pose.matrix(), again.matrix())
+        else:
             np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
 
 

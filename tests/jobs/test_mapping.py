@@ -94,6 +94,7 @@ def test_the_model_and_the_transforms_on_disk_are_the_result(room_run):
     on_disk = poses_of(read_colmap_model(output / "sparse" / "0"))
     transforms = read_nerfstudio(output / "transforms.json", images="../../room0/images")
     frames = json.loads((output / "transforms.json").read_text(encoding="utf-8"))["frames"]
+    assert len(frames) == len(result) == 6
     for frame in frames:
         assert (output / frame["file_path"]).is_file()
     for name, pose in result.items():
