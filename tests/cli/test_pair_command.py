@@ -188,10 +188,10 @@ def test_help_names_every_option(capsys):
 
 def test_the_demo_prints_the_estimate_beside_the_truth(capsys, tmp_path):
     record, folder = tmp_path / "demo.json", tmp_path / "images"
-    began = time.perf_counter()
+    began = time.process_time()
     arguments = ["pair", "--demo", "--json", str(record), "--save-images", str(folder)]
     assert cli.main(arguments) == 0
-    assert time.perf_counter() - began < 20  # a second or two; margin for a busy machine
+    assert time.process_time() - began < 20  # of the processor: a few; other programs do not count
     last = capsys.readouterr().out.splitlines()[-3:]
     assert last[0].split() == ["estimate", "truth", "error"]
     truth = json.loads(record.read_text(encoding="utf-8"))["truth"]
