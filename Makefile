@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 # make demo, make test: everything from a clean clone (GNU make; on Debian and Ubuntu:
 # apt install g++ make python3-venv python3-dev). Another Python: make test PYTHON=python3.13.
-# More arguments for pytest or the demo: make test ARGS="-k pose -x".
+# More arguments for pytest or the demo: make test ARGS="-k pose -x". All tests in one process: make test WORKERS=0.
 
 PYTHON ?= python3
 VENV ?= .venv
 # --editable: a changed Python file counts at once. Empty (make test EDITABLE=): installed as users install it.
 EDITABLE ?= --editable
+# Processes of the tests; each takes a file at a time, as many fixtures are shared within a file.
+WORKERS ?= 2
 ARGS ?=
 
 BIN := $(VENV)/bin
@@ -27,7 +29,7 @@ demo: $(VENV)/.stamp-install
 	$(BIN)/epi360 pair --demo $(ARGS)
 
 test: $(VENV)/.stamp-test
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
 lint: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .
