@@ -7,7 +7,8 @@ PYTHON ?= python3
 VENV ?= .venv
 # --editable: a changed Python file counts at once. Empty (make test EDITABLE=): installed as users install it.
 EDITABLE ?= --editable
-# Processes of the tests; each takes a file at a time, as many fixtures are shared within a file.
+# Processes of the tests. Each takes a file at a time, as fixtures are shared within a file; in their
+# order, since the file that starts Ray has few tests and takes the longest.
 WORKERS ?= 2
 ARGS ?=
 
@@ -29,7 +30,7 @@ demo: $(VENV)/.stamp-install
 	$(BIN)/epi360 pair --demo $(ARGS)
 
 test: $(VENV)/.stamp-test
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .
