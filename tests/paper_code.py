@@ -2,7 +2,16 @@
 """Where the tests find the paper's experiments, so that a move of that code is two lines here."""
 
 from epi360.datasets import intensities, trajectories
-from epi360.experiments import method_rows, methods, options, parts, protocols, sources, table4
+from epi360.experiments import (
+    method_rows,
+    methods,
+    options,
+    parts,
+    protocols,
+    sources,
+    table4,
+    trials,
+)
 
 __all__ = [
     "intensities",
@@ -14,4 +23,5 @@ __all__ = [
     "sources",
     "table4",
     "trajectories",
+    "trials",
 ]

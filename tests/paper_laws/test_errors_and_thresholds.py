@@ -3,9 +3,8 @@
 
 import numpy as np
 import pytest
-from paper_code import method_rows, methods, options, parts, protocols, sources, table4
+from paper_code import method_rows, methods, options, parts, protocols, sources, table4, trials
 
-from epi360.experiments.trials import Trial
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import two_view_scene
 
@@ -62,10 +61,10 @@ def test_a_threshold_is_printed_for_the_residual_of_the_authors():
     assert np.degrees(np.arcsin(sine)) == pytest.approx(5.28, abs=0.01)
 
 
-@pytest.mark.parametrize(("trials", "expected"), [(None, 2000), (1, 1), (7, 7)])
-def test_sequences_are_as_many_as_the_wanted_pairs_need(trials, expected):
+@pytest.mark.parametrize(("wanted", "expected"), [(None, 2000), (1, 1), (7, 7)])
+def test_sequences_are_as_many_as_the_wanted_pairs_need(wanted, expected):
     per_sequence = method_rows.PAIRS_PER_SEQUENCE
-    count = method_rows.num_sequences(options.ReproduceOptions(trials=trials))
+    count = method_rows.num_sequences(options.ReproduceOptions(trials=wanted))
     assert (count - 1) * per_sequence < expected <= count * per_sequence
 
 
@@ -98,8 +97,8 @@ def tiny_cloud(monkeypatch):
 @pytest.mark.parametrize("name", sorted(PROTOCOLS))
 def test_landmarks_are_one_pair_a_trial_the_same_each_time(name, tiny_cloud):
     source = sources.LandmarkPairs(name)
-    (pair,), (again,) = (source.pairs(Trial(0, "any", 0, 4)) for _ in range(2))
-    (other,) = source.pairs(Trial(0, "any", 0, 5))
+    (pair,), (again,) = (source.pairs(trials.Trial(0, "any", 0, 4)) for _ in range(2))
+    (other,) = source.pairs(trials.Trial(0, "any", 0, 5))
     assert pair.bearings1.shape == pair.bearings2.shape == (sources.NUM_POINTS, 3)
     np.testing.assert_array_equal(pair.bearings2, again.bearings2)
     assert np.abs(pair.bearings2 - other.bearings2).max() > 0.1
