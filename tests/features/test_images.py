@@ -345,7 +345,8 @@ def test_no_real_panorama_is_taken_for_a_dual_fisheye(data_dir: Path):
         if image.shape[1] != 2 * len(image):
             continue
         num_panoramas += 1
-        for darker in (image, image // 4, (255 * (image[::4, ::4] / 255) ** 2.2).astype(np.uint8)):
+        fourth = image[::4, ::4]
+        for darker in (image, fourth // 4, (255 * (fourth / 255) ** 2.2).astype(np.uint8)):
             assert not looks_like_dual_fisheye(darker)
             quarter = darker.shape[1] // 4
             assert not looks_like_dual_fisheye(np.roll(darker, quarter, axis=1))
