@@ -208,7 +208,10 @@ def test_the_same_pair_twice_is_found_also_across_batches():
 
 
 def test_the_other_order_is_another_pair():
-    check_names("in", Named((["a", "b"], ["b", "a"])))
+    both_orders = ["a", "b"], ["b", "a"]
+    check_names("in", Named(both_orders))
+    with pytest.raises(ValueError, match="in: the pair b a is there twice, in rows 1 and 2"):
+        check_names("in", Named(both_orders, (["b"], ["a"])))
 
 
 def test_no_pairs_are_an_error():

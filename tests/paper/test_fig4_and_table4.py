@@ -44,6 +44,7 @@ def test_tables_compare_paper_and_ours_without_nan(tmp_path, name, cells, protoc
     assert written - {"trials.parquet"} == {"trials.csv", "table.md"} | figure
     assert all(path.stat().st_size > 0 for path in outcome.files)
     rows = rows_of(outcome.files[0])
+    assert rows
     if cells:
         assert len(rows) == cells * trials
         assert len({row["cell"] for row in rows}) == cells

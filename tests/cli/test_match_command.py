@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command_line import assert_help_names, assert_wrong_use
 from documents import ROOT, text_of
 from rendered_views import NAMES, pictures, write_png, write_views
 
-from epi360.cli import FAILURE, SUCCESS, WRONG_USE, main
+from epi360.cli import FAILURE, SUCCESS, main
 from epi360.report.match_table import COLUMNS
 
 
@@ -89,8 +90,11 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
 )
 def test_wrong_use_is_one_line(here, capsys, words, message):
     (here / "taken").write_text("x")
-    assert main(["match", *words]) == WRONG_USE
-    error = capsys.readouterr().err
-    assert error.startswith("epi360: error: ")
-    assert message in error
-    assert error.count("\n") == 1
+    assert_wrong_use(capsys, ["match", *words], message)
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "match", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
+        "--max-width", "--max-features", "--seed", "--jobs", "--output", "--restart",
+    )  # fmt: skip

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""`epi360 render`: what is written, resumed and refused."""
+
 import json
 
 import cv2
 import numpy as np
 import pytest
+from command_line import assert_help_names, assert_wrong_use
 
 from epi360.cli import main
 
@@ -64,9 +67,7 @@ def test_a_fisheye_sequence_has_the_size_of_its_camera(tmp_path, capsys):
     ],
 )
 def test_wrong_words_are_one_line_and_exit_code_2(words, message, tmp_path, capsys):
-    code, text, errors = run(capsys, tmp_path / "out", *words)
-    assert (code, text) == (2, "")
-    assert errors.count("\n") == 1 and message in errors
+    assert_wrong_use(capsys, ["render", tmp_path / "out", *words], message)
     assert not (tmp_path / "out" / "rgb").exists()
 
 
@@ -75,3 +76,10 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path, capsys):
     words = ("--num-frames", 1, "--width", 16, "--scene", "studio")
     code, _, errors = run(capsys, tmp_path / "file" / "out", *words)
     assert code == 2 and errors.count("\n") == 1 and "file" in errors
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "render", "--scene", "--seed", "--mesh", "--up", "--num-frames", "--step-m",
+        "--max-turn-deg", "--height-m", "--clearance-m", "--width", "--camera", "--supersample",
+    )  # fmt: skip

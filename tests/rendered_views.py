@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures of a rendered room for the tests of `epi360 match`, rendered once."""
+"""Pictures of a rendered room for the tests of `epi360 match` and `epi360 map`, rendered once."""
 
 from functools import cache
 

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 
 import pytest
 from batch_inputs import columns_of, pose_rows, write_matches
+from command_line import assert_help_names
 
 from epi360 import cli
 from epi360.jobs.batch import job as job_module
@@ -88,7 +89,8 @@ def test_without_pyarrow_the_message_says_what_to_install(words, capsys, monkeyp
     assert "pip install 'epi360[batch]'" in capsys.readouterr().err
 
 
-def test_the_help_names_the_inputs(capsys):
-    assert cli.main(["batch", "--help"]) == 0
-    text = capsys.readouterr().out
-    assert all(word in text for word in ("Parquet", "COLMAP", "hloc", "--engine", "--output"))
+def test_help_names_the_inputs_and_every_option(capsys):
+    assert_help_names(
+        capsys, "batch", "Parquet", "COLMAP", "hloc", "--output", "--write-database", "--camera",
+        "--features", "--pairs", "--engine", "--address", "--threads", "--seed", "--pairs-per-part",
+    )  # fmt: skip

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from command_line import assert_help_names
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cli import main
@@ -356,3 +357,9 @@ def test_a_source_without_images_is_refused(run, tmp_path):
     write_opensfm("reconstruction.json", Reconstruction({"1": CAMERA}, ()))
     refused(run("reconstruction.json", "poses.tum"), "reconstruction.json holds no images")
     assert not (tmp_path / "poses.tum").exists()
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs"
+    )
