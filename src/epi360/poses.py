@@ -123,7 +123,7 @@ def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.floa
     Raises
     ------
     ValueError
-        If the quaternion is not of unit length to 1e-6, or a number is infinite.
+        If the quaternion does not have unit length, or a number is infinite.
     """
     w, x, y, z = wxyz
     rotation = [
