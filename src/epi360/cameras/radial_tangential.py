@@ -13,12 +13,12 @@ Array = NDArray[np.float64]
 
 # Pixels are inverted in blocks that fit the cache: a million take 0.21 s instead of 0.28 s.
 BLOCK = 8192
-MAX_ITERATIONS = 100  # four in an ordinary lens; strong cushions approach from far outside
+MAX_ITERATIONS = 100  # an ordinary lens needs four, strong pincushion distortion many more
 STEP_TOLERANCE = 1e-8  # of Newton's last step, relative to 1 + radius; the rest is its square
 RESIDUAL_TOLERANCE = 1e-13  # of a point that counts as inverted, relative to 1 + radius
 SMALLEST_DAMPING = 1e-4  # without progress at a step this short the disc has no solution
 NEGLIGIBLE = 1e-30  # a coefficient that folds the distortion only at 10^7 focal lengths
-BORDER_TOLERANCE = 1e-9  # bounds of the image of the disc are rounded
+BORDER_TOLERANCE = 1e-9  # the bounds of the distorted disc are rounded
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,6 @@ def _rig(cameras: dict[str, Camera], cam_from_body: dict[str, Pose]) -> Rig:
     """Rig with the first camera as its frame, from poses in any one frame."""
     first, *others = cameras
     body_from_first = cam_from_body[first].inverse()
-    cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # exactly
+    cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # without rounding
     cam_from_rig |= {name: cam_from_body[name] @ body_from_first for name in others}
     return Rig(cameras, cam_from_rig)

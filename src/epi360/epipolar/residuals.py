@@ -21,10 +21,8 @@ def paper_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) ->
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
@@ -46,10 +44,8 @@ def angular_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
@@ -79,10 +75,8 @@ def sampson_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
@@ -112,10 +106,9 @@ def solarte2021_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLi
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match. Rows with NaN are left out of the norms.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match. Rows with NaN are left out of
+        the norms.
 
     Returns
     -------
@@ -152,10 +145,8 @@ def tangent_sampson_residuals(
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
     jacobians1, jacobians2 : array_like, shape (N, 3, 2)
         Derivatives of the bearings by their pixels, as ``camera.bearing_jacobians`` returns them.
 

@@ -151,7 +151,18 @@ class SkCost:
         return float(self._w @ np.abs(np.einsum("ij,ij->i", self._b2, normals) / lengths))
 
     def at(self, u: float) -> float:
-        """Return the value at S = 1, K = exp(u)."""
+        """Return the value at S = 1, K = exp(u).
+
+        Parameters
+        ----------
+        u : float
+            ln(K / S), on which alone E depends.
+
+        Returns
+        -------
+        value : float
+            Weighted sum of |eq. 13|.
+        """
         return self(1.0, float(np.exp(u)))
 
 

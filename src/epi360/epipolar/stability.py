@@ -127,7 +127,7 @@ class Stability:
         return float(sums[0] / pairs), float(sums[1] / pairs)
 
     def internal_angles_rad(self) -> tuple[Array, Array]:
-        """All internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
+        """Return the internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
         return _angles(self._q1[:, None], self._q1), _angles(self._q2[:, None], self._q2)
 
     def essential_error_bound(self, bearings1: ArrayLike, bearings2: ArrayLike) -> float:

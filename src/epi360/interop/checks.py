@@ -31,7 +31,7 @@ def read_json(path: Path, what: str) -> Any:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist; it must be {what}") from None
-    except (ValueError, RecursionError) as error:  # also what is no text
+    except (ValueError, RecursionError) as error:  # ValueError also for bytes that are no text
         raise ValueError(f"{path} must be JSON, {what}: {error}") from None
     except OSError:
         raise ValueError(f"{path} must be a file, {what}; it cannot be read") from None

@@ -20,7 +20,7 @@ from epi360.interop.colmap_rigs import cameras_of_rigs, frames_of_images
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose
 
-# Of a rotation's elements, and of a translation: relative if it is longer than 1.
+# Largest difference of a rotation's elements, and of a translation relative to max(1, its length).
 MAX_DIFFERENCE = 1e-9
 Frames = list[list[PosedImage]]
 

@@ -9,31 +9,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from epi360.extras import extra_library
 from epi360.interop.checks import pose_of_numbers
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.match_graph import MatchGraph
+from epi360.interop.match_graph import MatchedImage, MatchGraph
+from epi360.interop.reconstruction import PosedImage
 from epi360.poses import Pose
 
 CAMERA = 0  # the SensorType in tables and binary files
-
-
-class _Image(Protocol):
-    """What a MatchedImage and a PosedImage have in common."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def camera(self) -> str | None: ...
-    @property
-    def frame(self) -> str | None: ...
-
-
-Image = TypeVar("Image", bound=_Image)
+Image = TypeVar("Image", MatchedImage, PosedImage)
 
 
 def frames_of_images(

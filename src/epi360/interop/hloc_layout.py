@@ -24,7 +24,7 @@ from epi360.extras import extra_library
 
 HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
 
-LARGEST_DATASET = 2**28  # numbers; descriptors of a million key points are as many
+LARGEST_DATASET = 2**28  # numbers, as many as in 2^20 descriptors of length 256
 
 # For each pair the path of its group, and whether the group has the images in the other order.
 PairGroups = dict[tuple[str, str], tuple[str, bool]]

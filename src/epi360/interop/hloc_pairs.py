@@ -23,7 +23,7 @@ from epi360.interop.hloc_layout import (
 )
 from epi360.interop.pairs_file import read_pairs_file
 
-LARGEST_SIDE = 2**31  # of an image, in pixels
+LARGEST_SIDE = 2**31  # pixels of the width or height of an image
 
 
 class HlocPairs:

@@ -281,7 +281,7 @@ def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
         focus: tuple[float, ...] = (fl_x, fl_y, cx, cy)
         return {"camera_model": "EQUIRECTANGULAR", **entry, **dict(zip(FOCUS, focus, strict=True))}
     lens = checks.lens_coefficients(name, camera, "nerfstudio")
-    assert isinstance(camera, FocalCamera)  # as all that have passed
+    assert isinstance(camera, FocalCamera)  # all others have been refused
     focus = (camera.fx, camera.fy, camera.cx, camera.cy)
     model = {Pinhole: "PINHOLE", UnifiedCamera: "OPENCV", KannalaBrandt: "OPENCV_FISHEYE"}
     entry |= {"camera_model": model[type(camera)], **dict(zip(FOCUS, focus, strict=True))}

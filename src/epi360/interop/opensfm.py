@@ -61,7 +61,7 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
         chosen = _largest(document)
         cameras = cameras_from_document(chosen["cameras"])
         images = tuple(_image(name, shot) for name, shot in chosen["shots"].items())
-        if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 where it has none
+        if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 for an unknown time
             images = tuple(replace(image, timestamp_s=None) for image in images)
         points, colors = _points(checks.mapping(chosen.get("points", {}), "points"))
         reconstruction = Reconstruction(cameras, images, points, colors)
@@ -192,7 +192,7 @@ def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
             )
         return {"projection_type": "spherical", **size}
     lens = checks.lens_coefficients(name, camera, "OpenSfM")
-    assert isinstance(camera, FocalCamera)  # as all that have passed
+    assert isinstance(camera, FocalCamera)  # all others have been refused
     is_fisheye = isinstance(camera, KannalaBrandt)
     if not is_fisheye:
         lens = dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0) | lens

@@ -46,7 +46,7 @@ LENSES = {  # the simplest first
     "EUCM": _Lens(ExtendedUnified, 2, 2),
 }
 SUPPORTED = ", ".join((PANORAMA, *FORKS_PANORAMAS, *LENSES))
-MODELS_BY_NUMBER = (  # what databases and binary models call them
+MODELS_BY_NUMBER = (  # the index is the number of the model in databases and binary files
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
     "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE",

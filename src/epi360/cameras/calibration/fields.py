@@ -58,6 +58,13 @@ def real_numbers(values: Any, count: int, name: str) -> list[float]:
     return [real_number(value, name) for value in numbers(values, count, name)]
 
 
+def square_matrix(rows: Any, size: int, name: str) -> list[list[float]]:
+    """Return a matrix that is given as a list of rows."""
+    if not isinstance(rows, list) or len(rows) != size:
+        raise ValueError(f"{name} must be {size} rows of {size} numbers, got {shortened(rows)}")
+    return [real_numbers(row, size, f"a row of {name}") for row in rows]
+
+
 def real_number(value: Any, name: str) -> float:
     """Return a value as a float."""
     converted = number(value)
@@ -76,7 +83,7 @@ def number(value: Any) -> Any:
     try:
         return int(value) if value.isdecimal() else float(value)
     except ValueError:
-        return value  # the camera names the parameter when it refuses this
+        return value  # the camera refuses it and names the parameter
 
 
 def pose_of_numbers(wxyz: list[float], translation: list[float], name: str) -> Pose:

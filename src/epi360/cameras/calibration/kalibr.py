@@ -188,10 +188,7 @@ def _on_imu(
 def _pose(entry: Mapping[str, Any], key: str) -> Pose | None:
     if entry.get(key) is None:
         return None
-    rows = entry[key]
-    if not isinstance(rows, list) or len(rows) != 4:
-        raise ValueError(f"{key} must be 4 rows of 4 numbers, got {fields.shortened(rows)}")
-    matrix = [fields.real_numbers(row, 4, f"a row of {key}") for row in rows]
+    matrix = fields.square_matrix(entry[key], 4, key)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # numbers may be huge
             return Pose.from_matrix(matrix)

@@ -48,7 +48,7 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
-    projection_type = entry.get("projection_type", "perspective")  # as OpenSfM takes it
+    projection_type = entry.get("projection_type", "perspective")  # OpenSfM's default
     if projection_type in PANORAMAS:
         return _panorama(entry)
     if not isinstance(projection_type, str) or projection_type not in MODELS:
@@ -83,7 +83,7 @@ def _size(entry: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _panorama(entry: Mapping[str, Any]) -> Camera:
-    # OpenSfM takes the width for 360 degrees and the pixels for square, whatever the height.
+    # In OpenSfM the width is 360 degrees and pixels are square, whatever the height is.
     width, height = _size(entry)
     if 2 * height > width:
         raise ValueError(f"a spherical camera must be 2:1 or flatter, got {width}x{height}")

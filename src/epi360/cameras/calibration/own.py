@@ -73,11 +73,8 @@ def _cam_from_rig(entry: Mapping[str, Any]) -> Pose | None:
     if "quaternion_wxyz" in pose:
         wxyz = fields.real_numbers(pose["quaternion_wxyz"], 4, "quaternion_wxyz")
         return fields.pose_of_numbers(wxyz, translation, "quaternion_wxyz")
-    rows = pose["rotation"]
-    if not isinstance(rows, list) or len(rows) != 3:
-        raise ValueError(f"rotation must be 3 rows of 3 numbers, got {fields.shortened(rows)}")
-    matrix = [fields.real_numbers(row, 3, "a row of rotation") for row in rows]
-    return Pose(np.array(matrix), np.array(translation))
+    rotation = fields.square_matrix(pose["rotation"], 3, "rotation")
+    return Pose(np.array(rotation), np.array(translation))
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
