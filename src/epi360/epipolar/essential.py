@@ -64,7 +64,7 @@ def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     Parameters
     ----------
     E : array_like, shape (3, 3)
-        Essential matrix in any scale; it is first replaced by `project_to_essential` of it.
+        Essential matrix in any scale; `project_to_essential` is applied to it first.
 
     Returns
     -------

@@ -46,8 +46,9 @@ def upright_three_point(
     that gravity is +y, which leaves one unknown of the rotation, the heading theta. Each match
     makes t perpendicular to the normal of its epipolar plane, (Ry(theta) b1 x b2) . t = 0. Three
     normals that are perpendicular to one t lie in one plane, so that their determinant is zero. The
-    paper writes this as a quartic in tan(theta / 2); here it is a quartic in z = exp(i theta). Its
-    roots of modulus one are the headings, and a half turn is among the headings it can find.
+    paper writes this as a quartic in tan(theta / 2); here it is a quartic in z = exp(i theta),
+    whose roots of modulus one are the headings. It finds half turns too, where the tangent is
+    infinite.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     if len(b1) != 3:

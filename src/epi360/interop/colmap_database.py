@@ -147,7 +147,7 @@ def whole_database(path: Path) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
         yield temporary
-        # If the disk is full, SQLite leaves the rest in this file and reports nothing.
+        # If the disk is full, SQLite leaves the rest in its log and reports nothing.
         log = Path(f"{temporary}-wal")
         if log.exists() and log.stat().st_size:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
