@@ -39,10 +39,6 @@ class ColmapPairs(ColmapTables):
             raise
         self._cached: OrderedDict[str, NDArray[np.float64]] = OrderedDict()
 
-    def __len__(self) -> int:
-        """Return the number of pairs."""
-        return len(self.names)
-
     def camera(self, name: str) -> Camera:
         """Return the camera of an image."""
         return self.cameras[self.images[name]]
@@ -70,11 +66,6 @@ class ColmapPairs(ColmapTables):
         query = "SELECT rows, cols, data FROM matches WHERE pair_id = ?"
         (blob,) = self.rows(query, self._pair_ids[index])
         return self.checked_matches(blob, self.names[index])
-
-    def matched_pixels(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the matched key points of a pair in both images, each of shape (M, 2)."""
-        (image1, image2), matches = self.names[index], self.matches(index)
-        return self.keypoints(image1)[matches[:, 0]], self.keypoints(image2)[matches[:, 1]]
 
     def names_of(self, pair_id: int) -> tuple[str, str]:
         """Return the names of the two images of a pair."""
