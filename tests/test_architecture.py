@@ -14,7 +14,7 @@ import epi360
 PACKAGE = Path(epi360.__file__).parent
 LAYERS = [
     "_core", "files", "extras", "progress", "poses", "cameras", "features", "epipolar",
-    "estimation", "two_view", "odometry", "synthetic", "datasets", "experiments", "interop",
+    "estimation", "second_look", "two_view", "odometry", "synthetic", "datasets", "experiments", "interop",
     "jobs", "report", "cli",
 ]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}

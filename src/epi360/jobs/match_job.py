@@ -24,7 +24,8 @@ from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.jobs.match_store import Keys, Verdict, VerifiedPair, read_parts, write_part
 from epi360.jobs.pair_selection import Pair
 from epi360.progress import Progress
-from epi360.two_view import IMAGE_OPTIONS, SETTLED, doubted, replaces
+from epi360.second_look import is_settled, later_is_better
+from epi360.two_view import IMAGE_OPTIONS, doubted
 
 _PAIRS_PER_THREAD = 16  # in a part: a few seconds of work, what a kill may cost
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
@@ -128,10 +129,10 @@ class MatchJob:
         unsettled = [
             pair
             for pair, each in found.items()
-            if each.verdict.status not in SETTLED or each.verdict.warnings
+            if not is_settled(each.verdict.status) or each.verdict.warnings
         ]
         for pair, each in self._look(unsettled, strong=False).items():
-            if replaces(each.verdict.status, found[pair].verdict.status):
+            if later_is_better(found[pair].verdict.status, each.verdict.status):
                 found[pair] = each
         return [found[pair] for pair in pairs if pair in found and self.is_readable(pair)]
 
