@@ -13,9 +13,9 @@ import epi360
 
 PACKAGE = Path(epi360.__file__).parent
 LAYERS = [
-    "_core", "files", "extras", "progress", "poses", "cameras", "features", "epipolar",
-    "estimation", "second_look", "two_view", "odometry", "synthetic", "datasets", "experiments", "interop",
-    "jobs", "report", "cli",
+    "_core", "extras", "progress", "runs", "files", "poses", "cameras", "features", "epipolar",
+    "estimation", "second_look", "two_view", "odometry", "synthetic", "datasets", "experiments",
+    "interop", "jobs", "report", "cli",
 ]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
 

@@ -8,7 +8,7 @@ import pytest
 from batch_inputs import columns_of, write_matches
 
 from epi360 import cli
-from epi360.jobs.batch.lock import only_run
+from epi360.runs.lock import only_run
 
 pyarrow = pytest.importorskip("pyarrow")
 
@@ -186,7 +186,6 @@ def test_wrong_words_are_one_line_and_nothing_is_written(tmp_path, capsys, words
     assert os.listdir(tmp_path) == ["in.parquet"]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="Windows has no such locks")
 def test_an_output_that_another_run_is_writing(tmp_path, capsys):
     path, output = write_matches(tmp_path / "in.parquet", columns_of(2)), tmp_path / "out.parquet"
     with only_run(str(output)):

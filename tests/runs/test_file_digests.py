@@ -7,8 +7,8 @@ from hashlib import blake2b
 
 import pytest
 
-from epi360.jobs import file_digests
-from epi360.jobs.file_digests import FileDigests
+from epi360.runs import file_digests
+from epi360.runs.file_digests import FileDigests
 
 
 @pytest.fixture

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,6 +37,7 @@ from epi360.interop.colmap_rigs import read_rigs, write_frames, write_rigs
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.whole_files import whole_path
 
 __all__ = [
     "ColmapPairs",
@@ -182,40 +182,23 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
 
 @contextmanager
 def whole_database(path: Path) -> Iterator[Path]:
-    """File beside a database, which takes its place if all that was written is in it.
-
-    Parameters
-    ----------
-    path : Path
-        Replaced where it is there.
-
-    Yields
-    ------
-    temporary : Path
-        To be written and closed.
+    """Temporary path, for the block to write and close, that becomes a database if it is whole.
 
     Raises
     ------
     OSError
-        If the file is not whole or cannot be renamed; then there is none.
+        If the database is not whole or cannot be renamed; then there is none.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
+    with whole_path(path) as temporary:
         yield temporary
         # On a full disk SQLite leaves the rest in this file when it closes, without a word.
         log = Path(f"{temporary}-wal")
         if log.exists() and log.stat().st_size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(os.strerror(errno.ENOSPC))
         try:
             ColmapTables(temporary).close()
         except ValueError as error:
             raise OSError(str(error)) from None
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        for end in ("", "-journal", "-wal", "-shm"):
-            Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 
 def _write(database: Any, graph: MatchGraph) -> None:

@@ -26,19 +26,7 @@ _MIN_INLIERS = 15
 
 @dataclass(frozen=True)
 class MapperOptions:
-    """How COLMAP maps.
-
-    Attributes
-    ----------
-    mapper : "incremental" or "global"
-        One image after the other, or all at once.
-    refine_cameras : bool
-        Refine the focal length and distortion of fisheye and pinhole cameras.
-    num_threads : int
-        Of the mapper.
-    seed : int
-        Of its random choices.
-    """
+    """How COLMAP maps: images one by one or all at once, with refined cameras or given ones."""
 
     mapper: Mapper = "incremental"
     refine_cameras: bool = False
@@ -53,28 +41,11 @@ def run_mapper(
     colors: Mapping[str, NDArray[np.uint8]],
     progress: Progress = no_progress,
 ) -> list[Any]:
-    """Models that COLMAP finds, the one with the most images first.
+    """Models that COLMAP finds in a database with verified pairs, the one with most images first.
 
-    Parameters
-    ----------
-    database : path
-        COLMAP database with verified pairs.
-    options : MapperOptions
-    colors : mapping of str to ndarray, shape (N, 3), uint8
-        RGB of the key points of each image of the database, by the image's name.
-    progress : Progress
-        Told after each image of the incremental mapper; the global one says nothing before its end.
-
-    Returns
-    -------
-    models : list of pycolmap.Reconstruction
-        Those in which at least two images have a pose that are not all in a larger one; possibly
-        none.
-
-    Raises
-    ------
-    ImportError
-        If pycolmap is missing.
+    ``colors`` are the RGB values (N, 3) of the key points by the image's name. ``progress`` is told
+    after each image of the incremental mapper; the global one says nothing before its end. Each
+    model has at least two images that are not all in a larger one; there may be none.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
     num_images, placed = len(colors), 0
@@ -124,16 +95,7 @@ def _color_points(model: Any, colors: Mapping[str, NDArray[np.uint8]]) -> None:
 
 
 def mapper_settings(options: MapperOptions) -> str:
-    """Every setting of the mapper as text: equal text and input give equal models.
-
-    Parameters
-    ----------
-    options : MapperOptions
-
-    Returns
-    -------
-    text : str
-    """
+    """Every setting of the mapper as text: equal text and input give equal models."""
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
     build = _global_options if options.mapper == "global" else _incremental_options
     return f"pycolmap {pycolmap.__version__}\n{build(pycolmap, options).summary()}"

@@ -90,12 +90,8 @@ def find_images(
         same name below these folders were taken at one moment. Without a file, an image is a 2:1
         panorama, or the part of one that its GPano metadata describe.
     mask : Path, optional
-        Mask of all images, white = use; or a folder where the mask of ``a/b.jpg`` is ``a/b`` with
-        any suffix of an image, or ``a/b.jpg.png``. Images without one there are used whole.
-
-    Returns
-    -------
-    images : ImageSet
+        Mask of all images, white = use; or a folder of masks, see `MaskSource`. Images without one
+        there are used whole.
 
     Raises
     ------

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import shutil
 import time
@@ -14,19 +12,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from epi360.extras import extra_library
-from epi360.files import write_file
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings, run_mapper
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
-from epi360.jobs.match_result import load_colors
-from epi360.jobs.matching import MatchOptions, MatchRun, load_matches, match_images
+from epi360.jobs.match_result import Colors, load_matches_and_colors
+from epi360.jobs.matching import MatchOptions, MatchRun, match_images
 from epi360.progress import Progress, no_progress
+from epi360.runs.made_from import fingerprint, read_record, write_record
+from epi360.runs.whole_files import whole_folder
 
 DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
 
@@ -46,11 +43,6 @@ class MapOptions:
     mapper_threads : int
         More than one is faster where there are many images, but the last digits of the result
         change from run to run.
-
-    Raises
-    ------
-    ValueError
-        If the mapper is unknown or there is less than one thread.
     """
 
     match: MatchOptions = field(default_factory=MatchOptions)
@@ -107,22 +99,10 @@ def map_images(
 ) -> MapRun:
     """Match the images of a folder and map them with COLMAP.
 
-    Parameters
-    ----------
-    images : ImageSet
-        What `find_images` gives.
-    output : path
-        Gets what `match_images` writes, ``database.db``, the models ``sparse/0``, ``sparse/1``, ...
-        and ``transforms.json`` of the first, its paths relative to the images.
-    options : MapOptions, optional
-    restart : bool
-        Throw away pairs in the output that were matched with other options, instead of refusing.
-    progress : Progress
-        Told about features, pairs and mapped images.
-
-    Returns
-    -------
-    MapRun
+    ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
+    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
+    ``restart``, pairs that were matched with other options are thrown away instead of refusing
+    them.
 
     Raises
     ------
@@ -150,17 +130,19 @@ def map_images(
     record = _read_record(output)
     start = time.perf_counter()
     matched = match_images(images, output, options.match, restart=restart, progress=progress)
-    graph = _without_contradicted(load_matches(output), matched)
+    graph, colors = load_matches_and_colors(output)
+    graph = _without_contradicted(graph, matched)
     matching_s = time.perf_counter() - start
     mapper = MapperOptions(
         options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
     )
-    fingerprint = _fingerprint(graph, mapper)
-    was_mapped = record.get("fingerprint") == fingerprint and _has_models(output, record)
+    made_from = _fingerprint(graph, mapper)
+    was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
     if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
     else:
-        record = _map(graph, output, mapper, fingerprint, progress)
+        record = {"fingerprint": made_from, **_map(graph, colors, output, mapper, progress)}
+        write_record(output / RECORD, record)
     models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     return MapRun(
@@ -188,12 +170,8 @@ def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
 
 def _read_record(output: Path) -> dict[str, Any]:
     """Record of an earlier run; ValueError where its files are somebody else's."""
-    path = output / RECORD
-    if path.exists():
-        try:
-            record: dict[str, Any] = {**json.loads(path.read_text(encoding="utf-8"))}
-        except (ValueError, TypeError):
-            raise ValueError(f"{path} is damaged; delete it with {DATABASE} and {MODELS}") from None
+    record = read_record(output / RECORD, remedy=f"delete it with {DATABASE} and {MODELS}")
+    if record is not None:
         return record
     for name in (DATABASE, MODELS):
         if (output / name).exists():
@@ -212,51 +190,43 @@ def _has_models(output: Path, record: Mapping[str, Any]) -> bool:
 
 def _fingerprint(graph: MatchGraph, options: MapperOptions) -> str:
     """Hash of everything that the models depend on."""
-    digest = hashlib.sha256(f"{mapper_settings(options)} {graph.cameras}".encode())
+    pieces: list[object] = [(mapper_settings(options), graph.cameras)]
     for camera, pose in graph.cam_from_rig.items():
-        digest.update(camera.encode() + pose.matrix().tobytes())
+        pieces += [camera, pose.matrix()]
     for image in graph.images.values():
-        digest.update(f"{image.name} {image.camera} {image.frame}".encode())
-        digest.update(np.ascontiguousarray(image.keypoints).tobytes())
+        pieces += [(image.name, image.camera, image.frame), image.keypoints]
     for pair in graph.pairs:
-        digest.update(f"{pair.image1} {pair.image2}".encode())
+        pieces.append((pair.image1, pair.image2))
         if pair.geometry is not None:
-            digest.update(pair.geometry.status.encode() + pair.geometry.inliers.tobytes())
-            digest.update(pair.geometry.cam2_from_cam1.matrix().tobytes())
-    return digest.hexdigest()
+            pieces += [pair.geometry.status, pair.geometry.inliers]
+            pieces.append(pair.geometry.cam2_from_cam1.matrix())
+    return fingerprint(*pieces)
 
 
 def _map(
     graph: MatchGraph,
+    colors: Colors,
     output: Path,
     options: MapperOptions,
-    fingerprint: str,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write database and models, and the record that says from what."""
+    """Write database and models; returns what the record says of them."""
     start = time.perf_counter()
-    write_file(output / RECORD, b"{}")  # from here on database and models are ours
+    write_record(output / RECORD, {})  # from here on database and models are ours
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
     write_colmap_database(output / DATABASE, graph)
-    found = run_mapper(output / DATABASE, options, colors=load_colors(output), progress=progress)
-    temporary = output / f".{MODELS}.{os.getpid()}.tmp"
-    try:
-        for number, model in enumerate(found):
-            (temporary / str(number)).mkdir(parents=True)
-            model.write_binary(temporary / str(number))
-        shutil.rmtree(output / MODELS, ignore_errors=True)
-        if found:
-            os.replace(temporary, output / MODELS)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    record = {
-        "fingerprint": fingerprint,
+    found = run_mapper(output / DATABASE, options, colors=colors, progress=progress)
+    shutil.rmtree(output / MODELS, ignore_errors=True)
+    if found:
+        with whole_folder(output / MODELS) as temporary:
+            for number, model in enumerate(found):
+                (temporary / str(number)).mkdir()
+                model.write_binary(temporary / str(number))
+    return {
         "seconds": time.perf_counter() - start,
         "mean_error_px": [model.compute_mean_reprojection_error() for model in found],
     }
-    write_file(output / RECORD, json.dumps(record, indent=1).encode())
-    return record
 
 
 def _reasons(

@@ -14,16 +14,8 @@ from epi360.jobs.folder_files import files_below
 class MaskSource:
     """One mask for all images, or a folder with a file per image.
 
-    Parameters
-    ----------
-    path : Path or None
-        A mask file; or a folder where the mask of ``a/b.jpg`` is ``a/b`` with any suffix of an
-        image, or ``a/b.jpg.png`` as COLMAP has it. None: no masks.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file or folder.
+    In a folder the mask of ``a/b.jpg`` is ``a/b`` with any suffix of an image, or ``a/b.jpg.png``
+    as COLMAP has it. Without a path there are no masks.
     """
 
     def __init__(self, path: Path | None) -> None:

@@ -36,20 +36,8 @@ Result = TypeVar("Result")
 class MatchJob:
     """State of a run: keys of the images, and which images turned out to be unreadable.
 
-    Parameters
-    ----------
-    images : ImageSet
-        All images.
-    output : Path
-        Folder that `open_output` made.
-    cache : FeatureCache
-        Of the output.
-    seed : int
-        Of the sampling.
-    num_threads : int, optional
-        By default one per core.
-    progress : callable
-        Stages "images", "features" and "pairs".
+    ``output`` is a folder that `open_output` made; ``progress`` is told of the stages "images",
+    "features" and "pairs".
     """
 
     def __init__(
@@ -75,13 +63,7 @@ class MatchJob:
         self._features_of = lru_cache(_IMAGES_IN_MEMORY)(self._load_features)
 
     def find_features(self, wanted: Sequence[int]) -> None:
-        """Find the key points of images, where they are not known.
-
-        Parameters
-        ----------
-        wanted : sequence of int
-            Images.
-        """
+        """Find the key points of images, where they are not known."""
 
         def find_key(index: int) -> None:
             self.keys[index] = self.cache.key(self.images[index], self.cameras[index])
@@ -93,13 +75,7 @@ class MatchJob:
         self._for_each_image(missing, self._extract, "features", len(contents) - len(missing))
 
     def verify(self, pairs: Sequence[Pair]) -> tuple[dict[Keys, Verdict], int]:
-        """Verdicts of the pairs by their keys, and how many of them were there.
-
-        Parameters
-        ----------
-        pairs : sequence of (int, int)
-            Images.
-        """
+        """Verdicts of the pairs by their keys, and how many of them were there."""
         wanted = {self.keys_of(pair): pair for pair in pairs if self.is_readable(pair)}
         finished = {
             pair.keys: pair.verdict for pair in read_parts(self.output) if pair.keys in wanted
@@ -208,23 +184,11 @@ class MatchJob:
         return self.cache.extract(self.keys[index], self.images[index], self.cameras[index])
 
     def is_readable(self, pair: Pair) -> bool:
-        """Whether both images could be used so far.
-
-        Parameters
-        ----------
-        pair : (int, int)
-            Images.
-        """
+        """Whether both images could be used so far."""
         return not any(self.images[index].name in self.unreadable for index in pair)
 
     def keys_of(self, pair: Pair) -> Keys:
-        """Keys of the key points of both images.
-
-        Parameters
-        ----------
-        pair : (int, int)
-            Readable images.
-        """
+        """Keys of the key points of two readable images."""
         return self.keys[pair[0]], self.keys[pair[1]]
 
     def _for_each_image(

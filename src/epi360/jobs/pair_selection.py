@@ -26,34 +26,16 @@ def select_pairs(
 ) -> tuple[str, list[Pair]]:
     """Pairs to match, and in words how they were chosen.
 
-    Parameters
-    ----------
-    images : sequence of SourceImage
-        In order.
-    pairs : str or Path
-        "sequential", "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
-        path of a pairs file.
-    overlap : int
-        Sequential: each image with so many after it, and with those 2, 4 and 8 times as far ahead.
-
-    Returns
-    -------
-    how : str
-        Such as "exhaustive".
-    chosen : list of (int, int)
-        Indices of images, each unordered pair once.
+    ``pairs`` is "sequential" (each image with ``overlap`` after it, and with those 2, 4 and 8 times
+    as far ahead), "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
+    path of a pairs file. Each unordered pair of indices comes once. A sequence is all images in
+    their order, across sub-folders; of a rig, it is each camera's images by frame, and images of
+    different cameras at most one frame apart.
 
     Raises
     ------
     ValueError
         If the pairs file names an image that is not there, or cannot be read.
-    FileNotFoundError
-        If it does not exist.
-
-    Notes
-    -----
-    Sequences: all images in their order, across sub-folders. Of a rig: each camera's images by
-    frame, and images of different cameras at most one frame apart.
     """
     if pairs == "auto":
         pairs = "exhaustive" if len(images) <= MAX_EXHAUSTIVE else "sequential"

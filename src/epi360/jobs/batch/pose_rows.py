@@ -48,22 +48,10 @@ def part_schema() -> Any:
 
 
 def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> Any:
-    """Table of the poses of pairs, one row a pair.
+    """Poses of at least one pair as a pyarrow table, one row a pair, with `part_schema`.
 
-    Parameters
-    ----------
-    pairs : PairMatches
-        At least one pair.
-    seed : int
-        Of the job.
-    num_threads : int, optional
-        Native threads; by default one per core. The poses do not depend on it.
-
-    Returns
-    -------
-    rows : pyarrow.Table
-        With `part_schema`; what the matches do not determine is NaN. ``seconds`` is the wall time
-        of the pair's estimate on its thread, without reading and writing.
+    What the matches do not determine is NaN. ``seconds`` is the wall time of the pair's estimate on
+    its thread, without reading and writing.
     """
     names = list(zip(pairs.image1, pairs.image2, strict=True))
     results, seconds = estimate_timed_poses(

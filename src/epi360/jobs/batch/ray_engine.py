@@ -21,10 +21,10 @@ from itertools import groupby, islice
 from typing import Any
 
 from epi360.extras import extra_library
-from epi360.jobs.batch import storage
+from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.job import BatchJob, check_parts, estimate_parts
-from epi360.jobs.batch.sources import open_matches
 from epi360.progress import Progress
+from epi360.runs import storage
 
 # Also what Ray takes by default: a machine may vanish thrice before the part itself is suspected.
 _MAX_RETRIES = 3
@@ -45,27 +45,16 @@ def estimate_parts_on_ray(
     *,
     address: str | None,
     progress: Progress,
-    there: int,
+    num_done: int,
     total: int,
 ) -> None:
     """Check all parts, then estimate them, in Ray tasks of one CPU; the workers write the files.
 
-    Parameters
-    ----------
-    job : BatchJob
-        The batch. On a cluster all machines must see its input and its output, and have this
-        version of epi360.
-    parts : sequence of int
-        Which are missing.
-    address : str, optional
-        Of a cluster, as `ray.init` takes it. By default that of the environment's RAY_ADDRESS,
-        and without it Ray is started on this machine and stopped at the end. A session that the
-        process has open already is used instead and stays open.
-    progress : callable
-        Gets ("checked pairs", done, all of these parts), then ("pairs", done, total), after each
-        task.
-    there, total : int
-        Pairs that are done already, and in all.
+    On a cluster all machines must see the input and the output of the job, and have this version of
+    epi360. ``address`` is that of a cluster, as `ray.init` takes it; by default that of the
+    environment's RAY_ADDRESS, and without it Ray is started on this machine and stopped at the end.
+    A session that the process has open already is used instead and stays open. ``progress`` gets
+    ("checked pairs", done, all of these parts), then ("pairs", done, total), after each task.
 
     Raises
     ------
@@ -86,16 +75,16 @@ def estimate_parts_on_ray(
     job = _with_absolute_paths(job)
     with _session(ray, address):
         tasks = _tasks(parts, groups, _num_cpus(ray))
-        checked, missing = 0, total - there
+        checked, missing = 0, total - num_done
         progress("checked pairs", checked, missing)
         for finished in _finished_tasks(ray, _check, job, tasks):
             checked += sum(sizes[part] for part in finished)
             progress("checked pairs", checked, missing)
-        progress("pairs", there, total)
+        progress("pairs", num_done, total)
         for finished in _finished_tasks(ray, _estimate, job, tasks):
             _find_files(job, finished)
-            there += sum(sizes[part] for part in finished)
-            progress("pairs", there, total)
+            num_done += sum(sizes[part] for part in finished)
+            progress("pairs", num_done, total)
 
 
 @contextmanager

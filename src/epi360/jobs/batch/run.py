@@ -5,17 +5,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, get_args
 
-from epi360.jobs.batch import storage
+from epi360.jobs.batch.inputs import check_names, open_matches
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
 from epi360.jobs.batch.local_engine import estimate_parts_locally
-from epi360.jobs.batch.lock import only_run
 from epi360.jobs.batch.parts import count_statuses, output_is_there
-from epi360.jobs.batch.sources import check_names, open_matches
 from epi360.progress import Progress, no_progress
+from epi360.runs import storage
+from epi360.runs.lock import only_run
 
 Engine = Literal["local", "ray"]
 
@@ -27,9 +28,9 @@ class BatchSummary:
     Attributes
     ----------
     num_pairs : int
-        In the output.
+        Pairs in the output.
     num_estimated : int
-        Of these, estimated by this run and not by one before.
+        Those of them that this run has estimated, and not one before.
     seconds : float
         Wall time of estimating them.
     statuses : mapping of str to int
@@ -59,22 +60,18 @@ def run_batch(
     Parameters
     ----------
     job : BatchJob
-        The batch.
+        What is read and written.
     engine : str
         "local" (native threads) or "ray".
     num_threads : int, optional
-        Of the local engine; by default one per core.
+        Threads of the local engine; by default one per core.
     address : str, optional
-        Of a Ray cluster; by default Ray is started on this machine.
+        Address of a Ray cluster; by default Ray is started on this machine.
     database : str, optional
         Write a copy of the COLMAP database with the two-view geometries.
     progress : callable
         Gets ("checked pairs", done, total) for the pairs that are missing, then ("pairs", done,
         total); what earlier runs have done is in the first call.
-
-    Returns
-    -------
-    summary : BatchSummary
 
     Raises
     ------
@@ -88,7 +85,9 @@ def run_batch(
         raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}, got {engine!r}")
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
-    with only_run(job.output):
+    # Nobody can lock a URL. Files appear whole there too: two runs at once cannot mix poses.
+    remote = storage.is_remote(job.output)
+    with nullcontext() if remote else only_run(storage.local_path(job.output)):
         return _run(job, engine, num_threads, address, database, progress)
 
 
@@ -111,7 +110,7 @@ def _run(
     start = time.perf_counter()
     if missing:
         estimate = _engine(engine, num_threads, address)
-        estimate(job, missing, progress=progress, there=total - todo, total=total)
+        estimate(job, missing, progress=progress, num_done=total - todo, total=total)
     seconds = time.perf_counter() - start
     if not is_merged:
         merge_parts(job)
