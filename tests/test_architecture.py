@@ -13,7 +13,7 @@ import epi360
 
 PACKAGE = Path(epi360.__file__).parent
 LAYERS = [
-    "_core", "extras", "progress", "runs", "files", "poses", "cameras", "features", "epipolar",
+    "_core", "extras", "progress", "runs", "poses", "cameras", "features", "epipolar",
     "estimation", "second_look", "two_view", "odometry", "synthetic", "datasets", "experiments",
     "interop", "jobs", "report", "cli",
 ]  # fmt: skip

@@ -160,8 +160,8 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
 
 def write_pairs_table(run: MatchRun) -> Path:
     """Write pairs.csv, a row a pair, and return its path."""
-    from epi360.files import write_file
     from epi360.report.match_table import pairs_csv
+    from epi360.runs.whole_files import write_file
 
     table = run.folder / "pairs.csv"
     write_file(table, pairs_csv(run))

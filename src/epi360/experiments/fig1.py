@@ -25,9 +25,9 @@ from epi360.experiments.plots import (
 )
 from epi360.experiments.results import markdown_table, save_trials
 from epi360.experiments.tracked_pair import TrackedPair, save_pair_page, track_pair
-from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.progress import Progress
+from epi360.runs.whole_files import write_file
 from epi360.synthetic import scene
 
 Array = NDArray[np.float64]

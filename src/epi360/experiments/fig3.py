@@ -17,9 +17,9 @@ from epi360.experiments.parts import Trials
 from epi360.experiments.plots import png_of
 from epi360.experiments.results import markdown_table, save_page, save_trials
 from epi360.experiments.trials import Trial, run_trials
-from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.progress import Progress
+from epi360.runs.whole_files import write_file
 from epi360.synthetic import TwoViewScene, two_view_scene
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from epi360.experiments.parts import Trials
 from epi360.experiments.results import in_thousandths
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 QUANTILES = (0.25, 0.5, 0.75)
 KINDS = ("rotation", "translation")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 Row = Mapping[str, float | int | str]
 

@@ -11,7 +11,7 @@ from typing import get_args
 
 from epi360.experiments import EXPERIMENTS
 from epi360.experiments.options import ProtocolName
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 BEGIN = "<!-- begin: epi360 reproduce report -->"
 END = "<!-- end: epi360 reproduce report -->"

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from epi360.experiments.options import ReproduceOptions
 from epi360.experiments.parts import TIMING_PREFIX, Trials
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 # What a Markdown table shows where the paper has no number.
 NO_NUMBER = "–"

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from epi360.cameras import Equirectangular
 from epi360.experiments.options import ReproduceOptions
 from epi360.features import track_features
-from epi360.files import write_file
 from epi360.poses import Pose, rotation_from_vector
+from epi360.runs.whole_files import write_file
 from epi360.synthetic import Room
 
 Array = NDArray[np.float64]
