@@ -16,9 +16,9 @@ from itertools import count
 import numpy as np
 
 from epi360.interop.colmap_model_files import FrameEntry, RigEntry
-from epi360.interop.colmap_rigs import CAMERA, cameras_of_rigs, frames_of_images
+from epi360.interop.colmap_rigs import CAMERA, cameras_of_rigs, frames_of_images, pose_of_sensor
 from epi360.interop.reconstruction import PosedImage, Reconstruction
-from epi360.poses import Pose, pose_from_quaternion
+from epi360.poses import Pose
 
 MAX_DIFFERENCE = 1e-9  # of a rotation's elements; of a translation, relative where it is above 1
 Frames = list[list[PosedImage]]
@@ -132,12 +132,10 @@ def rig_files(reconstruction: Reconstruction, *, text: bool) -> dict[str, bytes]
 
 
 def _pose(camera: str, numbers: tuple[float, ...]) -> Pose:
-    wxyz, translation = np.array(numbers[:4]), np.array(numbers[4:])
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(wxyz)
-    if not (0 < length < np.inf and np.isfinite(translation).all()):
+    pose = pose_of_sensor(np.array(numbers))
+    if pose is None:
         raise ValueError(f"camera {camera} must have a pose on its rig, got {list(numbers)}")
-    return pose_from_quaternion(translation, wxyz / length)
+    return pose
 
 
 def _fitting_frames(frames: Frames, cam_from_rig: Mapping[str, Pose]) -> Frames:

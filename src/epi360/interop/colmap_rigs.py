@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.extras import extra_library
 from epi360.interop.colmap_pairs import ColmapPairs
@@ -195,9 +196,19 @@ def _pose(pairs: ColmapPairs, camera_id: int, blob: bytes | None) -> Pose:
         return Pose(np.eye(3), np.zeros(3))
     what = f"pose of camera {camera_id} on its rig"
     numbers = pairs.array((1, 7, blob), np.float64, what)[0]
-    if not (np.isfinite(numbers).all() and numbers[:4].any()):
+    pose = pose_of_sensor(numbers)
+    if pose is None:
         raise pairs.error(f"{what} must be a quaternion and a translation, got {numbers.tolist()}")
-    return pose_from_quaternion(numbers[4:], numbers[:4] / np.linalg.norm(numbers[:4]))
+    return pose
+
+
+def pose_of_sensor(numbers: NDArray[np.float64]) -> Pose | None:
+    """Pose of a quaternion and a translation, seven numbers; None where they are damaged."""
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(numbers[:4])
+    if not (0 < length < np.inf and np.isfinite(numbers).all()):
+        return None
+    return pose_from_quaternion(numbers[4:], numbers[:4] / length)
 
 
 def _sensor(camera_id: int) -> Any:
