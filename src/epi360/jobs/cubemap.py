@@ -166,6 +166,8 @@ class _Cutter:
         """Make the output folder, or check it and remove faces that have another camera or mask."""
         if self.output.resolve() == self.folder.resolve():
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
+        for face in names.values():
+            self._face_file(face)  # ValueError, before anything is written or removed
         self.output.mkdir(parents=True, exist_ok=True)
         record = {
             "options": _options(self.options, self.mask_nadir_deg),
@@ -175,8 +177,6 @@ class _Cutter:
                 for image in reconstruction.images
             },
         }
-        for face in names.values():
-            self._face_file(face)  # raises, before anything is written or removed
         before = check_cubemap_folder(self.output, self.options, self.mask_nadir_deg)
         for face in self._stale(before.get("made_from", {}), record["made_from"], names):
             self._face_file(face).unlink(missing_ok=True)
