@@ -32,12 +32,10 @@ class SourceImage:
         Path below the folder of the images with "/" between its parts, spelt as on disk: an
         accent is one character or two as the file system has it.
     path : Path
-        Where the file is.
     camera : str
         Key in the cameras of the set.
     mask : Path or None
-        Its mask, of the same size, white = use; None: the whole image. Its content is checked when
-        it is read.
+        White = use; None: the whole image. Its content is checked when it is read.
     frame : str or None
         Images of a rig that share it were taken at one moment; None: a frame of its own.
     """
@@ -56,7 +54,7 @@ class ImageSet:
     Attributes
     ----------
     folder : Path
-        That the names of the images start from.
+        The names of the images start from it.
     cameras : dict of str to Camera
         By name: those of the camera file, or one for each size of panorama.
     images : tuple of SourceImage

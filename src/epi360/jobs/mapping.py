@@ -71,7 +71,6 @@ class MapRun:
     unregistered : mapping of str to str
         Image without a pose in the first model, and the reason.
     num_images : int
-        Images of the folder.
     seconds : mapping of str to float
         Wall time of the "matching" of this run and of the "mapping".
     remarks : tuple of str
@@ -104,6 +103,12 @@ def map_images(
     ``restart``, pairs that were matched with other options are thrown away instead of refusing
     them.
 
+    Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
+    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
+    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
+    was matched is not matched again, and what was mapped from the same matches with the same
+    options is not mapped again.
+
     Raises
     ------
     ValueError
@@ -113,14 +118,6 @@ def map_images(
         If it cannot be written.
     ImportError
         If pycolmap is missing.
-
-    Notes
-    -----
-    Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
-    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
-    was matched is not matched again, and what was mapped from the same matches with the same
-    options is not mapped again.
     """
     options = options or MapOptions()
     extra_library("pycolmap", extra="colmap", purpose="maps")  # before hours of matching
