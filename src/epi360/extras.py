@@ -14,9 +14,9 @@ def extra_library(name: str, *, extra: str, purpose: str) -> Any:
     Parameters
     ----------
     name : str
-        Of the module, such as ``"pycolmap"`` or ``"pyarrow.parquet"``.
+        Name of the module, such as ``"pycolmap"`` or ``"pyarrow.parquet"``.
     extra : str
-        Of the package that brings it, such as ``"colmap"``.
+        Extra of this package that brings it, such as ``"colmap"``.
     purpose : str
         What needs it, in the plural: "COLMAP databases".
 

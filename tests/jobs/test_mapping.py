@@ -294,7 +294,7 @@ def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp
         (["cubemap", "MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
         (["cubemap", "MODEL", "IMAGES", "OUT", "--fov-deg", "180"], " --fov-deg must be"),
         (["cubemap", "MODEL", "IMAGES", "OUT", "--mask-nadir-deg=-5"], " --mask-nadir-deg must"),
-        (["map", "IMAGES", "--jobs", "0"], " --jobs must be at least 1, got 0"),
+        (["map", "IMAGES", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
         (["map", "IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
     ],
 )

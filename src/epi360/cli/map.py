@@ -58,9 +58,9 @@ class CubeFaces:
     faces: Annotated[tuple[Face, ...], Parameter(consume_multiple=True, negative=())] = ALL_FACES
     """Only these, as in --faces front right back left; an operator is in down."""
     image_format: Literal["jpg", "png"] = "jpg"
-    """Of the faces."""
+    """File format of the faces."""
     jpeg_quality: int = 95
-    """1 to 100."""
+    """Quality of JPEG faces, 1 to 100."""
 
 
 MAPPING, CUBE_FACES = Mapping(), CubeFaces()
