@@ -30,24 +30,13 @@ DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How a folder is mapped.
+    """How a folder is mapped."""
 
-    Attributes
-    ----------
-    match : MatchOptions
-        How pairs are found; its seed is also the mapper's.
-    mapper : "incremental" or "global"
-        COLMAP's mapper: one image after the other, or all at once.
-    refine_cameras : bool
-        Refine the focal length and distortion of fisheye and pinhole cameras; panoramas have none.
-    mapper_threads : int
-        More than one is faster where there are many images, but the last digits of the result
-        change from run to run.
-    """
-
-    match: MatchOptions = field(default_factory=MatchOptions)
-    mapper: Mapper = "incremental"
-    refine_cameras: bool = False
+    match: MatchOptions = field(default_factory=MatchOptions)  # its seed is also the mapper's
+    mapper: Mapper = "incremental"  # one image after the other; "global": all at once
+    refine_cameras: bool = False  # focal length and distortion; panoramas have none
+    # More than one is faster where there are many images, but the last digits of the result change
+    # from run to run.
     mapper_threads: int = 1
 
     def __post_init__(self) -> None:
@@ -60,32 +49,15 @@ class MapOptions:
 
 @dataclass(frozen=True, eq=False)
 class MapRun:
-    """What `map_images` found.
-
-    Attributes
-    ----------
-    matched : MatchRun
-        The pairs and their verdicts.
-    models : tuple of MappedModel
-        The one with the most images first; each has a world and a scale of its own.
-    unregistered : mapping of str to str
-        Image without a pose in the first model, and the reason.
-    num_images : int
-    seconds : mapping of str to float
-        Wall time of the "matching" of this run and of the "mapping".
-    remarks : tuple of str
-        Sentences about what could not be written.
-    was_mapped : bool
-        An earlier run mapped the same pairs: its models and its time.
-    """
+    """What `map_images` found."""
 
     matched: MatchRun
-    models: tuple[MappedModel, ...]
-    unregistered: Mapping[str, str]
+    models: tuple[MappedModel, ...]  # the largest first; each has its own world and scale
+    unregistered: Mapping[str, str]  # image without a pose in the first model, and the reason
     num_images: int
-    seconds: Mapping[str, float]
-    remarks: tuple[str, ...]
-    was_mapped: bool = False
+    seconds: Mapping[str, float]  # wall time of the "matching" of this run and of the "mapping"
+    remarks: tuple[str, ...]  # sentences about what could not be written
+    was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
 
 
 def map_images(

@@ -39,27 +39,15 @@ Keys = tuple[str, str]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict:
-    """What became of a pair, without its matches.
+    """What became of a pair, without its matches; most values are those of `RelativePoseResult`."""
 
-    Attributes
-    ----------
-    status, warnings, noise_deg, parallax_deg
-        As in `RelativePoseResult`; the status may also be "unreadable_image".
-    num_matches, num_inliers : int
-        Matches, and those that agree with the pose.
-    rotation_sigma_deg, translation_sigma_deg : float
-        One-sigma errors to expect, over all axes.
-    cam2_from_cam1 : Pose
-        |t| = 1; NaN where the pair does not determine it.
-    """
-
-    status: str
+    status: str  # also "unreadable_image"
     warnings: tuple[str, ...] = ()
     num_matches: int = 0
     num_inliers: int = 0
     noise_deg: float = np.nan
     parallax_deg: float = np.nan
-    rotation_sigma_deg: float = np.nan
+    rotation_sigma_deg: float = np.nan  # one-sigma errors to expect, over all axes
     translation_sigma_deg: float = np.nan
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
 

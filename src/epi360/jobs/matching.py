@@ -23,34 +23,17 @@ __all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_ima
 
 @dataclass(frozen=True)
 class MatchOptions:
-    """How images are matched.
+    """How images are matched."""
 
-    Attributes
-    ----------
-    pairs : str or Path
-        "auto", "sequential", "exhaustive" or the path of a pairs file, see `select_pairs`.
-    overlap : int
-        In a sequence, neighbours that follow an image.
-    max_width : int
-        Wider images are searched at this width; key points are in pixels of the originals. At
-        2048, real pairs 2688 wide have errors as small as at their full width, in half the time.
-    max_features : int
-        The strongest of each image are kept.
-    mask_nadir_deg : float
-        Ignore this angle around straight down.
-    seed : int
-        Random seed of the sampling.
-    num_threads : int, optional
-        By default one per core; the results do not depend on it.
-    """
-
-    pairs: str | Path = "auto"
-    overlap: int = 10
+    pairs: str | Path = "auto"  # see `select_pairs`
+    overlap: int = 10  # in a sequence: neighbours that follow an image
+    # Wider images are searched at this width; key points are in pixels of the originals. At 2048,
+    # real pairs 2688 wide have errors as small as at their full width, in half the time.
     max_width: int = 2048
-    max_features: int = 10000
-    mask_nadir_deg: float = 0.0
+    max_features: int = 10000  # the strongest of each image are kept
+    mask_nadir_deg: float = 0.0  # ignored around straight down
     seed: int = 0
-    num_threads: int | None = None
+    num_threads: int | None = None  # one per core; the results do not depend on it
 
     def __post_init__(self) -> None:
         """Check all options."""
@@ -82,30 +65,14 @@ class PairVerdict(Verdict):
 
 @dataclass(frozen=True, eq=False)
 class MatchRun:
-    """What a run of `match_images` found.
+    """What a run of `match_images` found."""
 
-    Attributes
-    ----------
-    folder : Path
-        Output: what `load_matches` takes.
-    how : str
-        How the pairs were chosen, in words.
-    images : tuple of str
-        Names of all images.
-    verdicts : tuple of PairVerdict
-        In the order of the pairs.
-    unreadable : mapping of str to str
-        Image to the reason why it could not be used.
-    num_found : int
-        Pairs that an earlier run had finished.
-    """
-
-    folder: Path
-    how: str
-    images: tuple[str, ...]
-    verdicts: tuple[PairVerdict, ...]
-    unreadable: Mapping[str, str]
-    num_found: int
+    folder: Path  # what `load_matches` takes
+    how: str  # how the pairs were chosen, in words
+    images: tuple[str, ...]  # names of all images
+    verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
+    unreadable: Mapping[str, str]  # image to the reason why it could not be used
+    num_found: int  # pairs that an earlier run had finished
 
 
 def match_images(

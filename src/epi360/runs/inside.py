@@ -7,20 +7,7 @@ from pathlib import Path, PurePath
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Path of a named file in a folder or its sub-folders.
-
-    Parameters
-    ----------
-    folder : path
-        Folder that is written.
-    name : str
-        Path below it, with "/" between its parts.
-
-    Raises
-    ------
-    ValueError
-        If the name is absolute, goes up ("..") or names no file.
-    """
+    """Path of a named file in a folder; ValueError where the name is absolute or goes up ("..")."""
     path = PurePath(name)
     if path.drive or path.root or ".." in path.parts or not path.parts:
         raise ValueError(

@@ -24,19 +24,7 @@ def only_run(output: str | os.PathLike[str]) -> Iterator[None]:
     blocks nobody. On a disk without locks the run goes on without: since files appear whole, two
     runs at once cannot mix their results, but one of them may miss parts.
 
-    Parameters
-    ----------
-    output : path
-        Its folder is made where it is missing.
-
-    Raises
-    ------
-    ValueError
-        If another run holds the lock; the message names its process and machine.
-    OSError
-        If the folder cannot be written.
-    ImportError
-        If filelock is missing.
+    If another run holds it, a ValueError says which process on which machine.
     """
     filelock = extra_library("filelock", extra="batch", purpose="batches")
     target = Path(os.path.realpath(output))

@@ -29,21 +29,7 @@ _ENDS = ("", "-journal", "-wal", "-shm")
 
 
 def write_file(path: PathLike, data: bytes) -> None:
-    """Write a file whole or not at all.
-
-    Parameters
-    ----------
-    path : str or path
-        Written or replaced; a symbolic link is followed, a device or pipe is written to. Missing
-        folders are not made.
-    data : bytes
-        Content.
-
-    Raises
-    ------
-    OSError
-        If the folder is missing or the file cannot be written.
-    """
+    """Write a file whole or not at all; a device or pipe is written to, missing folders stay so."""
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():  # renaming would replace /dev/null
         target.write_bytes(data)
@@ -61,24 +47,10 @@ def whole_file(path: PathLike, *, make_folder: bool = False) -> Iterator[IO[byte
 
 @contextmanager
 def whole_path(path: PathLike, *, make_folder: bool = False) -> Iterator[Path]:
-    """Temporary path that takes the place of a file when the block ends well.
+    """Temporary path, for the block to write, that takes the place of a file when the block ends.
 
-    Parameters
-    ----------
-    path : str or path
-        Written or replaced; a symbolic link is followed.
-    make_folder : bool
-        Make the folder where it is missing.
-
-    Yields
-    ------
-    temporary : Path
-        For the block to write and to close.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written; the error names the path that was asked for.
+    If the block fails, nothing is left of it. A symbolic link is followed. An error that says the
+    file cannot be written names the path that was asked for.
     """
     with whole_paths(path, make_folder=make_folder) as (temporary,):
         yield temporary
@@ -150,7 +122,11 @@ def _temporary(target: Path) -> Path:
 
 @lru_cache
 def _machine() -> str:
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+    """Hash of the machine, or of the container: each counts its processes by itself."""
+    processes = ""
+    with suppress(OSError):
+        processes = os.readlink("/proc/self/ns/pid")  # on Linux
+    return f"{zlib.crc32(f'{socket.gethostname()} {processes}'.encode()):08x}"
 
 
 @cache  # once a process: a folder may have a hundred thousand files

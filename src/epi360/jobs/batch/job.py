@@ -22,21 +22,11 @@ from epi360.two_view import IMAGE_OPTIONS
 
 @dataclass(frozen=True)
 class BatchJob:
-    """What is read, what is written and the seed; plain values that another machine understands.
-
-    Attributes
-    ----------
-    source : MatchSource
-        Where the matches are.
-    output : str
-        Parquet file of the poses: path, or URL that fsspec understands.
-    seed : int
-        A pair's seed is a hash of this one and the names of its images.
-    """
+    """What is read, what is written and the seed; plain values that another machine understands."""
 
     source: MatchSource
-    output: str
-    seed: int = 0
+    output: str  # Parquet file of the poses: path, or URL that fsspec understands
+    seed: int = 0  # a pair's seed is a hash of this one and the names of its images
 
     @property
     def parts_folder(self) -> str:

@@ -56,16 +56,8 @@ def estimate_parts_on_ray(
     A session that the process has open already is used instead and stays open. ``progress`` gets
     ("checked pairs", done, all of these parts), then ("pairs", done, total), after each task.
 
-    Raises
-    ------
-    ValueError
-        If a row cannot be used, then nothing is estimated, or a worker has another version of
-        epi360.
-    OSError
-        If a file cannot be read or written, the cluster does not answer, or a worker dies again
-        and again. Finished parts stay.
-    ImportError
-        If Ray is missing here, or epi360 on a worker.
+    If a row cannot be used, nothing is estimated. Finished parts stay where a file cannot be read
+    or written, the cluster does not answer, or a worker dies again and again (OSError).
     """
     for name, value in _QUIET.items():  # read when Ray is imported
         os.environ.setdefault(name, value)
@@ -224,15 +216,9 @@ def _raise_failure(ray: Any, finished: Any, parts: Sequence[int]) -> None:
 
 def _with_absolute_paths(job: BatchJob) -> BatchJob:
     """Job as a worker understands it, whose current folder is another one."""
-    source = job.source
-    absolute = replace(
-        source,
-        path=_absolute(source.path),
-        camera=_absolute(source.camera) if source.camera else None,
-        features=_absolute(source.features) if source.features else None,
-        pairs=_absolute(source.pairs) if source.pairs else None,
-    )
-    return replace(job, source=absolute, output=_absolute(job.output))
+    names = [name for name in ("path", "camera", "features", "pairs") if getattr(job.source, name)]
+    paths: dict[str, Any] = {name: _absolute(getattr(job.source, name)) for name in names}
+    return replace(job, source=replace(job.source, **paths), output=_absolute(job.output))
 
 
 def _absolute(path: str) -> str:

@@ -23,27 +23,13 @@ Engine = Literal["local", "ray"]
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a batch has done.
+    """What a batch has done."""
 
-    Attributes
-    ----------
-    num_pairs : int
-        Pairs in the output.
-    num_estimated : int
-        Those of them that this run has estimated, and not one before.
-    seconds : float
-        Wall time of estimating them.
-    statuses : mapping of str to int
-        Pairs by status, over the whole output.
-    files : tuple of str
-        What this run has written; empty where all was there.
-    """
-
-    num_pairs: int
-    num_estimated: int
-    seconds: float
-    statuses: Mapping[str, int]
-    files: tuple[str, ...]
+    num_pairs: int  # in the output
+    num_estimated: int  # those of them that this run has estimated, and not one before
+    seconds: float  # wall time of estimating them
+    statuses: Mapping[str, int]  # pairs by status, over the whole output
+    files: tuple[str, ...]  # what this run has written; empty where all was there
 
 
 def run_batch(
@@ -57,21 +43,11 @@ def run_batch(
 ) -> BatchSummary:
     """Estimate the poses of all pairs that are not estimated yet and write the output.
 
-    Parameters
-    ----------
-    job : BatchJob
-        What is read and written.
-    engine : str
-        "local" (native threads) or "ray".
-    num_threads : int, optional
-        Threads of the local engine; by default one per core.
-    address : str, optional
-        Address of a Ray cluster; by default Ray is started on this machine.
-    database : str, optional
-        Write a copy of the COLMAP database with the two-view geometries.
-    progress : callable
-        Gets ("checked pairs", done, total) for the pairs that are missing, then ("pairs", done,
-        total); what earlier runs have done is in the first call.
+    The engine is "local" (native threads, by default one per core) or "ray" (on the cluster of that
+    address, by default one that is started on this machine). With ``database``, a copy of COLMAP's
+    database with the two-view geometries is written there. ``progress`` gets ("checked pairs",
+    done, total) for the pairs that are missing, then ("pairs", done, total); what earlier runs have
+    done is in the first call.
 
     Raises
     ------

@@ -27,28 +27,14 @@ _MAGIC: dict[Kind, bytes] = {
 
 @dataclass(frozen=True)
 class MatchSource:
-    """Where the matches are; plain values.
+    """Where the matches are; plain values."""
 
-    Attributes
-    ----------
-    kind : str
-        "parquet", "colmap" (a database) or "hloc" (a pair of HDF5 files).
-    path : str
-        The Parquet file (path, or URL that fsspec understands), the database or the matches.
-    camera : str, optional
-        Calibration file, for pixels and key points whose file knows no camera.
-    features, pairs : str, optional
-        hloc's file of the key points, and a text file that says which pairs are wanted.
-    pairs_per_part : int
-        The most pairs that a part holds.
-    """
-
-    kind: Kind
-    path: str
-    camera: str | None = None
-    features: str | None = None
-    pairs: str | None = None
-    pairs_per_part: int = 1000
+    kind: Kind  # "colmap": a database; "hloc": a pair of HDF5 files
+    path: str  # the Parquet file (path, or URL that fsspec understands), database or matches
+    camera: str | None = None  # calibration file, if the file of the matches knows no camera
+    features: str | None = None  # hloc's file of the key points
+    pairs: str | None = None  # with hloc's matches: a text file of the pairs that are wanted
+    pairs_per_part: int = 1000  # at most
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -76,22 +62,12 @@ def kind_of(path: str) -> Kind:
 
 @dataclass(frozen=True, eq=False)
 class PairMatches:
-    """The pairs of one part.
-
-    Attributes
-    ----------
-    first_row : int
-        Row of the first pair in the input, from 0.
-    image1, image2 : list of str
-        Names, one a pair.
-    bearings1, bearings2 : list of ndarray, shape (M, 3)
-        One a pair; NaN rows are missing.
-    """
+    """The pairs of one part: the row of the first in the input, names and bearings, one a pair."""
 
     first_row: int
     image1: list[str]
     image2: list[str]
-    bearings1: list[Array]
+    bearings1: list[Array]  # each (M, 3); NaN rows are missing
     bearings2: list[Array]
 
     def __len__(self) -> int:
