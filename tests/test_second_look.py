@@ -28,6 +28,10 @@ def test_only_a_pose_and_a_pure_rotation_are_settled():
     assert [status for status in statuses if is_settled(status)] == ["ok", "pure_rotation"]
 
 
+def test_a_pose_with_a_warning_is_not_settled():
+    assert not is_settled("ok", ("most inliers are on one side",))
+
+
 def test_a_pose_is_precise_below_a_tenth_and_three_tenths_of_a_degree(result):
     assert is_precise(with_sigmas(result, 0.09, 0.29))
     assert not is_precise(with_sigmas(result, 0.11, 0.29))

@@ -175,7 +175,7 @@ def cubemap(
         raise ValueError(f"{model} holds matches; a cubemap needs poses, as epi360 map finds them")
     reconstruction = read_reconstruction(model, name)
     source = MaskSource(mask)
-    masks = {image.name: source.of(image.name) for image in reconstruction.images}
+    masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
     _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
     return SUCCESS

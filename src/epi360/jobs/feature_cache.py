@@ -66,7 +66,8 @@ class FeatureCache:
         rules = (EXTRACTION_VERSION, cv2.__version__, FAINT_CONTRAST_THRESHOLD)
         try:
             contents = [
-                b"" if path is None else self.digests.of(path) for path in (image.path, image.mask)
+                b"" if path is None else self.digests.digest_of(path)
+                for path in (image.path, image.mask)
             ]
         except OSError as error:
             raise UnreadableImageError(f"{error.filename}: {error.strerror}") from None

@@ -185,7 +185,7 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
         raise _Unusable("has a name that is not valid Unicode; rename it")
     size, gpano = _size_and_gpano(path)
     camera, frame = chosen.of(name, size, gpano)
-    mask = masks.of(name)
+    mask = masks.mask_of(name)
     mask_size = None if mask is None else masks.size_of(mask)
     if mask_size is not None and mask_size != size:
         raise _Unusable(

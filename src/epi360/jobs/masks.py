@@ -30,7 +30,7 @@ class MaskSource:
                 if mask.suffix.lower() in IMAGE_SUFFIXES:
                     self._masks.setdefault(_key(_without_suffix(name)), mask)
 
-    def of(self, name: str) -> Path | None:
+    def mask_of(self, name: str) -> Path | None:
         """Mask of an image by its name; None: it has none."""
         if self._masks is None:
             return self._path

@@ -100,12 +100,10 @@ class MatchJob:
     def _verified(self, pairs: Sequence[Pair]) -> list[VerifiedPair]:
         """Finished pairs; those of images that turned out to be unreadable are missing."""
         found = self._look(pairs, strong=True)
-        # A warning too asks for a closer look: of 55 real pairs one or two that succeed with one
-        # are 3 degrees off, and right when all key points are matched.
         unsettled = [
             pair
             for pair, each in found.items()
-            if not is_settled(each.verdict.status) or each.verdict.warnings
+            if not is_settled(each.verdict.status, each.verdict.warnings)
         ]
         for pair, each in self._look(unsettled, strong=False).items():
             if later_is_better(found[pair].verdict.status, each.verdict.status):

@@ -54,7 +54,9 @@ def _sequential(images: Sequence[SourceImage], overlap: int) -> list[Pair]:
     if len(moments) == len(images):
         return [(a, b) for a in range(len(images)) for b in _ahead(a, len(images), overlap)]
     steps = [(a, b) for a in range(len(moments)) for b in [a, *_ahead(a, len(moments), overlap)]]
-    return [pair for a, b in steps for pair in _of_rig(images, moments[a], moments[b], b - a)]
+    return [
+        pair for a, b in steps for pair in _pairs_of_moments(images, moments[a], moments[b], b - a)
+    ]
 
 
 def _ahead(index: int, count: int, overlap: int) -> list[int]:
@@ -63,16 +65,16 @@ def _ahead(index: int, count: int, overlap: int) -> list[int]:
     return [index + step for step in steps if index + step < count]
 
 
-def _of_rig(
-    images: Sequence[SourceImage], moment1: list[int], moment2: list[int], apart: int
+def _pairs_of_moments(
+    images: Sequence[SourceImage], moment1: list[int], moment2: list[int], num_frames: int
 ) -> Iterable[Pair]:
     """Pairs between two moments of a rig, or within one."""
-    if apart == 0:
+    if num_frames == 0:
         yield from combinations(moment1, 2)
         return
     for first in moment1:
         for second in moment2:
-            if apart <= CROSS_CAMERA_FRAMES or images[first].camera == images[second].camera:
+            if num_frames <= CROSS_CAMERA_FRAMES or images[first].camera == images[second].camera:
                 yield first, second
 
 

@@ -37,7 +37,7 @@ class FileDigests:
                 for path, (was, digest) in (found or {}).items()
             }
 
-    def of(self, path: Path) -> bytes:
+    def digest_of(self, path: Path) -> bytes:
         """Hash of the content of a file."""
         status = path.stat()
         now = [status.st_size, status.st_mtime_ns, status.st_ctime_ns]
