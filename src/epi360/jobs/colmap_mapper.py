@@ -19,8 +19,8 @@ from epi360.progress import Progress, no_progress
 Mapper = Literal["incremental", "global"]
 STAGE = "mapping images"
 _SMALLEST_MODEL = 3  # images; COLMAP's 10 would drop a room of a tour
-# What a verified pair has at least. With COLMAP's 30, 3 of the 17 panoramas of a real tour are
-# placed, with 15 in four models 14 of them; where images are dense nothing changes.
+# A verified pair has at least so many inliers. With COLMAP's 30, 3 of the 17 panoramas of a real
+# tour get a pose; with 15, 14 of them do, in four models. Where images are dense nothing changes.
 _MIN_INLIERS = 15
 
 
@@ -58,8 +58,8 @@ def run_mapper(
     progress(STAGE, 0, num_images)
     with _quiet(pycolmap), TemporaryDirectory() as scratch:
         pycolmap.set_random_seed(options.seed)
-        # In place of the images a folder without any: COLMAP would decode each for the colors of
-        # the points, and not turn those that have an orientation tag.
+        # COLMAP gets a folder without images: it would decode each of them for the colors of the
+        # points, and not turn those that have an orientation tag.
         paths = (str(database), scratch, scratch)
         if options.mapper == "global":
             found = pycolmap.global_mapping(*paths, _global_options(pycolmap, options))
@@ -111,8 +111,8 @@ def _incremental_options(pycolmap: Any, options: MapperOptions) -> Any:
     chosen.ba_refine_extra_params = options.refine_cameras
     chosen.ba_refine_sensor_from_rig = False
     chosen.mapper.abs_pose_min_num_inliers = _MIN_INLIERS
-    # Two images alone, and most of a tour, have no other points. On three sequences with known
-    # poses: 1.6 times the points, the same errors, a tenth to a third more time.
+    # Two images alone have no other points, nor has most of a tour. Three sequences with known
+    # poses get 1.6 times the points and the same errors, in a tenth to a third more time.
     chosen.triangulation.ignore_two_view_tracks = False
     chosen.mapper.abs_pose_refine_focal_length = options.refine_cameras
     chosen.mapper.abs_pose_refine_extra_params = options.refine_cameras

@@ -67,7 +67,7 @@ def face_from_cam(face: FaceName) -> Pose:
 
 def face_camera(camera: Camera, options: CubemapOptions) -> Pinhole:
     """Square pinhole camera of the faces of a camera, its principal point in the middle."""
-    tangent = round(math.tan(math.radians(options.fov_deg / 2)), 14)  # of 45 degrees: 1
+    tangent = round(math.tan(math.radians(options.fov_deg / 2)), 14)  # exactly 1 for 45 degrees
     size = options.face_size
     if size is None:
         size = max(8, 2 * round(tangent * pixels_per_radian(camera) * math.pi / 4))

@@ -239,7 +239,7 @@ class _Cutter:
     def _masks_of_faces(
         self, panorama: str, camera: Camera, samplers: Mapping[FaceName, FaceSampler]
     ) -> dict[FaceName, bytes]:
-        """Encoded masks; one mask for all panoramas is cut once: 8 s of a panorama 11008 wide."""
+        """Encoded masks; one mask of all panoramas is cut once: 8 s if they are 11008 wide."""
         file = self.masks.get(panorama)
         if self._face_masks is None or self._face_masks[:2] != (camera, file):
             mask = self._mask(panorama, camera)
@@ -267,7 +267,7 @@ class _Cutter:
         return inside(self.output / "masks", f"{face}.png")
 
 
-_nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # 5 s of a panorama 11008 wide
+_nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # takes 5 s for a panorama 11008 wide
 
 
 def _record_before(path: Path) -> dict[str, Any]:

@@ -23,7 +23,7 @@ class FaceSampler:
     def __init__(self, camera: Camera, pinhole: Pinhole, face: FaceName) -> None:
         self._wraps = isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360
         self._size = pinhole.width
-        # A face pixel that covers several of the picture is the mean of as many samples a side.
+        # If a face pixel covers several of the picture, it is the mean of so many samples a side.
         self._samples = max(1, round(pixels_per_radian(camera) / pinhole.fx))
         self._map = self._build_map(camera, pinhole, face)
         seen = np.where(np.isfinite(self._map[0]), np.uint8(255), np.uint8(0))

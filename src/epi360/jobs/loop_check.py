@@ -20,8 +20,8 @@ from epi360.jobs.match_store import Verdict
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# A triangle is open beyond this. Right triangles of a real tour miss by up to 2.5 degrees, which is
-# six times their sigma, where the inliers cover a small part of the sphere.
+# A triangle that misses by more is open. Right triangles of a real tour miss by up to 2.5 degrees,
+# six times their sigma, if the inliers cover a small part of the sphere.
 _SIGMAS = 4.0
 _FLOOR_DEG = 1.0
 _BLOCK = 1 << 18  # triangles at a time: 100 MB

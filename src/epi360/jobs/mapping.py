@@ -126,8 +126,8 @@ def map_images(
 
 
 def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
-    # One triangle is not enough: of a pose that is 10 degrees off most inliers can be right
-    # matches, and where pairs are few, a map falls apart without them.
+    # One triangle is not enough: even if a pose is 10 degrees off, most of its inliers can be
+    # right matches, and where pairs are few, a map falls apart without them.
     dropped = {
         (pair.image1, pair.image2)
         for pair in matched.verdicts

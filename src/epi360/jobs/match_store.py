@@ -81,7 +81,7 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
-    # Before all else: a folder with more is not ours.
+    # The marker comes first: a folder with other files and without it is not ours.
     write_record(folder / MARKER, wanted)
     for part in (FEATURES, PAIRS):
         (folder / part).mkdir(exist_ok=True)

@@ -10,12 +10,12 @@ from pathlib import Path
 from epi360.interop.pairs_file import read_pairs_file
 from epi360.jobs.image_set import SourceImage
 
-# All pairs of so many panoramas take a minute or two on two cores.
+# Two cores match all pairs of so many panoramas in a minute or two.
 MAX_EXHAUSTIVE = 30
-# Beside its neighbours each image is matched with a few farther ahead, up to so many times as far:
-# where the camera came back or a neighbour failed, the sequence holds together.
+# Beside its neighbours each image is matched with a few that are up to so many times as far ahead:
+# they hold the sequence together where the camera came back or a neighbour failed.
 FARTHEST = 8
-# Cameras of a rig look to different sides: what one sees the other saw a moment ago, or not at all.
+# The cameras of a rig look to different sides: what one sees, another saw a moment ago or never.
 CROSS_CAMERA_FRAMES = 1
 
 Pair = tuple[int, int]

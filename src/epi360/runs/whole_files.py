@@ -109,7 +109,7 @@ def _named(path: PathLike, temporary: Path) -> Iterator[None]:
         yield
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(temporary)):
-            raise  # of a file that the block reads
+            raise  # the block reads another file
         reason = f"cannot write ({error.strerror or error})"
         raise OSError(error.errno, reason, os.fspath(path)) from error
 
@@ -132,7 +132,7 @@ def _machine() -> str:
 @cache  # once a process: a folder may have a hundred thousand files
 def remove_leftovers(folder: Path) -> None:
     """Remove what processes of this machine that have ended were writing into a folder."""
-    if os.name != "posix":  # elsewhere asking for a process ends it
+    if os.name != "posix":  # Windows ends a process that is asked for like this
         return
     with suppress(OSError):
         for entry in list(os.scandir(folder)):
@@ -147,7 +147,7 @@ def _is_running(process: int) -> bool:
     except ProcessLookupError:
         return False
     except (OSError, OverflowError):
-        return True  # somebody else's
+        return True  # the process is somebody else's
     return True
 
 

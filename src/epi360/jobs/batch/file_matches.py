@@ -85,7 +85,7 @@ class FileMatches:
 
     @property
     def part_groups(self) -> list[int]:
-        """All in one: whoever opens the file must read the list of all pairs."""
+        """One group for all: whoever opens the file must read the list of all pairs."""
         return [0] * len(self._parts)
 
     def names(self) -> Iterator[tuple[Sequence[str], Sequence[str]]]:

@@ -55,8 +55,8 @@ class BatchJob:
 def check_parts(job: BatchJob, parts: Sequence[int]) -> Iterator[int]:
     """Read parts, given in rising order, and check their matches; yields the pairs of each.
 
-    Reading takes a fiftieth of the time of the estimates. A wrong row found in their midst would
-    cost all of them: once it is corrected, the parts that are finished are of another input.
+    Reading takes a fiftieth of the time of the estimates. If a wrong row came to light in the midst
+    of them, all would be lost: with the row corrected, the finished parts are of another input.
     """
     with open_matches(job.source) as matches:
         for pairs in matches.read(parts):

@@ -198,7 +198,7 @@ class ParquetMatches:
 def _numpy(array: Any, missing: float = 0) -> NDArray[Any]:
     """NumPy array of numbers, read-only.
 
-    Not by pyarrow's to_numpy, which imports pandas where there is one: half a second and 30 MB.
+    The method to_numpy of pyarrow would import pandas if there is one: half a second and 30 MB.
     """
     return np.from_dlpack(array.fill_null(missing) if array.null_count else array)
 

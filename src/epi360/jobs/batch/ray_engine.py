@@ -26,13 +26,13 @@ from epi360.jobs.batch.job import BatchJob, check_parts, estimate_parts
 from epi360.progress import Progress
 from epi360.runs import storage
 
-# Also what Ray takes by default: a machine may vanish thrice before the part itself is suspected.
+# This is also Ray's default: a machine may vanish three times before the part is suspected.
 _MAX_RETRIES = 3
 # Nothing of ours goes through the object store; 75 MiB is the least that Ray accepts.
 _OBJECT_STORE_BYTES = 80 * 2**20
 _SECONDS_TO_ANSWER = 10.0
-# What the user has set stays. Ray prints deaths of workers on stdout, in the middle of our results;
-# it drops lines that match an expression, and this one matches all.
+# What the user has set stays. Ray prints on stdout, in the middle of our results, that a worker has
+# died; it drops lines that match this expression, which are all.
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
@@ -114,9 +114,9 @@ def _check_answers(address: str) -> None:
 def _tasks(parts: Sequence[int], groups: Sequence[int], num_cpus: int) -> list[list[int]]:
     """Parts of each task, neighbours in one group.
 
-    A task passes over the parts of its group that come before its own. A group of n parts is passed
-    over n / 2 times if each is a task, and half the root of n times if tasks are of as many parts;
-    but each CPU should get two tasks.
+    A task reads over the parts of its group that come before its own. If each of n parts is a task,
+    the group is read n / 2 times; if a task has as many parts as the square root of n, it is read
+    half that root times. But each CPU should get two tasks.
     """
     tasks, sizes = [], Counter(groups)
     for group, members in groupby(parts, key=lambda part: groups[part]):
@@ -138,8 +138,8 @@ def _finished_tasks(
     waiting, identity = iter(tasks), job.identity("")
     running: dict[Any, list[int]] = {}
     while True:
-        # Two a CPU of the moment: none waits for us, and an autoscaler sees that more is wanted.
-        # Bounded, as every task in flight costs the driver memory.
+        # Each CPU that there is now gets two tasks: none waits for us, and an autoscaler sees that
+        # more are wanted. Not more than two, as every task in flight costs the driver memory.
         for parts in islice(waiting, max(0, 2 * _num_cpus(ray) - len(running))):
             running[remote.remote(job, parts, identity)] = parts
         if not running:

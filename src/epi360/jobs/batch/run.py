@@ -94,8 +94,8 @@ def _run(
         from epi360.jobs.batch.database_copy import write_database_copy
 
         write_database_copy(job, database, len(sizes))
-    # Only now: whatever happened before, all finished work was on disk. Also the parts of a run
-    # that was killed at this line.
+    # Only now, so that finished work was on the disk whatever happened before. Parts may also be
+    # there of a run that was killed at this line.
     storage.remove_folder(job.parts_folder)
     files = () if is_merged else (job.output,)
     if needs_database and database is not None:
