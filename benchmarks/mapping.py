@@ -25,11 +25,11 @@ from _machine import fact_lines, load_average, machine_facts
 from _summary import markdown_table, text_table
 
 from epi360.cameras import Equirectangular
-from epi360.files import write_file
 from epi360.jobs.image_set import find_images
 from epi360.jobs.mapping import MapOptions, map_images
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg
 from epi360.report.files import check_writable
+from epi360.runs.whole_files import write_file
 from epi360_scenes import handheld_path, scene
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")

@@ -19,9 +19,9 @@ PACKAGE = Path(epi360.__file__).parent
 OTHERS = {"epi360_scenes", "epi360_paper"}
 FOLDERS = [Path(module.__file__).parent for module in (epi360, epi360_scenes, epi360_paper)]
 LAYERS = [
-    "_core", "files", "image_folders", "extras", "progress", "poses", "cameras", "features",
-    "epipolar", "estimation", "two_view", "odometry", "synthetic", "interop", "epi360_scenes",
-    "epi360_paper", "jobs", "report", "cli",
+    "_core", "image_folders", "extras", "progress", "runs", "poses", "cameras", "features",
+    "epipolar", "estimation", "second_look", "two_view", "odometry", "synthetic", "interop",
+    "epi360_scenes", "epi360_paper", "jobs", "report", "cli",
 ]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
 COMMANDS_OF_OTHERS = {"epi360/cli/pair.py", "epi360/cli/render.py", "epi360/cli/reproduce.py"}

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.files import write_file
+from epi360.runs.made_from import first_difference
+from epi360.runs.whole_files import write_file
 
 Row = Mapping[str, float | int | str]
 
@@ -41,10 +42,10 @@ class Fingerprint:
 
     def difference(self, other: Mapping[str, Any]) -> str:
         """First difference to the header of a part, in words; "" where there is none."""
-        for key, mine in asdict(self).items():
-            if other.get(key) != mine:
-                return f"{key} {other.get(key)!r}, not {mine!r}"
-        return ""
+        different = first_difference(other, asdict(self))
+        if different is None:
+            return ""
+        return f"{different.name} {different.before!r}, not {different.now!r}"
 
 
 @dataclass(frozen=True)

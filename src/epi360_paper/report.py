@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 from epi360_paper import EXPERIMENTS
 from epi360_paper.options import ProtocolName
 

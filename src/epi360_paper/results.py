@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 from epi360_paper.options import Outcome, ReproduceOptions
 from epi360_paper.parts import Trials, csv_bytes
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.epipolar import angular_residuals, essential_from_pose
 from epi360.features import track_features
-from epi360.files import write_file
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 from epi360_paper.datasets import ImageSequence
 
 Array = NDArray[np.float64]

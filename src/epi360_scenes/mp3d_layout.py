@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from epi360.files import write_file
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 from epi360_scenes.rendering import Rendering
 
 POSES_FILE = "frm_ref.txt"

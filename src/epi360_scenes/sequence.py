@@ -10,6 +10,7 @@ from typing import Any
 from epi360.cameras import Camera
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
+from epi360.runs.made_from import first_difference, read_record
 from epi360_scenes.mp3d_layout import POSES_FILE, frame_files, poses_text, write_frame, write_whole
 from epi360_scenes.rendering import RayCaster
 
@@ -76,18 +77,13 @@ def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
         raise ValueError(
             f"{folder} is not empty and holds no sequence of epi360 render; choose a new folder"
         )
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        raise ValueError(f"{path} is damaged; choose another folder") from None
-    known = found if isinstance(found, dict) else {}
-    wanted = json.loads(json.dumps(dict(options)))
-    for name in [*wanted, *(set(known) - set(wanted))]:
-        if known.get(name) != wanted.get(name):
-            raise ValueError(
-                f"{folder} holds a sequence with {name} {known.get(name)}, not "
-                f"{wanted.get(name)}; choose another folder, or the same options to resume it"
-            )
+    found = read_record(path, remedy="choose another folder") or {}
+    different = first_difference(found, {**options, **dict.fromkeys(found.keys() - options.keys())})
+    if different is not None:
+        raise ValueError(
+            f"{folder} holds a sequence with {different.name} {different.before}, not "
+            f"{different.now}; choose another folder, or the same options to resume it"
+        )
 
 
 def _camera_record(camera: Camera) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import pytest
 from batch_inputs import columns_of, write_matches
 
 from epi360 import cli
-from epi360.jobs.batch.lock import only_run
+from epi360.runs.lock import only_run
 
 pyarrow = pytest.importorskip("pyarrow")
 
@@ -170,9 +170,10 @@ def test_infinite_pixels_are_named(tmp_path, capsys):
         (["--engine", "spark"], "spark"),
         (["--seed", "one"], "seed"),
         (["--pairs-per-part", "0"], "pairs_per_part must be 1 or more, got 0"),
+        (["--num-threads", "0"], "num_threads must be 1 or more, got 0"),
         (["--threads", "0"], "num_threads must be 1 or more, got 0"),
         (["--address", "auto"], "--address goes with --engine ray"),
-        (["--engine", "ray", "--threads", "2"], "--threads goes with --engine local"),
+        (["--engine", "ray", "--num-threads", "2"], "--num-threads goes with --engine local"),
         (["--features", "f.h5"], "--features and --pairs go with hloc's matches"),
         (["--write-database", "out.db"], "only from a COLMAP database"),
         (["--camera", "none.yaml"], "none.yaml does not exist"),
@@ -186,7 +187,7 @@ def test_wrong_words_are_one_line_and_nothing_is_written(tmp_path, capsys, words
     assert os.listdir(tmp_path) == ["in.parquet"]
 
 
-@pytest.mark.skipif(os.name != "posix", reason="Windows has no such locks")
+@pytest.mark.skipif(os.name != "posix", reason="Windows lets nobody read a locked file")
 def test_an_output_that_another_run_is_writing(tmp_path, capsys):
     path, output = write_matches(tmp_path / "in.parquet", columns_of(2)), tmp_path / "out.parquet"
     with only_run(str(output)):

@@ -92,5 +92,6 @@ def test_without_pyarrow_the_message_says_what_to_install(words, capsys, monkeyp
 def test_help_names_the_inputs_and_every_option(capsys):
     assert_help_names(
         capsys, "batch", "Parquet", "COLMAP", "hloc", "--output", "--write-database", "--camera",
-        "--features", "--pairs", "--engine", "--address", "--threads", "--seed", "--pairs-per-part",
+        "--features", "--pairs", "--engine", "--address", "--num-threads", "--seed",
+        "--pairs-per-part",
     )  # fmt: skip

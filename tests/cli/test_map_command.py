@@ -83,7 +83,7 @@ def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
     [
         (["IMAGES", "--faces", "front"], "need --cubemap"),
         (["NOWHERE"], "does not exist"),
-        (["IMAGES", "--jobs", "0"], " --jobs must be at least 1, got 0"),
+        (["IMAGES", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
         (["IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
         (["IMAGES", "--mapper", "best"], "--mapper"),
     ],
@@ -98,7 +98,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(room_folder, tmp_path, capsys, wo
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "map", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
-        "--max-width", "--max-features", "--seed", "--jobs", "--mapper", "--refine-cameras",
+        "--max-width", "--max-features", "--seed", "--num-threads", "--mapper", "--refine-cameras",
         "--mapper-threads", "--cubemap", "--face-size", "--fov-deg", "--faces", "--image-format",
         "--jpeg-quality", "--output", "--restart",
     )  # fmt: skip

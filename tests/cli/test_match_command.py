@@ -81,7 +81,8 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
             "exaustive does not exist; give a pairs file, or auto, sequential or exhaustive",
         ),
         (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
-        (["tour", "--jobs", "0"], " --jobs must be at least 1, got 0"),
+        (["tour", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
+        (["tour", "--jobs", "0"], " --num-threads must be at least 1, got 0"),
         (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),
         (["tour", "--output", "tour"], "was not made by epi360 match"),
         (["tour", "--output", "taken"], "must be a folder"),
@@ -96,5 +97,5 @@ def test_wrong_use_is_one_line(here, capsys, words, message):
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "match", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
-        "--max-width", "--max-features", "--seed", "--jobs", "--output", "--restart",
+        "--max-width", "--max-features", "--seed", "--num-threads", "--output", "--restart",
     )  # fmt: skip

@@ -9,15 +9,8 @@ import pytest
 from batch_inputs import columns_of, scenes, write_matches
 
 from epi360 import Equirectangular
-from epi360.jobs.batch.sources import (
-    MatchSource,
-    PairMatches,
-    check_names,
-    kind_of,
-    open_matches,
-    pair_seed,
-    parts_of,
-)
+from epi360.jobs.batch.inputs import check_names, open_matches
+from epi360.jobs.batch.sources import MatchSource, PairMatches, kind_of, pair_seed, parts_of
 
 pyarrow = pytest.importorskip("pyarrow")
 

@@ -279,7 +279,7 @@ def _record(images: _Pair, result: ImagePairResult) -> dict[str, Any]:
 def _write_images(images: _Pair, folder: Path) -> None:
     import cv2
 
-    from epi360.files import write_file
+    from epi360.runs.whole_files import write_file
 
     for number, image in enumerate(images.images, start=1):
         encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]

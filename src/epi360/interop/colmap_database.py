@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import errno
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,6 +36,7 @@ from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_frames
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.whole_files import whole_path
 
 __all__ = [
     "ColmapPairs",
@@ -144,23 +144,16 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
 @contextmanager
 def whole_database(path: Path) -> Iterator[Path]:
     """Yield a temporary file that replaces a database once all that was written is in it."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
+    with whole_path(path) as temporary:
         yield temporary
         # If the disk is full, SQLite leaves the rest in its log and reports nothing.
         log = Path(f"{temporary}-wal")
         if log.exists() and log.stat().st_size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(os.strerror(errno.ENOSPC))
         try:
             ColmapTables(temporary).close()
         except ValueError as error:
             raise OSError(str(error)) from None
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        for end in ("", "-journal", "-wal", "-shm"):
-            Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 
 def _write(database: Any, graph: MatchGraph) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from epi360.interop.colmap_model_files import (
 )
 from epi360.interop.colmap_model_rigs import poses_and_frames
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
+from epi360.runs.whole_files import whole_paths
 
 
 def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
@@ -97,11 +97,9 @@ def write_colmap_model(
         raise ValueError(f"folder {folder} has a COLMAP model in .{other} already; take another")
     files = model_files(reconstruction, text=text)
     folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".model-", dir=folder) as temporary:
-        for name, data in files.items():
-            (Path(temporary) / name).write_bytes(data)
-        for name in files:
-            os.replace(Path(temporary) / name, folder / name)
+    with whole_paths(*(folder / name for name in files)) as temporaries:
+        for temporary, data in zip(temporaries, files.values(), strict=True):
+            temporary.write_bytes(data)
 
 
 def _posed(image: ImageEntry) -> PosedImage:

@@ -17,6 +17,7 @@ from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
 from epi360.interop.pairs_file import write_pairs_file
+from epi360.runs.whole_files import whole_paths
 
 __all__ = ["HlocPairs", "camera_of_image", "read_hloc", "write_hloc"]
 
@@ -154,21 +155,13 @@ def write_hloc(
 def _written_together(*paths: Path) -> Iterator[list[Any]]:
     """HDF5 files under temporary names, which get the real names together."""
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
-    targets = [Path(os.path.realpath(path)) for path in paths]
-    temporaries = [path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in targets]
-    for target in targets:
-        if target.is_dir():
-            raise IsADirectoryError(f"{target} must be a file to write, it is a folder")
-    try:
-        with ExitStack() as files:
-            for temporary in temporaries:
-                temporary.touch()  # for a shorter message than HDF5's if the folder is missing
-            yield [files.enter_context(h5py.File(path, "w")) for path in temporaries]
-        for temporary, target in zip(temporaries, targets, strict=True):
-            os.replace(temporary, target)
-    finally:
+    for path in paths:
+        if path.is_dir():
+            raise IsADirectoryError(f"{path} must be a file to write, it is a folder")
+    with whole_paths(*paths) as temporaries, ExitStack() as files:
         for temporary in temporaries:
-            temporary.unlink(missing_ok=True)
+            temporary.touch()  # for a shorter message than HDF5's if the folder is missing
+        yield [files.enter_context(h5py.File(path, "w")) for path in temporaries]
 
 
 def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) -> None:

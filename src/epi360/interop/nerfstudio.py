@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt, Pinhole, UnifiedCamera
 from epi360.cameras.base import FocalCamera, checked_size
 from epi360.cameras.calibration import fields
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.ply import read_ply_points, write_ply_points
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 
 WHAT = "a transforms.json of nerfstudio"
 POINTS_FILE = "sparse_pc.ply"

@@ -24,10 +24,10 @@ from epi360.cameras import Camera, Equirectangular, KannalaBrandt
 from epi360.cameras.base import FocalCamera
 from epi360.cameras.calibration import fields
 from epi360.cameras.calibration.opensfm import read as cameras_from_document
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
+from epi360.runs.whole_files import write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 

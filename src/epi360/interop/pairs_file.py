@@ -8,7 +8,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 # A name may hold any character but these two; file names do hold other Unicode white space.
 BLANK = re.compile(r"[ \t]+")

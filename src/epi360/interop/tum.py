@@ -10,11 +10,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
+from epi360.runs.whole_files import write_file
 
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 

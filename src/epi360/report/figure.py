@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult
-from epi360.files import write_file
 from epi360.report.curves import (
     epipolar_curve,
     match_residuals_deg,
@@ -39,6 +38,7 @@ from epi360.report.text import (
     pose_sigmas_deg,
     rotation_axis_angle,
 )
+from epi360.runs.whole_files import write_file
 
 MAX_IMAGE_WIDTH = 2048
 MAX_DRAWN_MATCHES = 4000  # of each kind: more only cover each other and slow the drawing

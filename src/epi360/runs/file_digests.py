@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
 
-from epi360.files import write_file
+from epi360.runs.made_from import read_record
+from epi360.runs.whole_files import write_file
 
 # A file that changed so shortly before it was read may change again within the same tick of its
 # file system's clock: FAT counts in two seconds.
@@ -17,43 +19,26 @@ Entry = tuple[list[int], str]
 
 
 class FileDigests:
-    """Hashes of the contents of files; what was read in an earlier run is not read again.
+    """Hashes of the contents of files; what an earlier run has read is not read again.
 
     A file counts as unchanged while its size, its time of change and its inode's time of change,
-    which nobody can set, are the same.
-
-    Parameters
-    ----------
-    memory : Path, optional
-        JSON file that keeps them; a damaged one counts as missing. None: for this run only.
+    which nobody can set, are the same. ``memory`` is a JSON file that keeps the hashes; a damaged
+    one counts as missing.
     """
 
     def __init__(self, memory: Path | None = None) -> None:
         self._memory = memory
         self._known: dict[str, Entry] = {}
         self._read: dict[str, Entry] = {}
-        if memory is not None and memory.exists():
-            try:
-                found = json.loads(memory.read_bytes())
-                self._known = {
-                    path: (was, bytes.fromhex(digest).hex())
-                    for path, (was, digest) in found.items()
-                }
-            except (ValueError, TypeError, AttributeError):
-                pass
+        with suppress(ValueError, TypeError):
+            found = memory and read_record(memory, remedy="it is made again")
+            self._known = {
+                path: (was, bytes.fromhex(digest).hex())
+                for path, (was, digest) in (found or {}).items()
+            }
 
-    def of(self, path: Path) -> bytes:
-        """Hash of the content of a file.
-
-        Parameters
-        ----------
-        path : Path
-
-        Raises
-        ------
-        OSError
-            If it cannot be read.
-        """
+    def digest_of(self, path: Path) -> bytes:
+        """Hash of the content of a file."""
         status = path.stat()
         now = [status.st_size, status.st_mtime_ns, status.st_ctime_ns]
         name = str(path.absolute())
@@ -65,12 +50,6 @@ class FileDigests:
         return bytes.fromhex(digest)
 
     def save(self) -> None:
-        """Keep what was read in this run.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be written.
-        """
+        """Keep what this run has read."""
         if self._memory is not None and self._read != self._known:
             write_file(self._memory, json.dumps(self._read).encode())

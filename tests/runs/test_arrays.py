@@ -3,7 +3,7 @@
 
 import numpy as np
 
-from epi360.jobs.array_files import npz_bytes, read_arrays
+from epi360.runs.arrays import npz_bytes, read_arrays
 
 ARRAYS = {
     "numbers": np.arange(6.0).reshape(2, 3),

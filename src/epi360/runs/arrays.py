@@ -14,31 +14,14 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def npz_bytes(arrays: Arrays) -> bytes:
-    """Content of an npz file; the same arrays give the same bytes.
-
-    Parameters
-    ----------
-    arrays : dict of str to ndarray
-        By name.
-    """
+    """Content of an npz file; the same arrays give the same bytes."""
     file = io.BytesIO()
     np.savez(file, **arrays)  # type: ignore[arg-type]
     return file.getvalue()
 
 
 def read_arrays(path: Path) -> Arrays | None:
-    """All arrays of an npz file, checked against their checksums.
-
-    Parameters
-    ----------
-    path : Path
-        May be missing or damaged.
-
-    Returns
-    -------
-    arrays : dict of str to ndarray, or None
-        None where the file is not there or not whole.
-    """
+    """All arrays of an npz file; None if it is missing or its checksums show damage."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}

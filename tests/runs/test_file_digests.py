@@ -7,8 +7,8 @@ from hashlib import blake2b
 
 import pytest
 
-from epi360.jobs import file_digests
-from epi360.jobs.file_digests import FileDigests
+from epi360.runs import file_digests
+from epi360.runs.file_digests import FileDigests
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def reads(monkeypatch):
 
 def remembered(image, memory):
     digests = FileDigests(memory)
-    digest = digests.of(image)
+    digest = digests.digest_of(image)
     digests.save()
     return digest
 
@@ -73,4 +73,4 @@ def test_a_damaged_memory_counts_as_missing(image, tmp_path, settled, content):
 
 def test_a_missing_file_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError):
-        FileDigests().of(tmp_path / "none")
+        FileDigests().digest_of(tmp_path / "none")
