@@ -6,7 +6,17 @@ import pytest
 
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import two_view_scene
-from epi360_paper import method_rows, methods, options, parts, protocols, sources, table4, trials
+from epi360_paper import (
+    method_rows,
+    methods,
+    options,
+    parts,
+    protocols,
+    sources,
+    table1,
+    table4,
+    trials,
+)
 
 PROTOCOLS = protocols.PROTOCOLS
 
@@ -68,15 +78,20 @@ def test_sequences_are_as_many_as_the_wanted_pairs_need(wanted, expected):
     assert (count - 1) * per_sequence < expected <= count * per_sequence
 
 
-def test_names_and_folders_of_runs_do_not_meet(tmp_path):
+def test_names_and_folders_of_runs_do_not_meet(tmp_path, monkeypatch):
+    one_row = parts.Trials({"trial": np.array([0]), "pair": np.array([0])})
+    monkeypatch.setattr(method_rows, "run_trials", lambda *args, **options: one_row)
+    monkeypatch.setattr(method_rows, "_comparison_sections", lambda *args: [])
+    monkeypatch.setattr(method_rows, "run_line", lambda options, count, trials, unit: unit)
+    monkeypatch.setattr(method_rows, "save_outcome", lambda name, title, run, *rest: (name, run))
     folders = set()
     for protocol in PROTOCOLS:
         for landmarks in (False, True):
             given = options.ReproduceOptions(protocol=protocol, landmarks=landmarks, out=tmp_path)
-            name = method_rows.experiment_name("table1", given)
+            name, unit = method_rows.run_comparison(table1.TABLE, given, lambda *args: None)
             folders.add(given.folder(name))
             assert ("landmarks" in name) == landmarks
-            assert method_rows.unit_of(given) == ("scenes" if landmarks else "rendered sequences")
+            assert unit == ("scenes" if landmarks else "rendered sequences")
     assert len(folders) == 6 and {folder.parent for folder in folders} == {tmp_path}
 
 
