@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from epi360.experiments.parts import Trials
 from epi360.experiments.results import in_thousandths
+from epi360.features.picture_writing import encode_figure
 from epi360.files import write_file
 
 QUANTILES = (0.25, 0.5, 0.75)
@@ -130,10 +131,8 @@ def draw_curves(curves: Curves, titles: Mapping[str, str], path: Path) -> Path:
     for axes, kind in zip(panels, KINDS, strict=True):
         _draw_panel(axes, curves, kind, titles)
     panels[0].legend(frameon=False, fontsize=8)
-    sink = io.BytesIO()
     # Without the library's version in it the file is the same for the same numbers.
-    figure.savefig(sink, dpi=120, metadata={"Software": None})
-    write_file(path, sink.getvalue())
+    write_file(path, encode_figure(figure, "png", dpi=120, metadata={"Software": None}))
     return path
 
 
