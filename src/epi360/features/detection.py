@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular
-from epi360.features.images import ImageSource, read_image, read_mask, require_panorama
+from epi360.cameras import Camera
+from epi360.features.image_cameras import find_camera
+from epi360.features.images import ImageSource, read_image, read_mask
 from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
 
 Array = NDArray[np.float64]
@@ -75,7 +76,8 @@ def extract_features(
     image : path or array
         What ``read_image`` takes.
     camera : Camera, optional
-        Default: a full equirectangular panorama of the image's size.
+        Default: a full equirectangular panorama of the image's size, or the part of one that the
+        GPano metadata of a file state.
     mask : path or array, optional
         White = use; of the image's size.
     mask_nadir_deg : float
@@ -191,7 +193,7 @@ def find_keypoints(
     if not 0.0 < contrast_threshold < 1.0:
         raise ValueError(f"contrast_threshold must be in (0, 1), got {contrast_threshold}")
     picture = read_image(image)
-    camera = camera_of(picture, camera, "image")
+    camera = find_camera(image, picture, camera, "image")
     height, width = picture.shape[:2]
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     scale = min(1.0, max_width / width)
@@ -230,38 +232,6 @@ def check_options(max_width: int, mask_nadir_deg: float) -> None:
         raise ValueError(f"max_width must be at least {SMALLEST_WIDTH} pixels, got {max_width}")
     if not 0.0 <= mask_nadir_deg < 180.0:
         raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
-
-
-def camera_of(picture: NDArray[np.uint8], camera: Camera | None, name: str) -> Camera:
-    """Return the camera of a picture, by default a full panorama of its size.
-
-    Parameters
-    ----------
-    picture : ndarray, shape (H, W, 3)
-        The picture.
-    camera : Camera or None
-        The camera given by the user.
-    name : str
-        What messages call the picture.
-
-    Raises
-    ------
-    ValueError
-        If the sizes differ, or there is no camera and the picture is no panorama.
-    """
-    height, width = picture.shape[:2]
-    if camera is None:
-        require_panorama(picture, name)
-        try:
-            return Equirectangular.for_image(width, height)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-    if (camera.width, camera.height) != (width, height):
-        raise ValueError(
-            f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
-            "give the camera of this image size"
-        )
-    return camera
 
 
 _NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
