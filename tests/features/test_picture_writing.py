@@ -49,12 +49,13 @@ from epi360.features.picture_writing import encode_picture
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.jobs.cubemap import CubemapOptions, export_cubemap
 (out / "in").mkdir()
-for name in ("a.png", "b.jpg"):
+names = ("a.png", "b.jpg")
+for name in names:
     panorama = np.full((32, 64, 3), 90, np.uint8)
     (out / "in" / name).write_bytes(encode_picture(panorama, name[1:]))
-images = tuple(PosedImage(name, "pano", Pose.identity()) for name in ("a.png", "b.jpg"))
+images = tuple(PosedImage(name, "pano", Pose(np.eye(3), np.zeros(3))) for name in names)
 scene = Reconstruction({"pano": Equirectangular(64, 32)}, images)
-export_cubemap(out / "cube", scene, out / "in", mask_nadir_deg=20)
+export_cubemap(out / "in", scene, out / "cube", mask_nadir_deg=20)
 pictures = [cv2.imread(str(path)) for path in (out / "cube").rglob("*.*g")]
 assert len(pictures) > 12 and all(picture is not None for picture in pictures)
 """,
@@ -67,13 +68,15 @@ assert cv2.imread(str(out / "a.png")) is not None
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("writer", WRITERS)
-def test_pictures_are_written_in_every_order_of_imports(tmp_path, order, writer):
+def test_pictures_are_written_in_every_order_of_imports(tmp_path, order):
     pytest.importorskip("pycolmap")
-    script = f"{order}\nimport cv2\nfrom pathlib import Path\nout = Path({str(tmp_path)!r})\n"
-    done = subprocess.run(
-        [sys.executable, "-c", script + WRITERS[writer]], capture_output=True, text=True
-    )
+    lines = [order, "import cv2", "from pathlib import Path"]
+    for name, code in WRITERS.items():
+        (tmp_path / name).mkdir()
+        lines += [f"out = Path({str(tmp_path / name)!r})", code]
+    # With a fault handler an abort names the line that it came from.
+    command = [sys.executable, "-X", "faulthandler", "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
 
 

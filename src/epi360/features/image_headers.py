@@ -32,15 +32,9 @@ _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
 class ImageHeader:
     """What the header of an image file says.
 
-    Attributes
-    ----------
-    size : (int, int) or None
-        Width and height of the upright picture, as `read_image` returns it; None where only
-        decoding tells: WebP, BMP, unusual orientations and files that are damaged or no images.
-    xmp : bytes or None
-        XMP packet of a JPEG, PNG or TIFF file.
-    may_have_alpha : bool
-        False where the header rules transparency out.
+    ``size`` is that of the upright picture. It is None if only decoding tells: for WebP, BMP,
+    unusual orientations, damaged files and other files. ``xmp`` is a packet of metadata.
+    ``may_have_alpha`` is False if the header rules transparency out.
     """
 
     size: tuple[int, int] | None = None

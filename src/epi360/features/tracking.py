@@ -184,7 +184,11 @@ def _keypoints_of_frames(
         if view is None:
             view = _make_view(find_camera(source, image, camera, "images[0]"), mask, options)
         if image.shape[:2] != view.mask.shape:
-            raise ValueError(_size_message(index, image, view))
+            height, width = view.mask.shape
+            raise ValueError(
+                f"images[{index}] must be {width}x{height} like the camera and the images before "
+                f"it, got {image.shape[1]}x{image.shape[0]}; resize it or track it separately"
+            )
         current = view.pad(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
         if index == 0:
             pixels = _detect(current, view, options, pixels)
@@ -192,14 +196,6 @@ def _keypoints_of_frames(
             pixels = _next_frame(previous, current, pixels, view, options)
         yield pixels
         previous = current
-
-
-def _size_message(index: int, image: NDArray[np.uint8], view: _View) -> str:
-    height, width = view.mask.shape
-    return (
-        f"images[{index}] must be {width}x{height} like the camera and the images before it, got "
-        f"{image.shape[1]}x{image.shape[0]}; resize it or track it separately"
-    )
 
 
 def _make_view(camera: Camera, mask: ImageSource | None, options: _Options) -> _View:
