@@ -35,6 +35,15 @@ for suffix in ("png", "jpg", "webp", "pdf", "svg"):
     (out / f"a.{suffix}").write_bytes(encode_figure(figure, suffix))
 assert cv2.imread(str(out / "a.png")).shape == (100, 100, 3)
 """,
+    "figure of a pair": """
+import numpy as np
+from epi360 import Equirectangular, relative_pose_of_images
+from epi360.report.figure import draw_pair
+rng, camera = np.random.default_rng(0), Equirectangular(256, 128)
+noise = [rng.integers(0, 256, (128, 256, 3), dtype=np.uint8) for _ in range(2)]
+draw_pair(*noise, camera, camera, relative_pose_of_images(*noise), path=out / "a.png")
+assert cv2.imread(str(out / "a.png")).shape[1] == 1400
+""",
     "render": """
 from epi360.cli import main
 words = ["--num-frames", "1", "--scene", "studio", "--width", "64"]

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from epi360.cameras import Camera, Equirectangular
+from epi360.cameras import Camera
 from epi360.datasets.intensities import intensity_levels
 from epi360.datasets.sequence import ImageSequence
-from epi360.features import read_image, require_panorama
+from epi360.features import read_image
+from epi360.features.image_cameras import find_camera
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
 
@@ -27,7 +28,8 @@ def load_image_folder(
         Its JPEG, PNG, TIFF, WebP and BMP files are taken, other files are left alone. Numbers in
         the names count as numbers: 2.png comes before 10.png.
     camera : Camera, optional
-        None: full equirectangular panoramas of the first image's size.
+        Default: full equirectangular panoramas of the first image's size, or the part of one that
+        its GPano metadata state.
     frames_per_s : float
         Rate for the timestamps, which start at 0.
 
@@ -71,11 +73,9 @@ def existing_folder(folder: str | os.PathLike[str], what: str) -> Path:
     return path
 
 
-def panorama_camera(path: Path) -> Equirectangular:
-    """Full equirectangular camera of an image's size; ``ValueError`` where it is no panorama."""
-    image = read_image(path)
-    require_panorama(image, f"image {path}")
-    return Equirectangular.for_image(image.shape[1], image.shape[0])
+def panorama_camera(path: Path) -> Camera:
+    """Camera of a panorama or of a part of one; ``ValueError`` if the image is neither."""
+    return find_camera(path, read_image(path), None, f"image {path}")
 
 
 def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:

@@ -44,7 +44,8 @@ class ImageHeader:
 
 def read_image_header(path: str | os.PathLike[str]) -> ImageHeader:
     """Header of any file; ``OSError`` if it cannot be read."""
-    with open(path, "rb") as file:
+    # Unbuffered: a buffer would read all of a large PNG while its chunks are skipped.
+    with open(path, "rb", buffering=0) as file:
         return parse_image_header(file)
 
 
