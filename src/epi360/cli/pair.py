@@ -195,8 +195,8 @@ def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _
         names=(str(image1), str(image2)),
         images=pictures,
         cameras=(
-            find_camera(image1, pictures[0], camera1, "image1"),
-            find_camera(image2, pictures[1], camera2, "image2"),
+            camera1 or find_camera(image1, pictures[0], None, "image1"),
+            camera2 or find_camera(image2, pictures[1], None, "image2"),
         ),
         masks=(given.mask1 or given.mask, given.mask2 or given.mask),
     )
