@@ -9,12 +9,13 @@ first. For those who imported pycolmap before epi360, another process compresses
 
 from __future__ import annotations
 
+import ctypes
 import io
+import os
 import pickle
 import subprocess
 import sys
-import zlib  # noqa: F401 - its place in sys.modules is asked for
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -67,11 +68,33 @@ def _compressed(kind: str, save: Callable[..., bytes], *arguments: Any) -> bytes
 
 
 def _zlib_is_broken() -> bool:
-    """Whether pycolmap came before zlib, which some Python interpreters have built in."""
-    if sys.platform != "linux" or "zlib" in sys.builtin_module_names:
+    """Whether the system's zlib was loaded after pycolmap, by the order of the linker's list."""
+    if sys.platform != "linux" or "pycolmap" not in sys.modules:
         return False
-    names = list(sys.modules)  # in the order of loading
-    return "pycolmap" in names and names.index("pycolmap") < names.index("zlib")
+    paths = list(_loaded_libraries())
+    core = [index for index, path in enumerate(paths) if "/pycolmap/_core" in path]
+    zlib = [index for index, path in enumerate(paths) if "/libz.so" in path]
+    return bool(core and zlib and core[0] < zlib[0])
+
+
+class _LinkMap(ctypes.Structure):
+    """Head of ``struct link_map`` in <link.h>."""
+
+
+_LinkMap._fields_ = [
+    ("l_addr", ctypes.c_void_p),
+    ("l_name", ctypes.c_char_p),
+    ("l_ld", ctypes.c_void_p),
+    ("l_next", ctypes.POINTER(_LinkMap)),
+]
+
+
+def _loaded_libraries() -> Iterator[str]:
+    """Paths of the shared libraries of this process, in the order of loading."""
+    library = ctypes.cast(ctypes.CDLL(None)._handle, ctypes.POINTER(_LinkMap))
+    while library:
+        yield os.fsdecode(library.contents.l_name or b"")
+        library = library.contents.l_next
 
 
 def _saved_picture(pixels: NDArray[Any], format: str, options: dict[str, Any]) -> bytes:
