@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+# Before pycolmap, whose wheels would break it: see features/picture_writing.py.
+import zlib  # noqa: F401
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

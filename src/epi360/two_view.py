@@ -31,9 +31,9 @@ from epi360.features.detection import (
     CONTRAST_THRESHOLD,
     FAINT_CONTRAST_THRESHOLD,
     SMALLEST_WIDTH,
-    camera_of,
     check_options,
 )
+from epi360.features.image_cameras import find_camera
 from epi360.second_look import is_precise, is_settled, later_is_better
 
 # Key points are good to a third of a pixel; swapped fisheye cameras give two.
@@ -67,7 +67,8 @@ def relative_pose_of_images(
     image1, image2 : path or array
         What ``read_image`` takes; their sizes may differ.
     camera1, camera2 : Camera, optional
-        Default: a full equirectangular panorama of the image's size.
+        Default: a full equirectangular panorama of the image's size, or the part of one that the
+        GPano metadata of a file state.
     mask1, mask2 : path or array, optional
         White = use; of the image's size.
     mask_nadir_deg : float
@@ -213,7 +214,7 @@ class _View:
         mask_name: str,
     ) -> _View:
         picture = read_image(image, name=name)
-        camera = camera_of(picture, camera, name)
+        camera = find_camera(image, picture, camera, name)
         usable = None if mask is None else read_mask(mask, picture.shape[:2], name=mask_name)
         return cls(picture, camera, usable, mask_nadir_deg)
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from epi360.features.picture_writing import encode_figure
 from epi360_paper.parts import Trials, csv_bytes
 from epi360_paper.results import in_thousandths
 
@@ -71,10 +71,8 @@ def draw_curves(curves: Curves, titles: Mapping[str, str]) -> bytes:
     for axes, kind in zip(panels, KINDS, strict=True):
         _draw_panel(axes, curves, kind, titles)
     panels[0].legend(frameon=False, fontsize=8)
-    sink = io.BytesIO()
     # Without the library's version in it the file is the same for the same numbers.
-    figure.savefig(sink, dpi=120, metadata={"Software": None})
-    return sink.getvalue()
+    return encode_figure(figure, "png", dpi=120, metadata={"Software": None})
 
 
 def _draw_panel(axes: Axes, curves: Curves, kind: str, titles: Mapping[str, str]) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
+
+from epi360.features.picture_writing import encode_figure
 
 Array = NDArray[np.float64]
 
@@ -40,9 +41,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def png_of(figure: Figure) -> bytes:
     """Encode a figure as PNG; equal figures give equal bytes."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return encode_figure(figure, "png", dpi=DPI, metadata={"Software": None})
 
 
 def add_axes(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:

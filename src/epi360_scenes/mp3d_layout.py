@@ -8,9 +8,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 
+from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360_scenes.rendering import Rendering
@@ -27,10 +27,9 @@ def frame_files(folder: Path, index: int) -> tuple[Path, Path]:
 def write_frame(folder: Path, index: int, rendering: Rendering) -> None:
     """Write the two files of a frame; missing folders are made."""
     image_file, depth_file = frame_files(folder, index)
-    bgr = cv2.cvtColor(rendering.image, cv2.COLOR_RGB2BGR)
     depth = np.ascontiguousarray(rendering.depth, dtype=np.float32)
-    write_whole(depth_file, cv2.imencode(".tiff", depth)[1].tobytes())
-    write_whole(image_file, cv2.imencode(".png", bgr)[1].tobytes())
+    write_whole(depth_file, encode_picture(depth, ".tiff"))
+    write_whole(image_file, encode_picture(rendering.image, ".png"))
 
 
 def poses_text(world_from_cam: Sequence[Pose]) -> str:

@@ -132,3 +132,10 @@ def test_a_damaged_header_never_raises_nor_hangs(extension):
 def test_a_missing_file_is_an_error_of_the_system(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_image_header(tmp_path / "none.jpg")
+
+
+def test_a_huge_panorama_is_no_decompression_bomb_for_its_header(recwarn):
+    ihdr = chunk(b"IHDR", struct.pack(">IIBBBBB", 23000, 11500, 8, 2, 0, 0, 0))
+    png = b"\x89PNG\r\n\x1a\n" + ihdr + chunk(b"IDAT", b"") + chunk(b"IEND", b"")
+    assert parse_image_header(io.BytesIO(png)).size == (23000, 11500)
+    assert not recwarn.list

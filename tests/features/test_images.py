@@ -227,6 +227,14 @@ def test_a_small_file_that_claims_a_huge_picture_is_not_decoded(tmp_path, capfd)
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_tiff_that_claims_a_huge_picture_is_not_decoded(tmp_path, capfd):
+    tags = struct.pack("<HHII", 256, 4, 1, 60000) + struct.pack("<HHII", 257, 4, 1, 60000)
+    path = write(tmp_path / "a.tiff", b"II*\0" + struct.pack("<IH", 8, 2) + tags + bytes(4))
+    with pytest.raises(ValueError, match="60000x60000 = 3600000000 pixels, more than the limit"):
+        read_image(path)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.uint16, np.float32])
 def test_a_mask_uses_what_is_brighter_than_half(dtype):
     use = np.random.default_rng(0).random((8, 16)) > 0.5

@@ -12,12 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.features.images import nadir_mask, read_image, read_mask
+from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.nerfstudio import write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
@@ -223,16 +223,15 @@ class _Cutter:
                 f"image {panorama} is {image.shape[1]}x{image.shape[0]} but its camera is "
                 f"{camera.width}x{camera.height}"
             )
-        bgr = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
         masks = self._masks_of_faces(panorama, camera, samplers) if self.masked else {}
 
         def write(face: FaceName) -> None:
             if face in masks:
                 _write(self._mask_file(faces[face]), masks[face])
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self.options.jpeg_quality]
-            picture = samplers[face].picture(bgr)
             file = self._face_file(faces[face])
-            _write(file, _encoded(file.suffix, picture, quality if file.suffix == ".jpg" else []))
+            picture = samplers[face].picture(image)
+            quality = self.options.jpeg_quality
+            _write(file, encode_picture(picture, file.suffix, jpeg_quality=quality))
 
         list(pool.map(write, faces))
 
@@ -244,7 +243,7 @@ class _Cutter:
         if self._face_masks is None or self._face_masks[:2] != (camera, file):
             mask = self._mask(panorama, camera)
             cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
-            pngs = {face: _encoded(".png", cut[face].astype(np.uint8) * 255, []) for face in cut}
+            pngs = {face: encode_picture(cut[face], ".png") for face in cut}
             self._face_masks = camera, file, pngs
         return self._face_masks[2]
 
@@ -281,11 +280,6 @@ def _record_before(path: Path) -> dict[str, Any]:
     return record
 
 
-def _encoded(suffix: str, picture: NDArray[Any], parameters: list[int]) -> bytes:
-    return cv2.imencode(suffix, picture, parameters)[1].tobytes()
-
-
 def _write(path: Path, data: bytes) -> None:
-    """Write a file; OpenCV's own writer fails on non-ASCII paths."""
     with whole_file(path, make_folder=True) as file:
         file.write(data)

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Protocol
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
 from epi360.features.image_headers import read_image_header
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
-from epi360.interop.gpano import GPano, parse_gpano
 from epi360.jobs.folder_files import files_below
 from epi360.jobs.given_cameras import GivenCameras, read_given_cameras
 from epi360.jobs.masks import MaskSource
@@ -131,7 +131,7 @@ class _PanoramaCameras:
 
     def of(self, name: str, size: tuple[int, int], gpano: GPano | None) -> tuple[str, str | None]:
         try:
-            camera = (gpano or GPano()).camera(*size)
+            camera = panorama_camera(*size, gpano)
         except ValueError as error:
             if gpano is None or gpano.part is None:
                 raise _Unusable(

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from epi360.cameras import Camera, Equirectangular
-from epi360.features import read_image, require_panorama
+from epi360.cameras import Camera
+from epi360.features import read_image
+from epi360.features.image_cameras import find_camera
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder, natural_order
 from epi360_paper.datasets.intensities import intensity_levels
 from epi360_paper.datasets.sequence import ImageSequence
@@ -26,7 +27,8 @@ def load_image_folder(
         Folder whose JPEG, PNG, TIFF, WebP and BMP files are taken. Numbers in their names count
         as numbers: 2.png comes before 10.png.
     camera : Camera, optional
-        Camera of the images. By default they are full panoramas of the first image's size.
+        Camera of the images. By default they are full panoramas of the first image's size, or the
+        part of one that its GPano metadata state.
     frames_per_s : float
         Rate for the timestamps, which start at 0.
 
@@ -60,8 +62,6 @@ def load_image_folder(
     )
 
 
-def panorama_camera(path: Path) -> Equirectangular:
-    """Full equirectangular camera of an image's size; ``ValueError`` if it is no panorama."""
-    image = read_image(path)
-    require_panorama(image, f"image {path}")
-    return Equirectangular.for_image(image.shape[1], image.shape[0])
+def panorama_camera(path: Path) -> Camera:
+    """Camera of a panorama or of a part of one; ``ValueError`` if the image is neither."""
+    return find_camera(path, read_image(path), None, f"image {path}")
