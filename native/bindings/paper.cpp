@@ -1,47 +1,19 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // The paper's estimators: arrays in, arrays out. Values are checked in Python.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 
-#include <Eigen/Core>
-#include <optional>
-#include <stdexcept>
+#include "bindings/arrays.h"
+#include "core/paper/methods.h"
 
-#include "core/paper_pose.h"
-#include "core/paper_weights.h"
-
-namespace nb = nanobind;
-using namespace nb::literals;
-using namespace epi360;
-
+using namespace nanobind::literals;
+namespace epi360 {
 namespace {
 
-using Bearings = nb::ndarray<const double, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
-using Weights = nb::ndarray<const double, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
-
-nb::object array_of(const double* values, std::size_t rows, std::size_t columns) {
-  const std::size_t count = rows * (columns > 0 ? columns : 1);
-  double* owned = new double[count];
-  std::copy(values, values + count, owned);
-  nb::capsule owner(owned, [](void* p) noexcept { delete[] static_cast<double*>(p); });
-  const std::size_t shape[2] = {rows, columns};
-  return nb::ndarray<nb::numpy, double>(owned, columns > 0 ? 2 : 1, shape, owner).cast();
-}
-
-nb::object matrix(const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>& m) {
-  return array_of(m.data(), 3, 3);
-}
-
-Matches matches_of(const Bearings& b1, const Bearings& b2, const double* weights) {
-  if (b1.shape(0) != b2.shape(0)) throw nb::value_error("both views must have the same length");
+Matches at_least_eight(const Bearings& b1, const Bearings& b2,
+                       const std::optional<Weights>& weights = {}) {
   if (b1.shape(0) < 8) throw nb::value_error("at least eight matches are needed");
-  return make_matches(b1.data(), b2.data(), b1.shape(0), weights);
-}
-
-[[noreturn]] void refuse(const char* what, const std::string& name) {
-  throw nb::value_error(("unknown " + std::string(what) + " " + name).c_str());
+  return to_matches(b1, b2, weights);
 }
 
 SkSearch search_named(const std::string& name) {
@@ -74,24 +46,21 @@ nb::tuple paper_pose_binding(const Bearings& b1, const Bearings& b2, const std::
   PaperPose result;
   {
     nb::gil_scoped_release unlocked;
-    result = paper_pose(matches_of(b1, b2, nullptr), method, search, chart);
+    result = paper_pose(at_least_eight(b1, b2), method, search, chart);
   }
-  return nb::make_tuple(matrix(result.pose.R), array_of(result.pose.t.data(), 3, 0), result.S,
+  return nb::make_tuple(matrix(result.cam2_from_cam1.R), vector(result.cam2_from_cam1.t), result.S,
                         result.K, result.cost, result.num_evaluations, result.num_iterations,
                         result.converged);
 }
 
 nb::tuple solve_linear_binding(const Bearings& b1, const Bearings& b2, const std::string& name,
                                bool taubin, double S, double K, std::optional<Weights> weights) {
-  if (weights && weights->shape(0) != b1.shape(0)) {
-    throw nb::value_error("weights and bearings must have the same length");
-  }
   const Normalization normalization = normalization_named(name);
   const Constraint constraint = taubin ? Constraint::kTaubin : Constraint::kUnit;
   LinearSolution solution;
   {
     nb::gil_scoped_release unlocked;
-    const Matches m = matches_of(b1, b2, weights ? weights->data() : nullptr);
+    const Matches m = at_least_eight(b1, b2, weights);
     solution = solve_linear(m, normalization, constraint, S, K);
   }
   return nb::make_tuple(matrix(solution.E), matrix(solution.N1), matrix(solution.N2));
@@ -99,14 +68,11 @@ nb::tuple solve_linear_binding(const Bearings& b1, const Bearings& b2, const std
 
 nb::tuple search_sk_binding(const Bearings& b1, const Bearings& b2, const std::string& sk_search,
                             std::optional<Weights> weights) {
-  if (weights && weights->shape(0) != b1.shape(0)) {
-    throw nb::value_error("weights and bearings must have the same length");
-  }
   const SkSearch search = search_named(sk_search);
   SkResult result;
   {
     nb::gil_scoped_release unlocked;
-    const Matches m = matches_of(b1, b2, weights ? weights->data() : nullptr);
+    const Matches m = at_least_eight(b1, b2, weights);
     SkCost cost(m);
     result = epi360::search_sk(cost, search);
   }
@@ -123,3 +89,5 @@ void bind_paper(nb::module_& m) {
   m.def("search_sk", &search_sk_binding, "bearings1"_a, "bearings2"_a, "sk_search"_a,
         "weights"_a.none() = nb::none());
 }
+
+}  // namespace epi360

@@ -3,13 +3,14 @@
 
 #include <cstddef>
 
-#include "matches.h"
-#include "multiversion.h"
+#include "core/matches.h"
+#include "core/multiversion.h"
 
 namespace epi360 {
 
-// Sum of eight lanes. Loops add into that many, so that the order of additions does not depend on
-// the vector width.
+// Loops add into so many lanes, so that the order of additions does not depend on the vector width.
+constexpr std::size_t kLanes = 8;
+
 EPI360_INLINE double lane_sum(const double* l) {
   return ((l[0] + l[4]) + (l[1] + l[5])) + ((l[2] + l[6]) + (l[3] + l[7]));
 }

@@ -1,76 +1,99 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "matches.h"
+#include "core/matches.h"
 
 namespace epi360 {
 namespace {
-
-void fill(std::vector<double>& out, std::size_t padded, const double* rows, std::size_t n,
-          std::size_t stride, std::size_t column, double padding) {
-  out.assign(padded, padding);
-  for (std::size_t i = 0; i < n; ++i) out[i] = rows[stride * i + column];
-}
 
 std::size_t padded_size(std::size_t n) {
   return (n + Matches::kBlock - 1) / Matches::kBlock * Matches::kBlock;
 }
 
+// All arrays, with the value that each has in the padding match.
+template <typename Visit>
+void for_each_array(Matches& m, const Visit& visit) {
+  for (auto array : {&Matches::x1, &Matches::y2}) visit(m.*array, 1.0);
+  for (auto array : {&Matches::y1, &Matches::z1, &Matches::x2, &Matches::z2, &Matches::weight}) {
+    visit(m.*array, 0.0);
+  }
+}
+
 }  // namespace
 
-Matches make_matches(const double* bearings1, const double* bearings2, std::size_t n,
-                     const double* weights, const double* jacobians1, const double* jacobians2) {
+std::array<std::vector<double>*, 6> jacobian_columns(Matches& m, int view) {
+  if (view == 1) return {&m.u1x, &m.v1x, &m.u1y, &m.v1y, &m.u1z, &m.v1z};
+  return {&m.u2x, &m.v2x, &m.u2y, &m.v2y, &m.u2z, &m.v2z};
+}
+
+Matches padding_matches(std::size_t n, bool with_jacobians) {
   Matches m;
   m.size = n;
   m.padded = padded_size(n);
   // The padding match counts nothing; residuals.cpp keeps all denominators above zero.
-  fill(m.x1, m.padded, bearings1, n, 3, 0, 1.0);
-  fill(m.y1, m.padded, bearings1, n, 3, 1, 0.0);
-  fill(m.z1, m.padded, bearings1, n, 3, 2, 0.0);
-  fill(m.x2, m.padded, bearings2, n, 3, 0, 0.0);
-  fill(m.y2, m.padded, bearings2, n, 3, 1, 1.0);
-  fill(m.z2, m.padded, bearings2, n, 3, 2, 0.0);
-  m.weight.assign(m.padded, 0.0);
+  for_each_array(m,
+                 [&](std::vector<double>& array, double value) { array.assign(m.padded, value); });
+  if (!with_jacobians) return m;
+  for (const int view : {1, 2}) {
+    for (std::vector<double>* column : jacobian_columns(m, view)) column->assign(m.padded, 1.0);
+  }
+  return m;
+}
+
+void truncate(Matches& m, std::size_t n) {
+  m.size = n;
+  m.padded = padded_size(n);
+  for_each_array(m, [&](std::vector<double>& array, double) { array.resize(m.padded); });
+  if (!m.has_jacobians()) return;
+  for (const int view : {1, 2}) {
+    for (std::vector<double>* column : jacobian_columns(m, view)) column->resize(m.padded);
+  }
+}
+
+void set_bearings(Matches& m, std::size_t i, const double* bearing1, const double* bearing2) {
+  m.x1[i] = bearing1[0];
+  m.y1[i] = bearing1[1];
+  m.z1[i] = bearing1[2];
+  m.x2[i] = bearing2[0];
+  m.y2[i] = bearing2[1];
+  m.z2[i] = bearing2[2];
+}
+
+void set_jacobians(Matches& m, std::size_t i, const double* jacobian1, const double* jacobian2) {
+  const auto columns1 = jacobian_columns(m, 1), columns2 = jacobian_columns(m, 2);
+  for (std::size_t k = 0; k < 6; ++k) {
+    (*columns1[k])[i] = jacobian1[k];
+    (*columns2[k])[i] = jacobian2[k];
+  }
+}
+
+Matches make_matches(const double* bearings1, const double* bearings2, std::size_t n,
+                     const double* weights, const double* jacobians1, const double* jacobians2) {
+  const bool has_jacobians = jacobians1 && jacobians2;
+  Matches m = padding_matches(n, has_jacobians);
   for (std::size_t i = 0; i < n; ++i) {
+    set_bearings(m, i, bearings1 + 3 * i, bearings2 + 3 * i);
+    if (has_jacobians) set_jacobians(m, i, jacobians1 + 6 * i, jacobians2 + 6 * i);
     m.weight[i] = weights ? weights[i] : 1.0;
     m.unit_weights = m.unit_weights && m.weight[i] == 1.0;
-  }
-  if (jacobians1 && jacobians2) {
-    std::vector<double>* columns1[6] = {&m.u1x, &m.v1x, &m.u1y, &m.v1y, &m.u1z, &m.v1z};
-    std::vector<double>* columns2[6] = {&m.u2x, &m.v2x, &m.u2y, &m.v2y, &m.u2z, &m.v2z};
-    for (std::size_t k = 0; k < 6; ++k) {
-      fill(*columns1[k], m.padded, jacobians1, n, 6, k, 1.0);
-      fill(*columns2[k], m.padded, jacobians2, n, 6, k, 1.0);
-    }
   }
   return m;
 }
 
 Matches paired_matches(const Matches& m, const std::vector<std::size_t>& rows1,
                        const std::vector<std::size_t>& rows2) {
-  Matches out = make_matches(nullptr, nullptr, 0);
-  out.size = rows1.size();
-  out.padded = padded_size(out.size);
-  const auto take = [&](const std::vector<double>& from, const std::vector<std::size_t>& rows,
-                        double padding, std::vector<double>& to) {
-    if (from.empty()) return;
-    to.assign(out.padded, padding);
-    for (std::size_t k = 0; k < rows.size(); ++k) to[k] = from[rows[k]];
+  Matches out = padding_matches(rows1.size(), m.has_jacobians());
+  const auto take = [](const std::vector<double>& from, const std::vector<std::size_t>& rows,
+                       std::vector<double>& to) {
+    for (std::size_t k = 0; k < rows.size() && !from.empty(); ++k) to[k] = from[rows[k]];
   };
-  take(m.x1, rows1, 1.0, out.x1);
-  take(m.y1, rows1, 0.0, out.y1);
-  take(m.z1, rows1, 0.0, out.z1);
-  take(m.x2, rows2, 0.0, out.x2);
-  take(m.y2, rows2, 1.0, out.y2);
-  take(m.z2, rows2, 0.0, out.z2);
-  take(m.weight, rows1, 0.0, out.weight);
+  for (auto column : {&Matches::x1, &Matches::y1, &Matches::z1, &Matches::weight, &Matches::u1x,
+                      &Matches::u1y, &Matches::u1z, &Matches::v1x, &Matches::v1y, &Matches::v1z}) {
+    take(m.*column, rows1, out.*column);
+  }
+  for (auto column : {&Matches::x2, &Matches::y2, &Matches::z2, &Matches::u2x, &Matches::u2y,
+                      &Matches::u2z, &Matches::v2x, &Matches::v2y, &Matches::v2z}) {
+    take(m.*column, rows2, out.*column);
+  }
   for (const std::size_t row : rows1) out.unit_weights = out.unit_weights && m.weight[row] == 1.0;
-  for (auto column :
-       {&Matches::u1x, &Matches::u1y, &Matches::u1z, &Matches::v1x, &Matches::v1y, &Matches::v1z}) {
-    take(m.*column, rows1, 1.0, out.*column);
-  }
-  for (auto column :
-       {&Matches::u2x, &Matches::u2y, &Matches::u2z, &Matches::v2x, &Matches::v2y, &Matches::v2z}) {
-    take(m.*column, rows2, 1.0, out.*column);
-  }
   return out;
 }
 

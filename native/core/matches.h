@@ -2,6 +2,7 @@
 // Matches of two views as structure of arrays: what every hot loop reads.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <vector>
 
@@ -22,6 +23,16 @@ struct Matches {
 
   bool has_jacobians() const { return !u1x.empty(); }
 };
+
+// n copies of the padding match, to be filled one by one with row-major bearings (3) and Jacobians
+// (3, 2), and cut to those that were filled.
+Matches padding_matches(std::size_t n, bool with_jacobians);
+void set_bearings(Matches& m, std::size_t i, const double* bearing1, const double* bearing2);
+void set_jacobians(Matches& m, std::size_t i, const double* jacobian1, const double* jacobian2);
+void truncate(Matches& m, std::size_t n);
+
+// The entries of one view's Jacobians in row-major order: 1 or 2.
+std::array<std::vector<double>*, 6> jacobian_columns(Matches& m, int view);
 
 // bearings: (n, 3) row-major; weights: (n) or null; jacobians: (n, 3, 2) row-major or null.
 Matches make_matches(const double* bearings1, const double* bearings2, std::size_t n,

@@ -8,7 +8,7 @@
 
 namespace epi360 {
 
-// x2 = R x1 + t, |t| = 1.
+// cam2_from_cam1: x2 = R x1 + t, |t| = 1.
 struct RelativePose {
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   Eigen::Vector3d t = Eigen::Vector3d::UnitZ();
@@ -48,6 +48,12 @@ inline double rotation_angle(const Eigen::Matrix3d& a, const Eigen::Matrix3d& b)
 
 inline double direction_angle(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b));
+}
+
+// Whether two poses are so close that they are one hypothesis.
+inline bool same_pose(const RelativePose& a, const RelativePose& b, double rotation_rad,
+                      double direction_rad) {
+  return rotation_angle(a.R, b.R) < rotation_rad && direction_angle(a.t, b.t) < direction_rad;
 }
 
 }  // namespace epi360

@@ -4,7 +4,7 @@
 #include <cstdint>
 #include <cstring>
 
-#include "multiversion.h"
+#include "core/multiversion.h"
 
 namespace epi360 {
 

@@ -4,32 +4,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-_Array = NDArray[np.float64]
+from epi360.estimation.result import Status
 
-# status, rotation, translation, scale, threshold, inlier, residuals, num_iterations, parallax,
-# coverage, match_coverage, covariance, alternatives, num_usable, num_distinct, spread,
-# spread_of_matches, translation_basis, seconds
-_PairResult = tuple[
-    int,
-    _Array,
-    _Array,
-    float,
-    float,
-    NDArray[np.uint8],
-    _Array,
-    int,
-    float,
-    float,
-    float,
-    _Array,
-    list[tuple[_Array, _Array]],
-    int,
-    int,
-    float,
-    float,
-    _Array,
-    float,
-]
+_Array = NDArray[np.float64]
 
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
 def eight_point(bearings1: _Array, bearings2: _Array, weights: _Array | None = None) -> _Array: ...
@@ -59,9 +36,67 @@ def refine(
     jacobians2: _Array | None,
     max_iterations: int,
 ) -> tuple[_Array, _Array, _Array, float, _Array, float, float, float, int, bool]: ...
+
+class Warning:
+    @property
+    def code(self) -> str: ...
+    @property
+    def value(self) -> float: ...
+    @property
+    def reference(self) -> float: ...
+
+class Pair:
+    def __init__(
+        self,
+        bearings1: _Array,
+        bearings2: _Array,
+        *,
+        weights: _Array | None = None,
+        scores: _Array | None = None,
+        jacobians1: _Array | None = None,
+        jacobians2: _Array | None = None,
+        gravity1: _Array | None = None,
+        gravity2: _Array | None = None,
+        seed: int = 0,
+        max_noise: float = 0.0,  # radians; 0 is no limit
+    ) -> None: ...
+
+class PairResult:  # angles in radians; the arrays are views
+    @property
+    def status(self) -> Status: ...
+    @property
+    def warnings(self) -> list[Warning]: ...
+    @property
+    def rotation(self) -> _Array: ...
+    @property
+    def translation(self) -> _Array: ...
+    @property
+    def scale(self) -> float: ...
+    @property
+    def threshold(self) -> float: ...
+    @property
+    def parallax(self) -> float: ...
+    @property
+    def coverage(self) -> float: ...
+    @property
+    def num_iterations(self) -> int: ...
+    @property
+    def inlier_mask(self) -> NDArray[np.bool_]: ...
+    @property
+    def residuals(self) -> _Array: ...
+    @property
+    def covariance(self) -> _Array: ...
+    @property
+    def translation_basis(self) -> _Array: ...
+    @property
+    def alternatives(self) -> list[tuple[_Array, _Array]]: ...
+    @property
+    def bad_row(self) -> tuple[int, int, bool]: ...  # view (0: none), row, whether it is infinite
+    @property
+    def seconds(self) -> float: ...
+
 def estimate_relative_poses(
-    bearings1: list[_Array],
-    bearings2: list[_Array],
+    pairs: list[Pair],
     *,
     residual: str,
     threshold: float,
@@ -70,15 +105,10 @@ def estimate_relative_poses(
     min_iterations: int,
     max_iterations: int,
     confidence: float,
-    seed: int | list[int],  # one for all pairs, or one for each
+    min_num_inliers: int,
     num_threads: int,
-    weights: list[_Array],
-    scores: list[_Array],
-    jacobians1: list[_Array],
-    jacobians2: list[_Array],
-    gravity1: list[_Array],
-    gravity2: list[_Array],
-) -> list[_PairResult] | tuple[int, int, int, bool]: ...
+) -> list[PairResult]: ...
+def noise_per_residual(residual: str) -> float: ...
 def upright_three_point(
     bearings1: _Array, bearings2: _Array, gravity1: _Array, gravity2: _Array
 ) -> list[tuple[_Array, _Array]]: ...
@@ -101,3 +131,9 @@ def solve_linear(
 def search_sk(
     bearings1: _Array, bearings2: _Array, sk_search: str, weights: _Array | None = None
 ) -> tuple[float, float, float, int]: ...
+
+class internals:  # noqa: N801 - a submodule, for tests
+    class Evidence: ...
+
+    @staticmethod
+    def judge(evidence: internals.Evidence) -> tuple[Status, list[Warning]]: ...

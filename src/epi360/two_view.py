@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from epi360.estimation import (
     estimate_relative_pose,
 )
 from epi360.estimation.robust import check_threshold
+from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
     Features,
     ImageSource,
@@ -36,8 +37,9 @@ from epi360.features.detection import (
 from epi360.features.image_cameras import find_camera
 from epi360.second_look import is_precise, is_settled, later_is_better
 
-# Key points are good to a third of a pixel; swapped fisheye cameras give two.
-_DOUBTFUL_NOISE_PX = 1.5
+# Key points are good to a third of a pixel. If the two fisheye cameras are swapped, the noise is
+# about two pixels.
+MAX_NOISE_PX = 1.5
 # Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
 # costs nothing, and real matches have near misses that a few more samples see through.
 IMAGE_OPTIONS = RansacOptions(min_num_inliers=15, min_iterations=50, confidence=0.9999)
@@ -157,41 +159,27 @@ def _estimated(
     keypoints1 = features1.keypoints[matches[:, 0]]
     keypoints2 = features2.keypoints[matches[:, 1]]
     cameras = (views[0].camera, views[1].camera)
+    pixel_deg = smallest_pixel_deg(cameras)
     result = estimate_relative_pose(
         cameras[0].bearings_from_pixels(keypoints1),
         cameras[1].bearings_from_pixels(keypoints2),
         inlier_threshold_deg=inlier_threshold_deg,
+        max_noise_deg=MAX_NOISE_PX * pixel_deg,
         options=IMAGE_OPTIONS,
         seed=seed,
     )
-    return _with_keypoints(doubted(result, cameras), keypoints1, keypoints2)
+    return _with_keypoints(noise_in_pixels(result, pixel_deg), keypoints1, keypoints2)
 
 
-def doubted(result: RelativePoseResult, cameras: tuple[Camera, Camera]) -> RelativePoseResult:
-    """Result with a warning where the noise is more than key points have.
-
-    Parameters
-    ----------
-    result : RelativePoseResult
-        Of matched key points.
-    cameras : (Camera, Camera)
-        Of both images.
-    """
-    pixels = max(_noise_px(result.noise_deg, camera) for camera in cameras)
-    if not result.success or pixels < _DOUBTFUL_NOISE_PX:
-        return result
-    warning = (
-        f"the matches agree only to {pixels:.1f} pixels (one sigma): do the cameras belong to "
-        "these images, in this order?"
-    )
-    return replace(result, warnings=(*result.warnings, warning))
+def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:
+    """Angle of a pixel at the middle of the image, the smaller one of both cameras."""
+    return min(_pixel_deg(camera) for camera in cameras)
 
 
-def _noise_px(noise_deg: float, camera: Camera) -> float:
-    """Noise in pixels at the middle of the image."""
+def _pixel_deg(camera: Camera) -> float:
     middle = np.array([[camera.width / 2.0, camera.height / 2.0]])
-    scale = float(np.linalg.norm(camera.bearing_jacobians(middle)[0]) / 2.0**0.5)
-    return float(np.radians(noise_deg) / scale)
+    size_rad = float(np.linalg.norm(camera.bearing_jacobians(middle)[0]) / 2.0**0.5)
+    return float(np.degrees(size_rad))
 
 
 @dataclass(frozen=True)

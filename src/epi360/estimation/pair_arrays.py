@@ -8,85 +8,48 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from epi360 import _core
 from epi360.epipolar.arguments import direction_array, jacobians_array, weights_array
 
 Array = NDArray[np.float64]
 
 
-class PairArrays:
-    """Arrays of all pairs as the native core takes them; what nobody gave stays empty.
-
-    Attributes
-    ----------
-    bearings1, bearings2 : list of ndarray, shape (M, 3)
-        One a pair.
-    weights, scores : list of ndarray, shape (M,)
-        One a pair, or none.
-    jacobians1, jacobians2 : list of ndarray, shape (M, 3, 2)
-        One a pair, or none.
-    gravity1, gravity2 : list of ndarray, shape (3,)
-        One a pair, or none.
-    """
-
-    def __init__(self) -> None:
-        self.bearings1: list[Array] = []
-        self.bearings2: list[Array] = []
-        self.weights: list[Array] = []
-        self.scores: list[Array] = []
-        self.jacobians1: list[Array] = []
-        self.jacobians2: list[Array] = []
-        self.gravity1: list[Array] = []
-        self.gravity2: list[Array] = []
-
-    def append(
-        self,
-        bearings1: ArrayLike,
-        bearings2: ArrayLike,
-        weights: ArrayLike | None = None,
-        scores: ArrayLike | None = None,
-        jacobians1: ArrayLike | None = None,
-        jacobians2: ArrayLike | None = None,
-        gravity1: ArrayLike | None = None,
-        gravity2: ArrayLike | None = None,
-    ) -> None:
-        """Add a pair.
-
-        Parameters
-        ----------
-        bearings1, bearings2 : array_like, shape (M, 3)
-            Row i of both is one match.
-        weights, scores : array_like, shape (M,), optional
-            Of the matches.
-        jacobians1, jacobians2 : array_like, shape (M, 3, 2), optional
-            Of the bearings by their pixels.
-        gravity1, gravity2 : array_like, shape (3,), optional
-            Down, in both cameras.
-
-        Raises
-        ------
-        ValueError
-            If a shape is wrong.
-        """
-        b1 = _rows(bearings1, "bearings1")
-        b2 = _rows(bearings2, "bearings2")
-        if len(b1) != len(b2):
-            raise ValueError(
-                f"bearings1 and bearings2 must have the same length, got {len(b1)} and {len(b2)}"
-            )
-        if (gravity1 is None) != (gravity2 is None):
-            raise ValueError("gravity1 and gravity2 must be given together, got only one")
-        self.bearings1.append(b1)
-        self.bearings2.append(b2)
-        for kept, given in (
-            (self.weights, weights_array(weights, len(b1))),
-            (self.scores, _scores(scores, len(b1))),
-            (self.jacobians1, jacobians_array(jacobians1, len(b1), "jacobians1")),
-            (self.jacobians2, jacobians_array(jacobians2, len(b1), "jacobians2")),
-            (self.gravity1, None if gravity1 is None else direction_array(gravity1, "gravity1")),
-            (self.gravity2, None if gravity2 is None else direction_array(gravity2, "gravity2")),
-        ):
-            if given is not None:
-                kept.append(given)
+def native_pair(
+    bearings1: ArrayLike,
+    bearings2: ArrayLike,
+    *,
+    weights: ArrayLike | None = None,
+    scores: ArrayLike | None = None,
+    jacobians: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
+    uses_jacobians: bool = False,
+    gravity: tuple[ArrayLike | None, ArrayLike | None] = (None, None),
+    seed: int = 0,
+    max_noise: float = 0.0,
+) -> _core.Pair:
+    """Return the arrays of one pair as the core takes them, or name what is wrong."""
+    b1 = _rows(bearings1, "bearings1")
+    b2 = _rows(bearings2, "bearings2")
+    if len(b1) != len(b2):
+        raise ValueError(
+            f"bearings1 and bearings2 must have the same length, got {len(b1)} and {len(b2)}"
+        )
+    gravity1, gravity2 = gravity
+    if (gravity1 is None) != (gravity2 is None):
+        raise ValueError("gravity1 and gravity2 must be given together, got only one")
+    J1 = jacobians_array(jacobians[0], len(b1), "jacobians1")
+    J2 = jacobians_array(jacobians[1], len(b1), "jacobians2")
+    return _core.Pair(
+        b1,
+        b2,
+        weights=weights_array(weights, len(b1)),
+        scores=_scores(scores, len(b1)),
+        jacobians1=J1 if uses_jacobians else None,
+        jacobians2=J2 if uses_jacobians else None,
+        gravity1=None if gravity1 is None else direction_array(gravity1, "gravity1"),
+        gravity2=None if gravity2 is None else direction_array(gravity2, "gravity2"),
+        seed=seed % 2**64,
+        max_noise=max_noise,
+    )
 
 
 def _rows(bearings: ArrayLike, name: str) -> Array:

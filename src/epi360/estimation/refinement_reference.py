@@ -288,7 +288,7 @@ def _unit(pose: Pose) -> Pose:
 
 
 def loss_terms(squared: Array, loss: str, scale: float) -> tuple[Array, Array]:
-    """Cost and weight of squared residuals, as in native/core/loss.h.
+    """Cost and weight of squared residuals, as in native/core/refinement/loss.h.
 
     Parameters
     ----------

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from epi360 import _core
 from epi360.epipolar.residuals import RESIDUALS
-from epi360.estimation.pair_arrays import PairArrays, cut_pairs, listed_pairs, values_per_pair
+from epi360.estimation.pair_arrays import cut_pairs, listed_pairs, native_pair, values_per_pair
 from epi360.estimation.result import RelativePoseResult
-from epi360.estimation.verdict import Found, result_of
+from epi360.estimation.verdict import result_of
 
 Threshold = float | Literal["auto"]
 
@@ -83,6 +83,7 @@ def estimate_relative_pose(
     weights: ArrayLike | None = None,
     gravity1: ArrayLike | None = None,
     gravity2: ArrayLike | None = None,
+    max_noise_deg: float | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int = 0,
 ) -> RelativePoseResult:
@@ -111,10 +112,12 @@ def estimate_relative_pose(
         Direction of gravity (down) in both cameras, good to a few degrees: three matches make a
         sample then. The answer is refined freely; where it contradicts gravity by more than
         15 degrees, the search is done again without.
+    max_noise_deg : float, optional
+        Noise of the bearings (one sigma) from which on an "ok" result carries a warning.
     options : RansacOptions
         How the sampling runs.
     seed : int
-        Of the sampling; the same input and seed give the same result.
+        Random seed of the sampling; the same input and seed give the same result.
 
     Returns
     -------
@@ -137,13 +140,23 @@ def estimate_relative_pose(
     as well, whether chance would, whether another pose does, and whether the inliers are one patch
     among matches from everywhere.
     """
-    arrays = PairArrays()
-    arrays.append(
-        bearings1, bearings2, weights, match_scores, jacobians1, jacobians2, gravity1, gravity2
+    uses_pixels = residual == "tangent_sampson"
+    if uses_pixels and (jacobians1 is None or jacobians2 is None):
+        raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
+    pair = native_pair(
+        bearings1,
+        bearings2,
+        weights=weights,
+        scores=match_scores,
+        jacobians=(jacobians1, jacobians2),
+        uses_jacobians=uses_pixels,
+        gravity=(gravity1, gravity2),
+        seed=index(seed),
+        max_noise=_checked_noise(max_noise_deg),
     )
     threshold = inlier_threshold_deg, inlier_threshold_px
-    (found,) = _estimate(arrays, *threshold, residual, options, index(seed), 1)
-    return result_of(found, residual, options.min_num_inliers)
+    (answer,) = _estimate([pair], *threshold, residual, options, 1)
+    return result_of(answer, residual)
 
 
 def estimate_relative_poses(
@@ -156,6 +169,7 @@ def estimate_relative_poses(
     residual: str = "sampson",
     match_scores: Sequence[ArrayLike] | ArrayLike | None = None,
     weights: Sequence[ArrayLike] | ArrayLike | None = None,
+    max_noise_deg: float | Sequence[float] | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int | Sequence[int] = 0,
 ) -> list[RelativePoseResult]:
@@ -178,6 +192,8 @@ def estimate_relative_poses(
         "sampson", "angular" or "paper".
     match_scores, weights : sequence of array_like, or array_like, shape (N,), optional
         One array for each pair; with `offsets` one array for all.
+    max_noise_deg : float or sequence of float, optional
+        One for all pairs, or one for each.
     options : RansacOptions
         How the sampling runs.
     seed : int or sequence of int
@@ -200,7 +216,6 @@ def estimate_relative_poses(
             "residual must be sampson, angular or paper, got 'tangent_sampson'; its Jacobians go "
             "with estimate_relative_pose"
         )
-    arrays = PairArrays()
     if offsets is None:
         if bearings2 is not None:
             raise ValueError("bearings2 needs offsets; without them give pairs of arrays")
@@ -211,15 +226,27 @@ def estimate_relative_poses(
         pairs, scores_of, weights_of = cut_pairs(
             bearings1, bearings2, offsets, match_scores, weights
         )
+    seeds = _seeds(seed, len(pairs))
+    limits = _noise_limits(max_noise_deg, len(pairs))
+    native = []
     for k, pair in enumerate(pairs):
         try:
             b1, b2 = pair
-            arrays.append(b1, b2, weights_of[k], scores_of[k])
+            native.append(
+                native_pair(
+                    b1,
+                    b2,
+                    weights=weights_of[k],
+                    scores=scores_of[k],
+                    seed=seeds[k],
+                    max_noise=limits[k],
+                )
+            )
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
     threads = _num_threads(num_threads)
-    found = _estimate(arrays, inlier_threshold_deg, None, residual, options, seed, threads)
-    return [result_of(each, residual, options.min_num_inliers) for each in found]
+    answers = _estimate(native, inlier_threshold_deg, None, residual, options, threads)
+    return [result_of(answer, residual) for answer in answers]
 
 
 def estimate_timed_poses(
@@ -255,13 +282,14 @@ def estimate_timed_poses(
     ValueError
         As `estimate_relative_poses`.
     """
-    arrays = PairArrays()
-    for b1, b2 in zip(bearings1, bearings2, strict=True):
-        arrays.append(b1, b2)
-    threads = _num_threads(num_threads)
-    found = _estimate(arrays, "auto", None, "sampson", options, seeds, threads)
-    results = [result_of(each, "sampson", options.min_num_inliers) for each in found]
-    return results, [each.seconds for each in found]
+    pairs = [
+        native_pair(b1, b2, seed=seed)
+        for b1, b2, seed in zip(bearings1, bearings2, _seeds(seeds, len(bearings1)), strict=True)
+    ]
+    answers = _estimate(pairs, "auto", None, "sampson", options, _num_threads(num_threads))
+    return [result_of(answer, "sampson") for answer in answers], [
+        answer.seconds for answer in answers
+    ]
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:
@@ -291,26 +319,22 @@ def check_threshold(inlier_threshold_deg: float | str) -> float:
 
 
 def _estimate(
-    arrays: PairArrays,
+    pairs: list[_core.Pair],
     inlier_threshold_deg: Threshold,
     inlier_threshold_px: float | None,
     residual: str,
     options: RansacOptions,
-    seed: int | Sequence[int],
     num_threads: int,
-) -> list[Found]:
+) -> list[_core.PairResult]:
     if residual not in RESIDUALS or residual == "solarte2021":
         names = ", ".join(name for name in RESIDUALS if name != "solarte2021")
         raise ValueError(f"residual must be one of {names}, got {residual!r}")
-    uses_pixels = residual == "tangent_sampson"
-    if uses_pixels and not (arrays.jacobians1 and arrays.jacobians2):
-        raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
     threshold = check_threshold(inlier_threshold_deg)
     if inlier_threshold_px is not None:
+        uses_pixels = residual == "tangent_sampson"
         threshold = _checked_pixels(inlier_threshold_px, threshold, uses_pixels)
     answers = _core.estimate_relative_poses(
-        arrays.bearings1,
-        arrays.bearings2,
+        pairs,
         residual=residual,
         threshold=threshold,
         threshold_in_pixels=inlier_threshold_px is not None,
@@ -318,18 +342,14 @@ def _estimate(
         min_iterations=options.min_iterations,
         max_iterations=options.max_iterations,
         confidence=options.confidence,
-        seed=_native_seed(seed, len(arrays.bearings1)),
+        min_num_inliers=options.min_num_inliers,
         num_threads=num_threads,
-        weights=arrays.weights,
-        scores=arrays.scores,
-        jacobians1=arrays.jacobians1 if uses_pixels else [],
-        jacobians2=arrays.jacobians2 if uses_pixels else [],
-        gravity1=arrays.gravity1,
-        gravity2=arrays.gravity2,
     )
-    if isinstance(answers, tuple):
-        _raise_bad_row(*answers, num_pairs=len(arrays.bearings1))
-    return [Found(*answer) for answer in answers]
+    for k, answer in enumerate(answers):
+        view, row, is_infinite = answer.bad_row
+        if view:
+            _raise_bad_row(k, view, row, is_infinite, num_pairs=len(pairs))
+    return answers
 
 
 def _raise_bad_row(pair: int, view: int, row: int, infinite: bool, *, num_pairs: int) -> NoReturn:
@@ -357,12 +377,35 @@ def _checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> f
     return threshold
 
 
-def _native_seed(seed: int | Sequence[int], num_pairs: int) -> int | list[int]:
+def _seeds(seed: int | Sequence[int], num_pairs: int) -> list[int]:
     if not isinstance(seed, Sequence | np.ndarray):
-        return index(seed) % 2**64
+        return [index(seed)] * num_pairs
     if len(seed) != num_pairs:
         raise ValueError(f"seed must be one for each of {num_pairs} pairs, got {len(seed)}")
-    return [index(each) % 2**64 for each in seed]
+    return [index(each) for each in seed]
+
+
+def _checked_noise(max_noise_deg: float | None) -> float:
+    """Return a limit in radians, 0 for none."""
+    if max_noise_deg is None:
+        return 0.0
+    try:
+        degrees = float(max_noise_deg)
+    except (TypeError, ValueError):
+        degrees = np.nan
+    if not (np.isfinite(degrees) and degrees > 0.0):
+        raise ValueError(f"max_noise_deg must be a positive number or None, got {max_noise_deg!r}")
+    return float(np.radians(degrees))
+
+
+def _noise_limits(max_noise_deg: float | Sequence[float] | None, num_pairs: int) -> list[float]:
+    if not isinstance(max_noise_deg, Sequence | np.ndarray) or isinstance(max_noise_deg, str):
+        return [_checked_noise(max_noise_deg)] * num_pairs
+    if len(max_noise_deg) != num_pairs:
+        raise ValueError(
+            f"max_noise_deg must be one for each of {num_pairs} pairs, got {len(max_noise_deg)}"
+        )
+    return [_checked_noise(each) for each in max_noise_deg]
 
 
 def _num_threads(num_threads: int | None) -> int:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
+from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import Features, match_features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
 from epi360.jobs.feature_cache import FeatureCache, UnreadableImageError
@@ -25,7 +26,7 @@ from epi360.jobs.match_store import Keys, Verdict, VerifiedPair, read_parts, wri
 from epi360.jobs.pair_selection import Pair
 from epi360.progress import Progress
 from epi360.second_look import is_settled, later_is_better
-from epi360.two_view import IMAGE_OPTIONS, doubted
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _PAIRS_PER_THREAD = 16  # in a part: a few seconds of work, what a kill may cost
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
@@ -117,6 +118,7 @@ class MatchJob:
         matched = [(pair, each) for pair in pairs if (each := found[pair]) is not None]
         results = estimate_relative_poses(
             [(each.bearings1, each.bearings2) for _, each in matched],
+            max_noise_deg=[MAX_NOISE_PX * self._pixel_deg(pair) for pair, _ in matched],
             options=IMAGE_OPTIONS,
             num_threads=self.num_threads,
             seed=self.seed,
@@ -141,10 +143,13 @@ class MatchJob:
             self.cameras[pair[1]].bearings_from_pixels(keypoints2),
         )
 
+    def _pixel_deg(self, pair: Pair) -> float:
+        return smallest_pixel_deg((self.cameras[pair[0]], self.cameras[pair[1]]))
+
     def _verified_pair(
         self, pair: Pair, matches: NDArray[np.int64], result: RelativePoseResult
     ) -> VerifiedPair:
-        result = doubted(result, (self.cameras[pair[0]], self.cameras[pair[1]]))
+        result = noise_in_pixels(result, self._pixel_deg(pair))
         variances = np.diag(result.covariance)
         verdict = Verdict(
             status=result.status,

@@ -1,0 +1,182 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/refinement/refine.h"
+
+#include <algorithm>
+
+#include "core/refinement/fit_mixture.h"
+#include "core/refinement/mixture.h"
+#include "core/solvers/dense.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kSettled = 3e-3;  // change of scale (relative) and shares that counts as none
+
+RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& basis,
+                   const Vector5& step) {
+  RelativePose next;
+  next.R = exp_so3(step.head<3>()) * pose.R;
+  next.t = (pose.t + basis * step.tail<2>()).normalized();
+  return next;
+}
+
+MixturePass pass_over(const Matches& m, const Linearisation& at) {
+  return {m.padded, at.residuals.data(), at.in_front.data(), m.weight.data(), m.unit_weights};
+}
+
+// Weights of all matches and what they cost together; the user's weights multiply both.
+void weigh(const Matches& m, const LossModel& loss, Linearisation& at) {
+  if (loss.loss == Loss::kMixture) {
+    at.sums = mixture_pass(pass_over(m, at), loss, at.weights.data());
+    at.objective = -at.sums.log_likelihood;
+    return;
+  }
+  if (loss.loss == Loss::kGemanMcClure) {
+    at.objective = geman_mcclure_pass(pass_over(m, at), loss.scale, at.weights.data());
+    return;
+  }
+  at.objective = 0.0;
+  for (std::size_t i = 0; i < m.padded; ++i) {
+    const LossValue value = evaluate_loss(at.residuals[i] * at.residuals[i], loss);
+    at.weights[i] = m.weight[i] * value.weight;
+    at.objective += m.weight[i] * value.cost;
+  }
+}
+
+// Maximisation step for scale and shares.
+void update_mixture(const MixtureSums& sums, const RefineOptions& options, LossModel& loss) {
+  const double total = sums.part[0] + sums.part[1] + sums.part[2] + sums.part[3];
+  if (!(total > 0.0) || !(sums.count > 0.0)) return;
+  // Five parameters were fitted to the inliers.
+  const double freedom = std::max(total - 5.0, 0.2 * total);
+  loss.scale = std::min(std::max(std::sqrt(sums.squares / freedom), options.smallest_scale),
+                        options.largest_scale);
+  set_shares(sums.part, sums.count, loss);
+}
+
+// Whether a mixture still moves.
+bool changed(const LossModel& before, const LossModel& after) {
+  bool any = std::abs(after.scale - before.scale) > kSettled * before.scale;
+  for (int k = 0; k < LossModel::kGaussians; ++k) {
+    any = any || std::abs(after.share[k] - before.share[k]) > kSettled;
+  }
+  return any;
+}
+
+void linearise(const Matches& m, const RefineOptions& options, const LossModel& loss,
+               const RelativePose& pose, Linearisation& at) {
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+  const double tolerance = options.use_depths ? depth_tolerance(loss.scale) : 1e300;
+  compute_jacobians(m, options.residual, plain(pose), basis.data(), tolerance, at.residuals.data(),
+                    at.in_front.data(), at.jacobian.data());
+  weigh(m, loss, at);
+}
+
+}  // namespace
+
+double depth_tolerance(double scale) { return std::min(3.0 * scale, kLargestWrongParallax); }
+
+PlainPose plain(const RelativePose& pose) {
+  PlainPose p;
+  Eigen::Map<Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(p.R) = pose.R;
+  Eigen::Map<Eigen::Vector3d>(p.t) = pose.t;
+  return p;
+}
+
+void Linearisation::resize(std::size_t padded) {
+  residuals.resize(padded);
+  in_front.resize(padded);
+  weights.resize(padded);
+  jacobian.resize(5 * padded);
+}
+
+void RefineWorkspace::resize(std::size_t padded) {
+  current.resize(padded);
+  trial.resize(padded);
+}
+
+RefineResult refine(const Matches& m, const RelativePose& start, const RefineOptions& options,
+                    RefineWorkspace& w) {
+  w.resize(m.padded);
+  RefineResult result;
+  result.cam2_from_cam1 = start;
+  // A long chain of products would drift away from orthonormality.
+  result.cam2_from_cam1.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
+  result.loss = options.loss;
+  bool adaptive = options.loss.loss == Loss::kMixture;
+  linearise(m, options, result.loss, result.cam2_from_cam1, w.current);
+  if (adaptive) {  // the start's mixture may come from other residuals
+    update_mixture(w.current.sums, options, result.loss);
+    weigh(m, result.loss, w.current);
+  }
+  double damping = 1e-4;
+  for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+    double upper[15];
+    Vector5 gradient;
+    accumulate_normal_equations(m.padded, w.current.jacobian.data(), w.current.residuals.data(),
+                                w.current.weights.data(), upper, gradient.data());
+    const Matrix5 hessian = symmetric(upper);
+    const Eigen::Matrix<double, 3, 2> basis = tangent_basis(result.cam2_from_cam1.t);
+    // Pose and mixture step from one set of posterior probabilities (expectation conditional
+    // maximisation); together they may only become more likely.
+    const bool updated = adaptive;
+    if (adaptive) {
+      const LossModel before = result.loss;
+      update_mixture(w.current.sums, options, result.loss);
+      // Expectation-maximisation creeps at the end; what it would still change hardly moves the
+      // pose, which then converges fast.
+      adaptive = changed(before, result.loss);
+    }
+    result.num_iterations = iteration + 1;
+
+    const double sigma = options.sigma_tolerance * result.loss.scale;
+    bool accepted = false, fresh = !updated;
+    Vector5 step = Vector5::Zero();
+    while (!accepted && damping < 1e8) {
+      Matrix5 damped = hessian;
+      damped.diagonal() *= 1.0 + damping;
+      damped.diagonal().array() += 1e-15 * (1.0 + hessian.trace());
+      step = -solve_symmetric(damped, gradient);
+      if (!step.allFinite()) return result;
+      if (step.norm() < options.step_tolerance) break;
+      // -g.step = step^T H step: its squared length in units of the covariance scale^2 H^-1.
+      if (-gradient.dot(step) < sigma * sigma) break;
+      const RelativePose candidate = moved(result.cam2_from_cam1, basis, step);
+      linearise(m, options, result.loss, candidate, w.trial);
+      if (w.trial.objective < w.current.objective) {
+        result.cam2_from_cam1 = candidate;
+        std::swap(w.current, w.trial);
+        accepted = true;
+        damping = std::max(damping * 0.1, 1e-9);
+      } else if (!fresh) {  // limits on the shares can make the new mixture the less likely one
+        weigh(m, result.loss, w.current);
+        fresh = true;
+        if (w.trial.objective >= w.current.objective) damping *= 10.0;
+      } else {
+        damping *= 10.0;
+      }
+    }
+    // Without a step that lowers the cost it is a minimum to working precision.
+    result.converged = !accepted || step.norm() < options.step_tolerance;
+    if (result.converged) break;
+  }
+  if (options.loss.loss == Loss::kMixture) weigh(m, result.loss, w.current);
+  result.cost = w.current.objective;
+  if (options.loss.loss == Loss::kMixture)
+    result.cost *= 2.0 * result.loss.scale * result.loss.scale;
+  return result;
+}
+
+void set_statistics(const Matches& m, const RefineWorkspace& w, RefineResult& result) {
+  double upper[15], gradient[5];
+  const Linearisation& at = w.current;
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  result.information = symmetric(upper);
+  for (std::size_t i = 0; i < m.size; ++i) {
+    result.effective_matches += at.weights[i];
+    result.weighted_squares += at.weights[i] * at.residuals[i] * at.residuals[i];
+  }
+}
+
+}  // namespace epi360

@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/candidates.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include "core/refinement/fit_mixture.h"
+
+namespace epi360 {
+namespace {
+
+// A hypothesis is polished when its support is at least this share of the best one's.
+constexpr double kCompetitive = 0.5;
+// Steps at which a candidate counts as converged, in standard deviations of its pose.
+constexpr double kFinal = 1e-4;
+// Akaike's criterion: what three shares of wider Gaussians must add to the log-likelihood.
+constexpr double kSimpler = 3.0;
+constexpr double kAnnealFrom = 2.0 * kDegree;
+
+}  // namespace
+
+double gate_of(const LossModel& mixture) {
+  double low = 2.0, high = 4.0;
+  for (int step = 0; step < 20; ++step) {
+    const double middle = 0.5 * (low + high), r = middle * mixture.scale;
+    const MixtureParts p = mixture_parts(r * r, mixture);
+    (p.gaussian[0] > 0.5 * p.total() ? low : high) = middle;
+  }
+  return low * mixture.scale;
+}
+
+Candidates::Candidates(const Matches& m, Residual residual) : m_(m), residual_(residual) {
+  workspace_.resize(m.padded);
+}
+
+void Candidates::compute_residuals_at(const RelativePose& pose) {
+  compute_residuals(m_, residual_, plain(pose), depth_tolerance_,
+                    workspace_.current.residuals.data(), workspace_.current.in_front.data());
+}
+
+LossModel Candidates::fitted_mixture(const RelativePose& pose) {
+  compute_residuals_at(pose);
+  return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.in_front.data(),
+                     kTypicalDensity, kSmallestScale);
+}
+
+LossModel Candidates::mixture_at(const RelativePose& pose) {
+  const auto known = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return c.cam2_from_cam1.R == pose.R && c.cam2_from_cam1.t == pose.t;
+  });
+  if (known == candidates_.end()) return fitted_mixture(pose);
+  compute_residuals_at(pose);
+  return known->loss;
+}
+
+RefineResult Candidates::local(const RelativePose& pose, const LossModel& start, int max_iterations,
+                               double sigma_tolerance, bool use_depths) {
+  RefineOptions options;
+  options.residual = residual_;
+  options.loss = start;
+  options.use_depths = use_depths;
+  options.max_iterations = max_iterations;
+  options.step_tolerance = 1e-12;
+  options.sigma_tolerance = sigma_tolerance;
+  return refine(m_, pose, options, workspace_);
+}
+
+Candidate Candidates::polish(const RelativePose& pose, int max_iterations, double sigma_tolerance,
+                             const LossModel* start) {
+  const RefineResult refined =
+      local(pose, start ? *start : fitted_mixture(pose), max_iterations, sigma_tolerance);
+  const double evidence = scale_evidence(refined.loss) - workspace_.current.objective;
+  const Candidate candidate{refined.cam2_from_cam1, refined.loss, evidence, evidence};
+  keep(candidate);
+  return candidate;
+}
+
+void Candidates::keep(const Candidate& candidate) {
+  if (!std::isfinite(candidate.evidence)) return;
+  const auto same = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return same_pose(c.cam2_from_cam1, candidate.cam2_from_cam1, 0.3 * kSameRotation,
+                     0.3 * kSameDirection);
+  });
+  if (same == candidates_.end()) {
+    candidates_.push_back(candidate);
+  } else if (same->evidence < candidate.evidence) {
+    *same = candidate;
+  }
+  std::stable_sort(candidates_.begin(), candidates_.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.evidence > b.evidence; });
+  if (candidates_.size() > 2 * HypothesisPool::kSize) candidates_.pop_back();
+}
+
+void Candidates::polish_pool(HypothesisPool& pool, int max_iterations) {
+  std::vector<Hypothesis>& hypotheses = pool.hypotheses();
+  if (hypotheses.empty()) return;
+  const double total = std::accumulate(m_.weight.begin(), m_.weight.end(), 0.0);
+  const double needed = kCompetitive * (total - hypotheses.front().score);
+  for (Hypothesis& h : hypotheses) {
+    if (h.polished || total - h.score < needed) continue;
+    h.polished = true;
+    // A few steps tell whether it leads to a candidate that is known.
+    if (is_known(h.cam2_from_cam1, 1.0)) continue;
+    const RefineResult near = local(h.cam2_from_cam1, fitted_mixture(h.cam2_from_cam1), 3);
+    if (!is_known(near.cam2_from_cam1, 0.5)) {
+      polish(near.cam2_from_cam1, max_iterations, 1e-2, &near.loss);
+    }
+  }
+}
+
+bool Candidates::is_known(const RelativePose& pose, double reach) const {
+  return std::any_of(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+    return same_pose(c.cam2_from_cam1, pose, reach * kSameRotation, reach * kSameDirection);
+  });
+}
+
+void Candidates::anneal() {
+  if (candidates_.empty()) return;
+  const Candidate start = candidates_.front();
+  RefineOptions options;
+  options.residual = residual_;
+  options.loss.loss = Loss::kGemanMcClure;
+  options.use_depths = true;
+  options.max_iterations = 2;
+  options.step_tolerance = 1e-7;
+  RelativePose pose = start.cam2_from_cam1;
+  const double narrowest = std::max(2.0 * start.loss.scale, 1e-4);
+  for (double scale = std::max(kAnnealFrom, 2.0 * narrowest); scale > narrowest; scale *= 0.5) {
+    options.loss.scale = scale;
+    pose = refine(m_, pose, options, workspace_).cam2_from_cam1;
+  }
+  if (!same_pose(pose, start.cam2_from_cam1, 0.05 * kSameRotation, 0.05 * kSameDirection)) {
+    polish(pose, 25);
+  }
+}
+
+void Candidates::finish(const std::vector<Candidate>& candidates, double range) {
+  const std::vector<Candidate> chosen = candidates;  // polish changes candidates_
+  for (const Candidate& c : chosen) {
+    if (c.evidence > chosen.front().evidence - range) polish(c.cam2_from_cam1, 50, kFinal, &c.loss);
+  }
+}
+
+Candidate Candidates::without_depths(const Candidate& start) {
+  const RefineResult refined = local(start.cam2_from_cam1, start.loss, 30, 1e-1, false);
+  return {refined.cam2_from_cam1, refined.loss,
+          scale_evidence(refined.loss) - workspace_.current.objective};
+}
+
+void Candidates::simplify() {
+  if (candidates_.empty()) return;
+  Candidate& best = candidates_.front();
+  LossModel simple = best.loss;
+  simple.share[0] = std::min(simple.share[0] + simple.share[1], 0.999);
+  for (int k = 1; k < LossModel::kGaussians; ++k) simple.share[k] = 0.0;  // they stay at zero
+  const RefineResult refined = local(best.cam2_from_cam1, simple, 50, kFinal);
+  const double log_likelihood = -workspace_.current.objective;
+  if (log_likelihood < best.own_evidence - scale_evidence(best.loss) - kSimpler) return;
+  best.cam2_from_cam1 = refined.cam2_from_cam1;
+  best.loss = refined.loss;
+}
+
+}  // namespace epi360

@@ -1,0 +1,76 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Refined hypotheses, the most likely first, and what refines them.
+#pragma once
+
+#include <limits>
+#include <vector>
+
+#include "core/matches.h"
+#include "core/refinement/refine.h"
+#include "core/robust/pool.h"
+
+namespace epi360 {
+
+// A refined hypothesis with its mixture; comparable across scales by the evidence: log-likelihood
+// of all matches plus scale_evidence.
+struct Candidate {
+  RelativePose cam2_from_cam1;
+  LossModel loss;
+  double evidence = -std::numeric_limits<double>::infinity();
+  // That of this very pose with depths, if it is known; `evidence` ranks it among the others.
+  double own_evidence = -std::numeric_limits<double>::infinity();
+};
+
+class Candidates {
+ public:
+  Candidates(const Matches& m, Residual residual);
+
+  // Parallax of the wrong sign (radians) that a match may show under a pose not yet refined.
+  void set_depth_tolerance(double tolerance) { depth_tolerance_ = tolerance; }
+
+  // The most likely mixture at a pose: the one it was refined with, or a fit to its residuals.
+  // `linearisation` then holds the residuals and depths.
+  LossModel mixture_at(const RelativePose& cam2_from_cam1);
+  const Linearisation& linearisation() const { return workspace_.current; }
+
+  // Maximum-likelihood pose under the mixture, its scale and shares estimated; where they start is
+  // fitted to the residuals unless a mixture is given.
+  Candidate polish(const RelativePose& cam2_from_cam1, int max_iterations,
+                   double sigma_tolerance = 1e-2, const LossModel* start = nullptr);
+  // Polishes those of a pool that may compete with its best.
+  void polish_pool(HypothesisPool& pool, int max_iterations);
+  // Polishes the best candidate once more from far away (graduated non-convexity): the wide loss
+  // forgets the local minimum, the narrowing one finds the deepest near by.
+  void anneal();
+  // The optimum of the residuals alone near a candidate, and its evidence without depths.
+  Candidate without_depths(const Candidate& start);
+  void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
+  // Gives the best candidate up for the pose under one Gaussian and the uniform part where the
+  // wider Gaussians explain nothing: they would cost a tenth of the accuracy.
+  void simplify();
+  // Polishes candidates whose log-evidence is at most `range` below the best one's to the end.
+  void finish(const std::vector<Candidate>& candidates, double range);
+
+  bool empty() const { return candidates_.empty(); }
+  const Candidate& best() const { return candidates_.front(); }
+  const std::vector<Candidate>& all() const { return candidates_; }  // descending evidence
+
+ private:
+  LossModel fitted_mixture(const RelativePose& cam2_from_cam1);
+  void compute_residuals_at(const RelativePose& cam2_from_cam1);
+  RefineResult local(const RelativePose& cam2_from_cam1, const LossModel& start, int max_iterations,
+                     double sigma_tolerance = 1e-2, bool use_depths = true);
+  bool is_known(const RelativePose& cam2_from_cam1, double reach) const;
+  void keep(const Candidate& candidate);
+
+  const Matches& m_;
+  Residual residual_;
+  double depth_tolerance_ = 0.0;
+  std::vector<Candidate> candidates_;
+  RefineWorkspace workspace_;
+};
+
+// Residual at which an inlier and an outlier are equally likely, within [2, 4] standard deviations.
+double gate_of(const LossModel& mixture);
+
+}  // namespace epi360

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/covariance.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include "core/bearings.h"
+#include "core/robust/evidence.h"
+#include "core/solvers/dense.h"
+
+namespace epi360 {
+namespace {
+
+// Of so many inliers, after five parameters were fitted to them.
+double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }
+
+// Standard deviation of the inliers' residuals, corrected for the part of a Gaussian that the gate
+// cuts off.
+double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
+                    const std::vector<double>& residuals, double gate) {
+  double sum = 0.0, count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!inlier[i]) continue;
+    sum += m.weight[i] * residuals[i] * residuals[i];
+    count += m.weight[i];
+  }
+  // Variance of a unit Gaussian cut at +-k: 1 - 2 k phi(k) / (2 Phi(k) - 1); fixed point.
+  const double observed = sum / degrees_of_freedom(count);
+  double variance = observed;
+  for (int round = 0; round < 20; ++round) {
+    const double k = gate / std::sqrt(std::max(variance, 1e-30));
+    const double inside = std::erf(k / std::sqrt(2.0));
+    const double kept = 1.0 - 2.0 * k * kInverseRootTwoPi * std::exp(-0.5 * k * k) / inside;
+    variance = observed / std::max(kept, 0.25);
+  }
+  return std::sqrt(variance);
+}
+
+}  // namespace
+
+double noise_per_residual(Residual residual) {
+  return residual == Residual::kPaper || residual == Residual::kAngular ? std::sqrt(0.5) : 1.0;
+}
+
+Vector5 jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i) {
+  Vector5 J;
+  for (std::size_t k = 0; k < 5; ++k) J[static_cast<Eigen::Index>(k)] = at.jacobian[k * padded + i];
+  return J;
+}
+
+Uncertainty pose_uncertainty(const Matches& m, Residual residual,
+                             const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
+                             const std::vector<unsigned char>& inlier,
+                             const std::vector<unsigned char>& dropped,
+                             const std::vector<double>& residuals) {
+  Uncertainty result;
+  result.scale = inlier_scale(m, inlier, residuals, gate);
+  const double variance = result.scale * result.scale;
+
+  Linearisation at;
+  at.resize(m.padded);
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(cam2_from_cam1.t);
+  compute_jacobians(m, residual, plain(cam2_from_cam1), basis.data(), gate, at.residuals.data(),
+                    at.in_front.data(), at.jacobian.data());
+  std::fill(at.weights.begin(), at.weights.end(), 0.0);
+  double slope = 0.0, square = 0.0, count = 0.0;
+  Matrix5 independent = Matrix5::Zero();
+  std::array<Vector5, kNumCells> sums;
+  sums.fill(Vector5::Zero());
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (at.in_front[i] < 0.5 || dropped[i]) continue;
+    const double r = at.residuals[i];
+    const LossSlopes psi = mixture_slopes(r, loss);
+    slope += m.weight[i] * psi.second;
+    square += m.weight[i] * m.weight[i] * psi.first * psi.first;
+    // Near an epipole the first-order residual promises more than a bearing with noise can hold.
+    const Eigen::Vector3d a = cam2_from_cam1.R * view1(m, i);
+    const Eigen::Vector3d b = view2(m, i);
+    const double squared =
+        a.cross(cam2_from_cam1.t).squaredNorm() + b.cross(cam2_from_cam1.t).squaredNorm();
+    const double trust = squared / (squared + 8.0 * variance);
+    if (inlier[i]) {
+      at.weights[i] = m.weight[i] * trust * trust;
+      count += m.weight[i];
+    }
+    const Vector5 score = m.weight[i] * trust * psi.first * jacobian_of(at, m.padded, i);
+    independent += score * score.transpose();
+    sums[cell_of(b)] += score;
+  }
+  Matrix5 clustered = Matrix5::Zero();
+  for (const Vector5& sum : sums) clustered += sum * sum.transpose();
+  const double together = solve_symmetric(independent, clustered).trace() / 5.0;
+
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  const double freedom = count / degrees_of_freedom(count);
+  const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
+  result.covariance = std::max(efficiency * freedom, variance) * std::max(together, 1.0) *
+                      inverse(symmetric(upper));
+  return result;
+}
+
+Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,
+                                 const std::vector<double>& residuals) {
+  double sum = 0.0, count = 0.0;
+  // Each match measures the two components of the rotation across its direction, with variance
+  // 2 scale^2: information (I - b b^T) / (2 scale^2).
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!inlier[i]) continue;
+    sum += residuals[i] * residuals[i];
+    count += 1.0;
+    const Eigen::Vector3d b = view2(m, i);
+    information += Eigen::Matrix3d::Identity() - b * b.transpose();
+  }
+  Uncertainty result;
+  // Two components a match, three parameters.
+  result.scale = std::sqrt(sum / std::max(2.0 * count - 3.0, 1.0));
+  const double variance = 2.0 * std::max(result.scale * result.scale, 1e-24);
+  result.covariance.setConstant(std::nan(""));
+  result.covariance.topLeftCorner<3, 3>() = variance * information.inverse();
+  return result;
+}
+
+}  // namespace epi360

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Scale of the noise and covariance of a pose, from its inliers.
+#pragma once
+
+#include <vector>
+
+#include "core/matches.h"
+#include "core/refinement/refine.h"
+#include "core/residuals/residuals.h"
+
+namespace epi360 {
+
+struct Uncertainty {
+  double scale;                            // standard deviation of the inliers' residuals, radians
+  Eigen::Matrix<double, 5, 5> covariance;  // NaN where the matches tell nothing
+};
+
+// Derivative of one residual by the five parameters of the pose.
+Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i);
+
+// Covariance of an M-estimator (Huber 1981): (mean psi^2 / (mean psi')^2) (J^T J)^-1, with the
+// derivative psi of the negative log-likelihood, so that the wrong matches which agree by chance
+// count as the noise they are. Errors of neighbouring matches go together in real images
+// (calibration, stitching, rolling shutter): the sum of psi J varies over the cells of the sphere
+// more than independent errors would let it, and the covariance grows by that ratio.
+// residuals: those that the inliers were marked by; dropped: matches that leverage left out.
+Uncertainty pose_uncertainty(const Matches& m, Residual residual,
+                             const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
+                             const std::vector<unsigned char>& inlier,
+                             const std::vector<unsigned char>& dropped,
+                             const std::vector<double>& residuals);
+
+// The same of a rotation alone: NaN where the translation would be.
+Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,
+                                 const std::vector<double>& residuals);
+
+// Standard deviations of the bearings' noise, per axis and view, that one of the residuals stands
+// for: the one-sided ones see the noise of both views at once.
+double noise_per_residual(Residual residual);
+
+}  // namespace epi360

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// The robust two-view estimator: search, refinement, evidence, verdict.
+#pragma once
+
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "core/matches.h"
+#include "core/pose.h"
+#include "core/robust/options.h"
+#include "core/robust/verdict.h"
+
+namespace epi360 {
+
+// Numbers that the matches do not determine are NaN, also in the poses.
+struct RobustResult {
+  static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
+  Verdict verdict;
+  Evidence evidence;
+  RelativePose cam2_from_cam1;
+  double scale = kNaN;      // standard deviation of the inliers' residuals, radians
+  double threshold = kNaN;  // radians
+  std::vector<unsigned char> inlier;
+  std::vector<double> residuals;
+  int num_iterations = 0;
+  double parallax = kNaN;  // radians, median over inliers
+  Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance;
+  Eigen::Matrix<double, 3, 2, Eigen::RowMajor> translation_basis;
+  std::vector<RelativePose> alternatives;
+};
+
+// num_matches: rows from which `m` was made, missing ones included. max_noise: radians, 0 for none.
+RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
+                                    const MatchPriors& priors, std::uint64_t seed,
+                                    std::size_t num_matches, double max_noise);
+
+}  // namespace epi360

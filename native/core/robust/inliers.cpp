@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/inliers.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "core/bearings.h"
+#include "core/robust/evidence.h"
+#include "core/solvers/essential.h"
+
+namespace epi360 {
+namespace {
+
+// When a pose without depths takes the place of the best candidate: how far apart they are, and
+// what share of its inliers and parallax it has.
+constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.8;
+constexpr double kReleasedEvidence = 60.0;  // how much less likely the candidate behind it may be
+
+}  // namespace
+
+void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlier,
+                       RelativePose& pose) {
+  const Eigen::Matrix3d half_turn = 2.0 * pose.t * pose.t.transpose() - Eigen::Matrix3d::Identity();
+  const RelativePose variants[4] = {
+      pose, {pose.R, -pose.t}, {half_turn * pose.R, pose.t}, {half_turn * pose.R, -pose.t}};
+  double best = -1.0;
+  for (const RelativePose& variant : variants) {
+    double count = 0.0;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (!inlier[i]) continue;
+      const Eigen::Vector3d b1 = view1(m, i), b2 = view2(m, i);
+      count += is_in_front(variant, b1, b2, 0.0);
+    }
+    if (count > best) {
+      best = count;
+      pose = variant;
+    }
+  }
+}
+
+int mark_inliers(const Matches& m, Residual residual, const RelativePose& pose, double gate,
+                 bool use_depths, std::vector<unsigned char>& inlier,
+                 std::vector<double>& residuals) {
+  std::vector<double> in_front(m.padded);
+  residuals.resize(m.padded);
+  compute_residuals(m, residual, plain(pose), std::min(gate, kLargestWrongParallax),
+                    residuals.data(), in_front.data());
+  inlier.assign(m.size, 0);
+  int count = 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    inlier[i] = std::abs(residuals[i]) < gate && (!use_depths || in_front[i] > 0.5);
+    count += inlier[i];
+  }
+  return count;
+}
+
+void release_depths(const Matches& m, Residual residual, Candidates& candidates) {
+  if (candidates.empty()) return;
+  const std::vector<Candidate> all = candidates.all();
+  const Candidate& best = all.front();
+  const double gate = gate_of(best.loss);
+  std::vector<unsigned char> inlier;
+  std::vector<double> residuals;
+  const int support = mark_inliers(m, residual, best.cam2_from_cam1, gate, true, inlier, residuals);
+  const double parallax = median_parallax(m, best.cam2_from_cam1, inlier.data());
+  double most = -std::numeric_limits<double>::infinity();
+  for (const Candidate& c : all) {
+    if (c.evidence < best.evidence - kReleasedEvidence) break;
+    Candidate released = candidates.without_depths(c);
+    if (released.evidence < most ||
+        same_pose(best.cam2_from_cam1, released.cam2_from_cam1, kReleased, 2.0 * kReleased)) {
+      most = std::max(most, released.evidence);
+      continue;
+    }
+    mark_inliers(m, residual, released.cam2_from_cam1, gate, false, inlier, residuals);
+    decide_cheirality(m, inlier, released.cam2_from_cam1);
+    const int kept =
+        mark_inliers(m, residual, released.cam2_from_cam1, gate, true, inlier, residuals);
+    if (kept < kReleasedSupport * support) continue;
+    if (!(median_parallax(m, released.cam2_from_cam1, inlier.data()) <
+          kReleasedParallax * parallax))
+      continue;
+    most = released.evidence;
+    released.evidence = best.evidence;
+    candidates.replace_best(released);
+  }
+}
+
+}  // namespace epi360

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What the robust estimator is asked.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "core/residuals/residuals.h"
+
+namespace epi360 {
+
+struct RobustOptions {
+  Residual residual = Residual::kSampson;
+  double threshold = 0.0;            // radians; 0: estimated from the data
+  bool threshold_in_pixels = false;  // it is in pixels; for pairs with Jacobians
+  int sample_size = 5;               // 5 or 8
+  int min_iterations = 20;
+  int max_iterations = 10000;
+  double confidence = 0.99;
+  int min_num_inliers = 0;  // under which no pose is believed
+};
+
+// What is known about the matches beyond their bearings.
+struct MatchPriors {
+  std::vector<double> scores;  // higher is better; empty if there are none
+  bool has_gravity = false;
+  Eigen::Vector3d gravity1 = Eigen::Vector3d::UnitY(), gravity2 = Eigen::Vector3d::UnitY();
+};
+
+}  // namespace epi360

@@ -1,0 +1,183 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/pairs.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <exception>
+#include <mutex>
+#include <system_error>
+#include <thread>
+#include <utility>
+
+#include "core/constants.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kWidestGate = 45.0 * kDegree;
+
+enum class Row { kUsable, kMissing, kInfinite, kZero };
+
+// A bearing scaled to unit length.
+Row unit_row(const double* row, double* unit) {
+  double largest = 0.0;
+  bool missing = false, infinite = false;
+  for (int k = 0; k < 3; ++k) {
+    missing = missing || std::isnan(row[k]);
+    infinite = infinite || std::isinf(row[k]);
+    largest = std::max(largest, std::abs(row[k]));
+  }
+  if (infinite) return Row::kInfinite;
+  if (missing) return Row::kMissing;
+  if (!(largest > 0.0)) return Row::kZero;
+  double squared = 0.0;  // divided first, so that squares neither overflow nor vanish
+  for (int k = 0; k < 3; ++k) {
+    unit[k] = row[k] / largest;
+    squared += unit[k] * unit[k];
+  }
+  const double norm = std::sqrt(squared);
+  for (int k = 0; k < 3; ++k) unit[k] /= norm;
+  return Row::kUsable;
+}
+
+bool finite_row(const double* row) {
+  return std::all_of(row, row + 6, [](double x) { return std::isfinite(x); });
+}
+
+// The usable matches of a pair and the rows they come from.
+struct UsableMatches {
+  Matches m;
+  std::vector<std::size_t> rows;
+  std::vector<double> scores;
+};
+
+// Copies the usable rows; stops at one that nobody may give.
+BadRow take_usable(const PairInput& input, UsableMatches& out) {
+  const bool has_jacobians = input.jacobians1 && input.jacobians2;
+  out.m = padding_matches(input.n, has_jacobians);
+  out.rows.reserve(input.n);
+  for (std::size_t i = 0; i < input.n; ++i) {
+    double unit1[3], unit2[3];
+    const Row kinds[2] = {unit_row(input.bearings1 + 3 * i, unit1),
+                          unit_row(input.bearings2 + 3 * i, unit2)};
+    for (int view = 0; view < 2; ++view) {
+      if (kinds[view] == Row::kInfinite || kinds[view] == Row::kZero) {
+        return {view + 1, i, kinds[view] == Row::kInfinite};
+      }
+    }
+    if (kinds[0] != Row::kUsable || kinds[1] != Row::kUsable) continue;
+    if (input.weights && !(input.weights[i] > 0.0)) continue;
+    if (input.scores && std::isnan(input.scores[i])) continue;
+    if (input.jacobians1 && !finite_row(input.jacobians1 + 6 * i)) continue;
+    if (input.jacobians2 && !finite_row(input.jacobians2 + 6 * i)) continue;
+    const std::size_t k = out.rows.size();
+    set_bearings(out.m, k, unit1, unit2);
+    out.m.weight[k] = input.weights ? input.weights[i] : 1.0;
+    if (has_jacobians) set_jacobians(out.m, k, input.jacobians1 + 6 * i, input.jacobians2 + 6 * i);
+    if (input.scores) out.scores.push_back(input.scores[i]);
+    out.rows.push_back(i);
+  }
+  truncate(out.m, out.rows.size());
+  return {};
+}
+
+// Weights are relative to one another.
+void normalise_weights(Matches& m) {
+  double largest = 0.0, sum = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) largest = std::max(largest, m.weight[i]);
+  for (std::size_t i = 0; i < m.size; ++i) sum += m.weight[i] /= largest;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    m.weight[i] *= static_cast<double>(m.size) / sum;
+    m.unit_weights = m.unit_weights && m.weight[i] == 1.0;
+  }
+}
+
+// Divides Jacobians by their root mean square, so that residuals in pixels become angles. Returns
+// that number.
+double normalise_jacobians(Matches& m) {
+  double squares = 0.0;
+  for (const auto& columns : {jacobian_columns(m, 1), jacobian_columns(m, 2)}) {
+    for (std::size_t i = 0; i < m.size; ++i) {
+      for (const std::vector<double>* column : columns) squares += (*column)[i] * (*column)[i];
+    }
+  }
+  const double scale = std::sqrt(squares / (4.0 * static_cast<double>(m.size)));
+  for (const auto& columns : {jacobian_columns(m, 1), jacobian_columns(m, 2)}) {
+    for (std::vector<double>* column : columns) {
+      for (std::size_t i = 0; i < m.size; ++i) (*column)[i] /= scale;
+    }
+  }
+  return scale;
+}
+
+// One entry for every row that was given.
+template <typename T>
+std::vector<T> spread_out(const std::vector<T>& values, const std::vector<std::size_t>& rows,
+                          std::size_t num_rows, T missing) {
+  std::vector<T> all(num_rows, missing);
+  for (std::size_t k = 0; k < rows.size(); ++k) all[rows[k]] = values[k];
+  return all;
+}
+
+PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
+  PairResult out;
+  UsableMatches usable;
+  out.bad_row = take_usable(input, usable);
+  if (out.bad_row.view) return out;
+  if (input.weights) normalise_weights(usable.m);
+  const double pixel = usable.m.has_jacobians() ? normalise_jacobians(usable.m) : 1.0;
+  RobustOptions scaled = options;
+  if (options.threshold_in_pixels) {
+    scaled.threshold = std::min(pixel * options.threshold, kWidestGate);
+  }
+  MatchPriors priors;
+  priors.scores = std::move(usable.scores);
+  if (input.gravity1 && input.gravity2) {
+    priors.has_gravity = true;
+    priors.gravity1 = Eigen::Map<const Eigen::Vector3d>(input.gravity1);
+    priors.gravity2 = Eigen::Map<const Eigen::Vector3d>(input.gravity2);
+  }
+  RobustResult& r = out.robust;
+  r = estimate_relative_pose(usable.m, scaled, priors, input.seed, input.n, input.max_noise);
+  r.inlier = spread_out<unsigned char>(r.inlier, usable.rows, input.n, 0);
+  r.residuals = spread_out<double>(r.residuals, usable.rows, input.n, std::nan(""));
+  return out;
+}
+
+}  // namespace
+
+std::vector<PairResult> estimate_pairs(const std::vector<PairInput>& pairs,
+                                       const RobustOptions& options, int num_threads) {
+  std::vector<PairResult> results(pairs.size());
+  std::atomic<std::size_t> next{0};
+  std::mutex mutex;
+  std::exception_ptr failure;
+  const auto work = [&] {
+    try {
+      for (std::size_t i = next++; i < pairs.size(); i = next++) {
+        const auto start = std::chrono::steady_clock::now();
+        results[i] = estimate_pair(pairs[i], options);
+        results[i].seconds =
+            std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+      }
+    } catch (...) {  // out of memory: the caller hears of it once all threads have stopped
+      const std::lock_guard<std::mutex> lock(mutex);
+      failure = std::current_exception();
+      next = pairs.size();
+    }
+  };
+  std::vector<std::thread> helpers;
+  const std::size_t wanted = std::min(pairs.size(), static_cast<std::size_t>(num_threads));
+  try {
+    for (std::size_t k = 1; k < wanted; ++k) helpers.emplace_back(work);
+  } catch (const std::system_error&) {  // the system gives no more threads: those at hand do it all
+  }
+  work();
+  for (std::thread& helper : helpers) helper.join();
+  if (failure) std::rethrow_exception(failure);
+  return results;
+}
+
+}  // namespace epi360

@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/search.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include "core/robust/essential_problem.h"
+#include "core/robust/pool.h"
+#include "core/robust/ransac.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+// Gates of the first round when the noise is unknown: a sum of truncated costs over these scales
+// follows the logarithm of the residual, so no scale is preferred.
+const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * kDegree,
+                                        4.0 * kDegree};
+constexpr int kScaleRounds = 3;           // re-sampling rounds while the gate still moves
+constexpr double kGateSettled = 1.25;     // ratio of successive gates that counts as settled
+constexpr double kSmallestGate = 4e-6;    // radians, for exact data
+constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
+constexpr double kFinalistEvidence = 30.0;  // candidates of the search that all matches refine
+constexpr double kFewestOrdered =
+    30.0;  // best scored matches whose share of inliers means something
+
+// Indices by descending score; equal scores in random order.
+std::vector<std::size_t> by_score(const std::vector<double>& scores, Random& random) {
+  std::vector<std::size_t> order(scores.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  for (std::size_t k = order.size(); k > 1; --k) {
+    std::swap(order[k - 1], order[random.below(static_cast<std::uint32_t>(k))]);
+  }
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return scores[a] > scores[b]; });
+  return order;
+}
+
+// The matches that the search looks at, of all in the order of their scores: half of them the best,
+// the others from everywhere, because scores may mislead.
+std::vector<std::size_t> picked(std::vector<std::size_t> order, bool scored, Random& random) {
+  const std::size_t best = scored ? kSearchSize / 2 : 0;
+  for (std::size_t k = best; k < kSearchSize; ++k) {  // the beginning of a Fisher-Yates shuffle
+    const auto left = static_cast<std::uint32_t>(order.size() - k);
+    std::swap(order[k], order[k + random.below(left)]);
+  }
+  order.resize(kSearchSize);
+  return order;
+}
+
+// The matches that the search looks at, in its order; empty for all of them in theirs.
+std::vector<std::size_t> searched(const Matches& m, const std::vector<double>& scores,
+                                  Random& random) {
+  const bool scored = !scores.empty(), partly = m.size > kSearchSize;
+  if (!scored && !partly) return {};
+  std::vector<std::size_t> chosen(m.size);
+  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
+  if (scored) chosen = by_score(scores, random);
+  if (partly) chosen = picked(std::move(chosen), scored, random);
+  if (scored && partly) {
+    std::stable_sort(chosen.begin(), chosen.end(),
+                     [&](std::size_t a, std::size_t b) { return scores[a] > scores[b]; });
+  }
+  return chosen;
+}
+
+// Share of inliers among the matches that samples come from.
+double inlier_share(const Matches& m, const RelativePose& pose, const EssentialProblem& problem,
+                    const Sampler& sampler, Candidates& candidates) {
+  const LossModel mixture = candidates.mixture_at(pose);
+  const Linearisation& at = candidates.linearisation();
+  const double gate = problem.gates().size() == 1 ? problem.gates().front() : gate_of(mixture);
+  double inliers = 0.0, total = 0.0, best = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (m.weight[i] > 0.0) {
+      total += 1.0;
+      inliers += at.in_front[i] > 0.5 && std::abs(at.residuals[i]) < gate;
+    }
+    // Progressive samples came from the first matches only: they may stop as soon as those say so.
+    const bool considered = sampler.progressive() && i + 1 >= sampler.reached();
+    if (considered && total >= kFewestOrdered) best = std::max(best, inliers / total);
+  }
+  return total > 0.0 ? std::max(best, inliers / total) : best;
+}
+
+// Sampling until the gate agrees with the noise found. Returns the number of samples.
+int sample_poses(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
+                 Sampler& sampler, Random& random, Candidates& candidates) {
+  const LoopOptions loop{options.min_iterations, options.max_iterations, options.confidence};
+  HypothesisPool pool;
+  LoopResult<RelativePose> result;
+  const auto share = [&](const RelativePose& pose) {
+    return inlier_share(m, pose, problem, sampler, candidates);
+  };
+  const bool is_known = options.threshold > 0.0;
+  problem.set_gates(is_known ? std::vector<double>{options.threshold} : kAllScales);
+  ransac(problem, sampler, loop, random, pool, share, result);
+  double gate = kAllScales.back();
+  for (int round = 0; round < kScaleRounds && !is_known && result.found(); ++round) {
+    candidates.polish_pool(pool, 12);
+    if (candidates.empty()) break;
+    const Candidate best = candidates.best();
+    const double next = estimated_gate(best.loss);
+    const double change = std::max(next / gate, gate / next);
+    gate = next;
+    if (change < kGateSettled) break;
+    problem.set_gates({gate});
+    pool.rescore([&](const RelativePose& pose) { return problem.score(pose, kInfinity); });
+    result.model = best.cam2_from_cam1;
+    result.score = problem.score(result.model, kInfinity);
+    pool.offer(result.model, result.score);
+    ransac(problem, sampler, loop, random, pool, share, result);
+  }
+  candidates.polish_pool(pool, 25);
+  return result.num_iterations;
+}
+
+}  // namespace
+
+double default_gate() { return kAllScales.front(); }
+
+double estimated_gate(const LossModel& mixture) {
+  return std::max(gate_of(mixture), kSmallestGate);
+}
+
+SearchResult search_poses(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
+                          Random& random) {
+  const std::vector<std::size_t> order = searched(m, priors.scores, random);
+  const bool is_reordered = !order.empty();
+  const Matches chosen = is_reordered ? chosen_matches(m, order) : Matches{};
+  const Matches& used = is_reordered ? chosen : m;
+  Candidates candidates(used, options.residual);
+  EssentialProblem problem(used, options.residual, options.sample_size, candidates);
+  if (priors.has_gravity) problem.use_gravity(priors.gravity1, priors.gravity2);
+  Sampler sampler(static_cast<std::uint32_t>(used.size), problem.sample_size(),
+                  !priors.scores.empty());
+  const int num_iterations = sample_poses(used, options, problem, sampler, random, candidates);
+  candidates.anneal();
+  if (!is_reordered) {
+    candidates.finish(candidates.all(), kFinalistEvidence);
+    return {std::move(candidates), num_iterations};
+  }
+  Candidates of_all(m, options.residual);
+  of_all.set_depth_tolerance(default_gate());
+  of_all.finish(candidates.all(), kFinalistEvidence);
+  of_all.anneal();
+  return {std::move(of_all), num_iterations};
+}
+
+}  // namespace epi360

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Every rule that makes a status or a warning: evidence in, verdict out, nothing else.
+#pragma once
+
+#include <limits>
+#include <vector>
+
+namespace epi360 {
+
+enum class Status {
+  kOk,
+  kTooFewMatches,
+  kTooFewInliers,
+  kPureRotation,
+  kPlanarAmbiguous,
+  kConcentratedInliers,
+};
+
+enum class WarningCode { kMissingMatches, kLittleParallax, kPartialCoverage, kMuchNoise };
+
+// The names that a user sees.
+const char* name_of(Status status);
+const char* name_of(WarningCode code);
+
+// A warning and the two numbers that it compares: missing matches of all; parallax and noise;
+// coverage by inliers and by all matches; noise and its limit.
+struct Warning {
+  WarningCode code;
+  double value, reference;
+};
+
+struct Verdict {
+  Status status = Status::kOk;
+  std::vector<Warning> warnings;
+};
+
+// What speaks for and against a pose. Evidence comes in step by step; what is not known yet speaks
+// for the pose. Angles in radians.
+struct Evidence {
+  static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  static constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+  // The matches: rows given, those that are not missing, and those of a sample.
+  int num_matches = 0, num_usable = 0, sample_size = 5;
+
+  // The pose with a translation: inliers; log10 of the poses with so many that chance would make;
+  // probability that a wrong match lies inside the gate; median parallax and standard deviation of
+  // the residuals of the inliers.
+  int support = 0;
+  double log10_false_alarms = -kInfinity;
+  double chance = 0.0;
+  double parallax = kNaN, scale = kNaN;
+
+  // The best rotation alone: matches that it explains, and its false alarms.
+  int rotation_support = 0;
+  double rotation_log10_false_alarms = kInfinity;
+
+  // The likeliest pose that is truly different: its log-likelihood minus that of the pose. Whether
+  // the inliers lie on a plane, so that there is such a pose by geometry.
+  double rival_evidence = -kInfinity;
+  bool has_twin = false;
+
+  // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
+  // bearing and the same of all matches; shares of the sphere's cells with an inlier and with a
+  // match.
+  int num_distinct = std::numeric_limits<int>::max(), min_num_inliers = 0;
+  double spread = 1.0, spread_of_matches = 1.0;
+  double coverage = 1.0, match_coverage = 1.0;
+
+  // Noise of the bearings, and the limit that the user knows (0: none).
+  double noise = kNaN, max_noise = 0.0;
+};
+
+// Status and warnings on the evidence so far.
+Verdict judge(const Evidence& evidence);
+
+// Matches without which nothing is estimated.
+int fewest_matches(int sample_size);
+
+// Whether a pose with translation was found that the evidence determines up to alternatives.
+bool has_translation(Status status);
+
+// Whether the parallax is so near the noise that a rotation alone must be tried.
+bool has_hardly_any_parallax(const Evidence& evidence);
+
+// Whether inliers of which this share lies on one plane may have a twin pose.
+bool is_planar(double share_on_plane);
+
+}  // namespace epi360

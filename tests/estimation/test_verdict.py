@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The rules of status and warnings, one by one, on evidence made by hand."""
+
+import numpy as np
+import pytest
+
+from epi360 import _core, estimate_relative_pose
+from epi360.synthetic import two_view_scene
+
+internals = _core.internals
+
+
+def evidence(**changes):
+    """Evidence of a sound pose: 60 of 100 matches agree, from everywhere, with much parallax."""
+    sound = {
+        "num_matches": 100,
+        "num_usable": 100,
+        "support": 60,
+        "log10_false_alarms": -50.0,
+        "chance": 0.02,
+        "parallax": 0.2,
+        "scale": 0.002,
+        "num_distinct": 60,
+        "min_num_inliers": 6,
+        "spread": 0.8,
+        "spread_of_matches": 0.9,
+        "coverage": 0.7,
+        "match_coverage": 0.9,
+        "noise": 0.002,
+    }
+    made = internals.Evidence()
+    for name, value in (sound | changes).items():
+        setattr(made, name, value)
+    return made
+
+
+def status_of(**changes):
+    return internals.judge(evidence(**changes))[0]
+
+
+def warnings_of(**changes):
+    return {
+        each.code: (each.value, each.reference) for each in internals.judge(evidence(**changes))[1]
+    }
+
+
+ROTATION = {"rotation_support": 59, "rotation_log10_false_alarms": -40.0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        ({}, "ok"),
+        ({"num_usable": 4}, "too_few_matches"),
+        ({"num_usable": 5}, "ok"),
+        ({"num_usable": 7, "sample_size": 8}, "too_few_matches"),
+        ({"num_usable": 8, "sample_size": 8}, "ok"),
+        ({"num_usable": 4, "sample_size": 3}, "too_few_matches"),
+        # Chance
+        ({"log10_false_alarms": -2.9}, "too_few_inliers"),
+        ({"log10_false_alarms": -3.1}, "ok"),
+        ({"chance": 0.61}, "too_few_inliers"),
+        ({"chance": 0.59}, "ok"),
+        ({"num_distinct": 5}, "too_few_inliers"),
+        ({"num_distinct": 6}, "ok"),
+        ({"num_distinct": 14, "min_num_inliers": 15}, "too_few_inliers"),
+        # A rotation alone
+        (ROTATION, "pure_rotation"),
+        (ROTATION | {"rotation_support": 50}, "ok"),
+        (ROTATION | {"rotation_support": 51}, "pure_rotation"),
+        (ROTATION | {"rotation_log10_false_alarms": -2.0}, "ok"),
+        (ROTATION | {"log10_false_alarms": 5.0}, "pure_rotation"),
+        # Hardly any parallax: half of the inliers are enough
+        ({"parallax": 0.0049, "rotation_support": 30}, "pure_rotation"),
+        ({"parallax": 0.0049, "rotation_support": 29}, "ok"),
+        ({"parallax": 0.0051, "rotation_support": 30}, "ok"),
+        ({"parallax": 0.0049, "rotation_support": 0}, "ok"),
+        ({"parallax": 0.021, "scale": 0.01, "rotation_support": 30}, "ok"),
+        ({"parallax": 0.019, "scale": 0.01, "rotation_support": 30}, "pure_rotation"),
+        # A second pose
+        ({"rival_evidence": -6.1}, "ok"),
+        ({"rival_evidence": -5.9}, "planar_ambiguous"),
+        ({"rival_evidence": -6.0 - 3.0 * 60**0.5 + 0.1, "has_twin": True}, "planar_ambiguous"),
+        ({"rival_evidence": -6.0 - 3.0 * 60**0.5 - 0.1, "has_twin": True}, "ok"),
+        # Where the inliers are
+        ({"spread": 0.029}, "concentrated_inliers"),
+        ({"spread": 0.031}, "ok"),
+        ({"spread": 0.029, "spread_of_matches": 0.14}, "ok"),
+        ({"coverage": 6 / 48}, "concentrated_inliers"),
+        ({"coverage": 7 / 48}, "ok"),
+        ({"coverage": 6 / 48, "match_coverage": 0.3}, "ok"),
+    ],
+)
+def test_each_rule_decides_on_its_side_of_the_limit(changes, status):
+    assert status_of(**changes) == status
+
+
+def test_missing_evidence_speaks_for_the_pose():
+    bare = internals.Evidence()
+    bare.num_usable = 10
+    status, warnings = internals.judge(bare)
+    assert status == "ok" and not warnings
+
+
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        (ROTATION | {"num_distinct": 3}, "too_few_inliers"),
+        (ROTATION | {"spread": 0.01}, "concentrated_inliers"),
+        (ROTATION | {"rival_evidence": 0.0}, "pure_rotation"),
+        ({"rival_evidence": 0.0, "spread": 0.01}, "concentrated_inliers"),
+        ({"num_usable": 3, "chance": 1.0}, "too_few_matches"),
+    ],
+)
+def test_the_graver_status_wins(changes, status):
+    assert status_of(**changes) == status
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, {}),
+        ({"num_usable": 90}, {"missing_matches": (10.0, 100.0)}),
+        ({"parallax": 0.0119}, {"little_parallax": (0.0119, 0.002)}),
+        ({"parallax": 0.0121}, {}),
+        ({"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
+        ({"coverage": 0.46}, {}),
+        ({"max_noise": 0.002}, {"much_noise": (0.002, 0.002)}),
+        ({"max_noise": 0.0021}, {}),
+        ({"max_noise": 0.001, "rival_evidence": 0.0}, {}),
+        ({"max_noise": 0.001, "num_distinct": 2}, {}),
+        ({"parallax": 0.01, "num_distinct": 2}, {}),
+        ({"num_usable": 90, "num_distinct": 2}, {"missing_matches": (10.0, 100.0)}),
+        ({"num_usable": 4}, {}),
+    ],
+)
+def test_a_warning_carries_the_numbers_that_it_compares(changes, expected):
+    assert warnings_of(**changes) == expected
+
+
+def test_much_noise_is_a_warning_only_above_the_limit_that_was_given():
+    scene = two_view_scene(3, noise_deg=0.4, noise_in_both_views=True, outlier_ratio=0.2)
+    matches = scene.bearings1, scene.bearings2
+    free = estimate_relative_pose(*matches)
+    assert free.success and not free.warnings
+    above = estimate_relative_pose(*matches, max_noise_deg=1.01 * free.noise_deg)
+    assert not above.warnings
+    below = estimate_relative_pose(*matches, max_noise_deg=0.99 * free.noise_deg)
+    (warning,) = below.warnings
+    assert f"{free.noise_deg:.3g} degrees" in warning and below.status == "ok"
+    np.testing.assert_array_equal(below.cam2_from_cam1.rotation, free.cam2_from_cam1.rotation)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf, "much"])
+def test_a_limit_of_noise_that_is_no_positive_number_is_refused(limit):
+    scene = two_view_scene(3)
+    with pytest.raises(ValueError, match="max_noise_deg must be a positive number"):
+        estimate_relative_pose(scene.bearings1, scene.bearings2, max_noise_deg=limit)
+
+
+def test_a_result_outlives_the_arrays_that_share_its_memory():
+    scene = two_view_scene(5, num_matches=50)
+    result = estimate_relative_pose(scene.bearings1, scene.bearings2)
+    mask, residuals = result.inlier_mask, result.residuals_rad
+    kept = mask.copy(), residuals.copy()
+    del result
+    for seed in range(20):  # would overwrite memory that was given back
+        estimate_relative_pose(scene.bearings1, scene.bearings2, seed=seed)
+    np.testing.assert_array_equal(mask, kept[0])
+    np.testing.assert_array_equal(residuals, kept[1])
