@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 # make demo, make test: everything from a clean clone (GNU make; on Debian and Ubuntu:
 # apt install g++ make python3-venv python3-dev). Another Python: make test PYTHON=python3.13.
-# More arguments for pytest or the demo: make test ARGS="-k pose -x".
+# More arguments for pytest or the demo: make test ARGS="-k pose -x". All tests in one process: make test WORKERS=0.
 
 PYTHON ?= python3
 VENV ?= .venv
 # --editable: a changed Python file counts at once. Empty (make test EDITABLE=): installed as users install it.
 EDITABLE ?= --editable
+# Processes of the tests. Each takes a file at a time, as fixtures are shared within a file; in their
+# order, since the file that starts Ray has few tests and takes the longest.
+WORKERS ?= 2
 ARGS ?=
 
 BIN := $(VENV)/bin
@@ -27,7 +30,7 @@ demo: $(VENV)/.stamp-install
 	$(BIN)/epi360 pair --demo $(ARGS)
 
 test: $(VENV)/.stamp-test
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
 from _data import ImagePair, Matches
 from numpy.typing import NDArray
 
 import epi360
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt
+from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 
 
@@ -118,7 +118,7 @@ class Pycolmap:
                     mask = camera.field_of_view_mask().astype(np.uint8) * 255
                     path = self._mask_path(pair) / f"{image}.png"
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    path.write_bytes(cv2.imencode(".png", mask)[1].tobytes())
+                    path.write_bytes(encode_picture(mask, ".png"))
 
     def from_images(self, pair: ImagePair, seed: int) -> Estimate:
         """Features, matches and verified geometry of a database that holds this pair only."""

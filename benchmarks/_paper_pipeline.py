@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -27,9 +29,9 @@ def paper_functions() -> tuple[Callable[..., Any], Callable[..., Pose]]:
         If this version of the package has them not.
     """
     try:
-        from epi360.experiments.paper_ransac import paper_ransac
-
-        return paper_ransac, epi360.paper_pose
+        # In versions that this one is compared with, RANSAC is a part of epi360.
+        home = "epi360_paper" if find_spec("epi360_paper") else "epi360.experiments"
+        return import_module(f"{home}.paper_ransac").paper_ransac, epi360.paper_pose
     except (AttributeError, ImportError) as error:
         raise CannotRunError("this epi360 has no paper_ransac or no paper_pose") from error
 

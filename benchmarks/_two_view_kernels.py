@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import epi360
 from epi360 import _core
-from epi360.files import write_file
 from epi360.poses import Pose, rotation_from_vector
+from epi360.runs.whole_files import write_file
 
 Array = NDArray[np.float64]
 Kernel = Callable[[], Any]

@@ -120,7 +120,7 @@ def package_digest() -> str:
     package, here = Path(epi360.__file__).parent, Path(__file__).parent
     files = [*package.glob("_core*"), *package.glob("*.py")]
     files += [here / f"_two_view_{name}.py" for name in ("problems", "records")]
-    files += package.glob("experiments/paper_ransac.py")
+    files += package.parent.glob("epi360_paper/paper_ransac.py")
     for room in ("cameras", "epipolar", "estimation", "synthetic"):
         files += package.glob(f"{room}/**/*.py")
     digest = hashlib.sha256()

@@ -25,7 +25,7 @@ from _two_view_summary import (
     verdict_table,
 )
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 NOTES = f"""\
 - **Noise** is von Mises-Fisher, in view 2 only as in the paper (`-both`: in both views). Its number

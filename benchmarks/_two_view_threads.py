@@ -17,7 +17,7 @@ from _two_view_methods import FAST_PEER, usable_methods
 from _two_view_problems import Problem, cell_from_name, make_problem
 
 import epi360
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 CELL, NUM_PAIRS, NUM_ROUNDS = "room-400-50-0.1", 200, 3
 THREADS = (1, 2)

@@ -15,7 +15,7 @@ from _two_view_problems import Cell, make_problem
 from numpy.typing import NDArray
 
 import epi360
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 NOISES = ("0.05", "0.1", "0.2", "0.5", "1", "2", "3")
 FACTORS = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # fixed thresholds in sigma

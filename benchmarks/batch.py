@@ -30,7 +30,7 @@ from _peers import CONFIDENCE, MIN_TRIALS, pycolmap_camera, pycolmap_essential
 from _summary import Rows, markdown_table, text_table
 from _two_view_problems import Problem, cell_from_name, make_problem
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "pyarrow", "ray", "numpy")
 CELLS = ("room-400-50-0.1", "room-1000-50-0.1")

@@ -18,19 +18,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
 from _summary import markdown_table, text_table
 
 from epi360.cameras import Equirectangular
-from epi360.files import write_file
+from epi360.features.picture_writing import encode_picture
 from epi360.jobs.image_set import find_images
 from epi360.jobs.mapping import MapOptions, map_images
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg
 from epi360.report.files import check_writable
-from epi360.synthetic import handheld_path, scene
+from epi360.runs.whole_files import write_file
+from epi360_scenes import handheld_path, scene
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 ROOM_VIEWS, ROOM_STEP_FRAMES, ROOM_SEED = 12, 10, 3  # 0.4 m apart
@@ -166,8 +166,8 @@ def _render(name: str, folder: Path, width: int) -> Sequence360:
     path = handheld_path(room, ROOM_VIEWS * ROOM_STEP_FRAMES, seed=ROOM_SEED)[::ROOM_STEP_FRAMES]
     poses = {f"{number:02d}.jpg": pose for number, pose in enumerate(path)}
     for file, pose in poses.items():
-        bgr = room.render(camera, pose).image[..., ::-1]
-        cv2.imwrite(str(folder / file), bgr, [cv2.IMWRITE_JPEG_QUALITY, 93])
+        image = room.render(camera, pose).image
+        (folder / file).write_bytes(encode_picture(image, ".jpg", jpeg_quality=93))
     return Sequence360(name, folder, poses)
 
 

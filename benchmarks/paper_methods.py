@@ -26,8 +26,8 @@ from _summary import markdown_table  # noqa: E402
 import epi360  # noqa: E402
 from epi360 import _core, epipolar  # noqa: E402
 from epi360.estimation import PAPER_METHODS, paper_pose_reference  # noqa: E402
-from epi360.files import write_file  # noqa: E402
 from epi360.report.files import check_writable  # noqa: E402
+from epi360.runs.whole_files import write_file  # noqa: E402
 from epi360.synthetic import TwoViewScene, two_view_scene  # noqa: E402
 
 PACKAGES = ("epi360", "poselib", "numpy")

@@ -42,9 +42,9 @@ from _summary import (
 )
 
 from epi360.cameras import Camera
-from epi360.files import write_file
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.report.files import check_writable
+from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import epi360
 from epi360.report.figure import draw_pair
 from epi360.report.text import describe_pair
-from epi360.synthetic import demo_pair
+from epi360_scenes import demo_pair
 
 
 def main() -> None:

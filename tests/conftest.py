@@ -2,9 +2,14 @@
 """Shared fixtures."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
+
+# A job in the background ignores Ctrl-C, and so would every program that the tests interrupt.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -16,3 +21,24 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real image pairs are not at {folder}; set EPI360_DATA to run this test")
     return folder.resolve()
+
+
+@pytest.fixture(scope="session")
+def room_folder(tmp_path_factory):
+    """A folder of panoramas of a rendered room, and their true poses by name."""
+    from mapped_room import write_room
+
+    folder = tmp_path_factory.mktemp("room") / "images"
+    return folder, write_room(folder)
+
+
+@pytest.fixture(scope="session")
+def room_run(room_folder, tmp_path_factory):
+    """Output folder of the map of that room, and what the run returned."""
+    from epi360.jobs.image_set import find_images
+    from epi360.jobs.mapping import MapOptions, map_images
+    from epi360.jobs.matching import MatchOptions
+
+    output = tmp_path_factory.mktemp("run") / "out"
+    options = MapOptions(MatchOptions(num_threads=1))
+    return output, map_images(find_images(room_folder[0]), output, options)

@@ -5,23 +5,30 @@ import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 import epi360
+import epi360_paper
+import epi360_scenes
 
 PACKAGE = Path(epi360.__file__).parent
+OTHERS = {"epi360_scenes", "epi360_paper"}
+FOLDERS = [Path(module.__file__).parent for module in (epi360, epi360_scenes, epi360_paper)]
 LAYERS = [
-    "_core", "files", "extras", "progress", "poses", "cameras", "features", "epipolar",
-    "estimation", "two_view", "odometry", "synthetic", "datasets", "experiments", "interop",
-    "jobs", "report", "cli",
+    "_core", "image_folders", "extras", "progress", "runs", "poses", "cameras", "features",
+    "epipolar", "estimation", "second_look", "two_view", "odometry", "synthetic", "interop",
+    "epi360_scenes", "epi360_paper", "jobs", "report", "cli",
 ]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
+COMMANDS_OF_OTHERS = {"epi360/cli/pair.py", "epi360/cli/render.py", "epi360/cli/reproduce.py"}
 
 
 def source_files() -> list[Path]:
-    return sorted(PACKAGE.rglob("*.py"))
+    return sorted(path for folder in FOLDERS for path in folder.rglob("*.py"))
 
 
 def room_files() -> list[Path]:
@@ -29,12 +36,24 @@ def room_files() -> list[Path]:
     return [path for path in source_files() if path not in front]
 
 
+def parts_of(path: Path) -> tuple[str, ...]:
+    """Package, folders and file of a source file."""
+    folder = next(folder for folder in FOLDERS if path.is_relative_to(folder))
+    return path.relative_to(folder.parent).parts
+
+
 def name_in_package(path: Path) -> str:
-    return path.relative_to(PACKAGE).as_posix()
+    return "/".join(parts_of(path))
 
 
 def room_of(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    """Room of epi360, or the name of one of the other packages."""
+    package, first, *_ = parts_of(path)
+    return package if package in OTHERS else first.removesuffix(".py")
+
+
+def module_of(path: Path) -> str:
+    return ".".join(parts_of(path)).removesuffix(".py").removesuffix(".__init__")
 
 
 def absolute_modules(node: ast.AST, path: Path) -> list[str]:
@@ -45,20 +64,47 @@ def absolute_modules(node: ast.AST, path: Path) -> list[str]:
         return []
     base = node.module.split(".") if node.module else []
     if node.level:
-        package = ["epi360", *path.relative_to(PACKAGE).parent.parts]
+        package = list(parts_of(path)[:-1])
         base = package[: len(package) - node.level + 1] + base
     return [".".join([*base, alias.name]) for alias in node.names]
 
 
 def rooms_imported_by(path: Path) -> set[str]:
     """Rooms that a file imports anywhere, also inside functions; "" is the front page."""
-    names = {
-        tuple(name.split("."))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        for name in absolute_modules(node, path)
-    }
+    names = {tuple(name.split(".")) for name in modules_imported_by(path)}
     inside = {name[1] if len(name) > 1 else "" for name in names if name[0] == "epi360"}
-    return {room if is_room(room) else "" for room in inside}
+    others = {name[0] for name in names} & OTHERS
+    return {room if is_room(room) else "" for room in inside} | others
+
+
+def modules_imported_by(path: Path) -> set[str]:
+    """Full names that a file imports anywhere, also inside functions."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return {name for node in nodes for name in absolute_modules(node, path)}
+
+
+def statements_run_by_an_import(statements: list[ast.stmt]) -> Iterator[ast.stmt]:
+    """Statements outside functions and blocks for the type checker."""
+    for statement in statements:
+        if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if isinstance(statement, ast.If) and ast.unparse(statement.test) == "TYPE_CHECKING":
+            continue
+        yield statement
+        for block in ("body", "orelse", "finalbody"):
+            yield from statements_run_by_an_import(getattr(statement, block, []))
+
+
+def import_graph() -> dict[str, set[str]]:
+    """Modules of the three packages, each with those that it imports, lazily or not."""
+    modules = {module_of(path): path for path in source_files()}
+    graph = {}
+    for module, path in modules.items():
+        names = modules_imported_by(path) - {"epi360._core"}  # native: it has no source file here
+        # "from package import name" is the module package.name where there is one, else package.
+        homes = {name if name in modules else name.rpartition(".")[0] for name in names}
+        graph[module] = (homes & set(modules)) - {module}
+    return graph
 
 
 def is_room(name: str) -> bool:
@@ -100,6 +146,39 @@ def test_imports_point_to_earlier_rooms(path):
         assert LAYERS.index(imported) <= LAYERS.index(room_of(path)), f"{path} imports {imported}"
 
 
+def test_no_file_imports_one_that_imports_it():
+    try:
+        TopologicalSorter(import_graph()).prepare()
+    except CycleError as error:
+        pytest.fail("import cycle: " + " -> ".join(reversed(error.args[1])))
+
+
+def test_a_lazy_import_back_is_an_import_cycle(tmp_path, monkeypatch):
+    folder = tmp_path / "epi360"
+    folder.mkdir()
+    (folder / "a.py").write_text("from epi360.b import one\n")
+    (folder / "b.py").write_text("def one():\n    from epi360 import a\n")
+    monkeypatch.setitem(globals(), "FOLDERS", [folder])
+    assert import_graph() == {"epi360.a": {"epi360.b"}, "epi360.b": {"epi360.a"}}
+    with pytest.raises(pytest.fail.Exception, match=r"epi360\.a -> epi360\.b"):
+        test_no_file_imports_one_that_imports_it()
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=name_in_package)
+def test_only_three_commands_load_the_other_packages_and_only_when_they_run(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    if name_in_package(path) in COMMANDS_OF_OTHERS:
+        nodes = list(statements_run_by_an_import(tree.body))
+    else:
+        nodes = list(ast.walk(tree))
+    names = {name for node in nodes for name in absolute_modules(node, path)}
+    assert {name for name in names if name.partition(".")[0] in OTHERS} == set()
+
+
+def test_importing_the_command_does_not_load_the_other_packages():
+    assert not loaded_by("import epi360.cli") & OTHERS
+
+
 def test_relative_and_absolute_imports_are_both_seen(tmp_path):
     path = PACKAGE / "estimation" / "example.py"
     seen = {
@@ -111,12 +190,16 @@ def test_relative_and_absolute_imports_are_both_seen(tmp_path):
 
 
 def test_importing_epi360_does_not_load_the_heavy_libraries():
-    code = "import json, sys, epi360; print(json.dumps(sorted(sys.modules)))"
+    assert not loaded_by("import epi360") & HEAVY
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Packages that a new interpreter has loaded after a statement."""
+    code = f"import json, sys; {statement}; print(json.dumps(sorted(sys.modules)))"
     answer = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
-    loaded = {name.partition(".")[0] for name in json.loads(answer.stdout)}
-    assert not loaded & HEAVY
+    return {name.partition(".")[0] for name in json.loads(answer.stdout)}
 
 
 def test_public_names_exist_and_are_listed_once():

@@ -12,7 +12,7 @@ from documents import ROOT, check_links, run_document
 from epi360 import cli
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import scene
+from epi360_scenes import scene
 
 DOCS = ROOT / "docs"
 HOWTOS = ("splats_from_360_video", "existing_project", "virtual_tour", "fisheye_rig", "batch")

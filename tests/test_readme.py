@@ -23,7 +23,7 @@ from epi360.cameras import load_cameras
 from epi360.cameras.calibration.colmap import SUPPORTED as COLMAP_MODELS
 from epi360.cameras.calibration.own import MODELS
 from epi360.estimation import Status
-from epi360.synthetic import demo_pair
+from epi360_scenes import demo_pair
 
 README, CONVENTIONS = ROOT / "README.md", ROOT / "docs" / "conventions.md"
 ESTIMATOR = ROOT / "docs" / "estimator.md"
@@ -66,12 +66,14 @@ def test_links_of_a_document_lead_somewhere(document):
 
 
 def test_pictures_are_small_enough_for_a_page():
-    for picture in (ROOT / "docs" / "images").glob("*.png"):
+    pictures = list((ROOT / "docs" / "images").glob("*.png"))
+    assert pictures
+    for picture in pictures:
         assert picture.stat().st_size < 600_000, picture
 
 
 def test_the_json_table_names_every_field_and_no_other(folder, pair, monkeypatch):
-    monkeypatch.setattr("epi360.synthetic.room.demo_pair", lambda: pair)
+    monkeypatch.setattr("epi360_scenes.room.demo_pair", lambda: pair)
     cli.main(["pair", "--demo", "--json", "record.json"])
     section = text_of(CONVENTIONS).split("## JSON of `--json`")[1]
     first_columns = re.findall(r"^\| (`.+?`) \|", section, re.M)
@@ -118,7 +120,7 @@ def test_the_example_prints_the_pose_of_two_files_and_draws_it(folder):
 
 
 def test_the_example_without_files_shows_the_demo(folder, pair, monkeypatch, capsys):
-    monkeypatch.setattr("epi360.synthetic.demo_pair", lambda: pair)
+    monkeypatch.setattr("epi360_scenes.demo_pair", lambda: pair)
     monkeypatch.setattr(sys, "argv", [str(EXAMPLE)])
     runpy.run_path(str(EXAMPLE), run_name="__main__")
     assert_shows_a_pose(capsys.readouterr().out, with_truth=True)

@@ -9,8 +9,8 @@ import epi360
 from epi360 import relative_pose_of_images, rotation_error_deg, translation_error_deg
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import demo_pair, furnished_room
-from epi360.two_view import replaces
+from epi360.second_look import later_is_better
+from epi360_scenes import demo_pair, furnished_room
 
 WIDTH = 512
 CAMERA = Equirectangular(WIDTH, WIDTH // 2)
@@ -317,10 +317,10 @@ def test_the_result_is_public():
 
 @pytest.mark.parametrize("status", ["ok", "pure_rotation", "planar_ambiguous"])
 def test_a_pose_is_given_up_for_another_or_for_a_contradiction(status):
-    assert replaces(status, "ok")
+    assert later_is_better("ok", status)
 
 
 @pytest.mark.parametrize("status", ["too_few_matches", "too_few_inliers", "concentrated_inliers"])
 def test_a_closer_look_that_finds_nothing_does_not_take_a_pose_away(status):
-    assert not replaces(status, "ok")
-    assert replaces(status, "planar_ambiguous")
+    assert not later_is_better("ok", status)
+    assert later_is_better("planar_ambiguous", status)

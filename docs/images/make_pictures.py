@@ -14,10 +14,10 @@ from matplotlib.axes import Axes
 from PIL import Image
 
 from epi360 import cli
-from epi360.datasets import load_mp3d_vo
 from epi360.interop import read_colmap_model
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.cube_faces import face_from_cam
+from epi360_paper.datasets import load_mp3d_vo
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH_PX = 1200  # sharp on a page

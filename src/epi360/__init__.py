@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+# Before pycolmap, whose wheels would break it: see features/picture_writing.py.
+import zlib  # noqa: F401
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -49,50 +51,26 @@ if TYPE_CHECKING:
     from epi360.poses import Pose, rotation_error_deg, translation_error_deg
     from epi360.two_view import relative_pose_of_images
 
-# Where each public name lives. Modules load on first use, so that starting the command or asking
+# The module of each public name. Modules load on first use, so that starting the command or asking
 # for a pose does not pay for what it does not need.
 _HOMES = {
     "epi360.cameras": (
-        "Camera",
-        "DoubleSphere",
-        "Equirectangular",
-        "ExtendedUnified",
-        "KannalaBrandt",
-        "Pinhole",
-        "UnifiedCamera",
-        "load_camera",
-        "load_cameras",
+        "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "KannalaBrandt", "Pinhole",
+        "UnifiedCamera", "load_camera", "load_cameras",
     ),
-    "epi360.epipolar": (
-        "Stability",
-        "pose_from_essential",
-        "stability",
-        "triangulate",
-    ),
+    "epi360.epipolar": ("Stability", "pose_from_essential", "stability", "triangulate"),
     "epi360.estimation": (
-        "ImagePairResult",
-        "RansacOptions",
-        "RefinementResult",
-        "RelativePoseResult",
-        "eight_point",
-        "estimate_relative_pose",
-        "estimate_relative_poses",
-        "paper_pose",
-        "refine_pose",
+        "ImagePairResult", "RansacOptions", "RefinementResult", "RelativePoseResult", "eight_point",
+        "estimate_relative_pose", "estimate_relative_poses", "paper_pose", "refine_pose",
         "residual_weights",
     ),
     "epi360.features": (
-        "Features",
-        "Tracks",
-        "extract_features",
-        "match_features",
-        "read_image",
-        "read_mask",
+        "Features", "Tracks", "extract_features", "match_features", "read_image", "read_mask",
         "track_features",
     ),
     "epi360.poses": ("Pose", "rotation_error_deg", "translation_error_deg"),
     "epi360.two_view": ("relative_pose_of_images",),
-}
+}  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [

@@ -9,25 +9,9 @@ from typing import Any
 
 
 def extra_library(name: str, *, extra: str, purpose: str) -> Any:
-    """Module of a library that belongs to an extra.
+    """Module of a library that an extra of this package brings; ``purpose`` is in the plural.
 
-    Parameters
-    ----------
-    name : str
-        Of the module, such as ``"pycolmap"`` or ``"pyarrow.parquet"``.
-    extra : str
-        Of the package that brings it, such as ``"colmap"``.
-    purpose : str
-        What needs it, in the plural: "COLMAP databases".
-
-    Returns
-    -------
-    module : module
-
-    Raises
-    ------
-    ImportError
-        If it is missing; the message holds the command that installs it.
+    If it is missing, the ImportError says which command installs it.
     """
     try:
         return import_module(name)
@@ -39,13 +23,7 @@ def extra_library(name: str, *, extra: str, purpose: str) -> Any:
 
 
 def package_version() -> str:
-    """Version of the installed package, or "unknown" in a source tree that is not installed.
-
-    Returns
-    -------
-    version : str
-        Such as "0.1.0".
-    """
+    """Version of the installed package, or "unknown" in a source tree that is not installed."""
     try:
         return version("epi360")
     except PackageNotFoundError:

@@ -18,16 +18,16 @@ ROTATION_TOLERANCE = 1e-6  # a rotation read from a file with seven digits still
 class Pose:
     """Rigid transform x_a = R x_b + t, named ``a_from_b``.
 
-    From two views the length of the translation is unknown and set to one. Numbers that the data
-    do not determine are NaN. Two poses are compared with `rotation_error_deg` and
-    `translation_error_deg`; ``==`` asks only whether they are the same object.
+    Two views do not determine the length of the translation, which is then one. Numbers that the
+    data do not determine are NaN. Compare two poses with `rotation_error_deg` and
+    `translation_error_deg`; ``==`` only asks whether they are the same object.
 
     Parameters
     ----------
     rotation : array_like, shape (3, 3)
         Rotation matrix, orthonormal to 1e-6 with determinant +1, or NaN.
     translation : array_like, shape (3,)
-        In the frame a; finite or NaN.
+        Position of the origin of b in the frame a; finite or NaN.
 
     Raises
     ------
@@ -50,12 +50,12 @@ class Pose:
 
     @classmethod
     def nan(cls) -> Pose:
-        """Pose of NaN: what an estimate returns that found no answer."""
+        """Return a pose of NaN, which an estimate without an answer has."""
         return cls(np.full((3, 3), np.nan), np.full(3, np.nan))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
-        """Pose of a transformation matrix.
+        """Return the pose of a transformation matrix.
 
         Parameters
         ----------
@@ -64,12 +64,13 @@ class Pose:
 
         Returns
         -------
-        Pose
+        pose : Pose
+            Pose with this R and t.
 
         Raises
         ------
         ValueError
-            If the shape or the last row is another one, or R is not a rotation.
+            If the shape or the last row is wrong, or R is not a rotation.
         """
         array = np.asarray(matrix, dtype=np.float64)
         if array.shape not in ((3, 4), (4, 4)):
@@ -79,18 +80,18 @@ class Pose:
         return cls(array[:3, :3], array[:3, 3])
 
     def matrix(self) -> NDArray[np.float64]:
-        """4 x 4 transformation matrix, with the last row (0, 0, 0, 1)."""
+        """Return the transformation matrix, shape (4, 4), with the last row (0, 0, 0, 1)."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation
         matrix[:3, 3] = self.translation
         return matrix
 
     def inverse(self) -> Pose:
-        """Pose ``b_from_a`` of this ``a_from_b``."""
+        """Return the pose ``b_from_a`` of this ``a_from_b``."""
         return Pose(self.rotation.T, -(self.rotation.T @ self.translation))
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Pose ``a_from_c`` of this ``a_from_b`` and the other's ``b_from_c``."""
+        """Return the pose ``a_from_c`` of this ``a_from_b`` and the other's ``b_from_c``."""
         if not isinstance(other, Pose):
             return NotImplemented
         return Pose(
@@ -105,18 +106,24 @@ class Pose:
 
 
 def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Pose:
-    """Pose with the rotation of a unit quaternion.
+    """Return the pose whose rotation is given as a unit quaternion.
 
     Parameters
     ----------
     translation : ndarray, shape (3,)
-        In the frame that the pose maps to.
+        Position of the origin in the frame that the pose maps to.
     wxyz : ndarray, shape (4,)
         Unit quaternion, the scalar first.
 
     Returns
     -------
-    Pose
+    pose : Pose
+        Pose with this rotation and translation.
+
+    Raises
+    ------
+    ValueError
+        If the quaternion does not have unit length, or a number is infinite.
     """
     w, x, y, z = wxyz
     rotation = [
@@ -128,30 +135,12 @@ def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.floa
 
 
 def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
-    """Rotation about the direction of a vector by its length.
-
-    Parameters
-    ----------
-    vector : array_like, shape (3,)
-        Axis times angle in radians; any length.
-
-    Returns
-    -------
-    rotation : ndarray, shape (3, 3)
-
-    Raises
-    ------
-    ValueError
-        If the shape is another one or a number is infinite.
-
-    Notes
-    -----
-    Rodrigues' formula with (1 - cos a) / a^2 = sinc(a / 2)^2 / 2, exact down to a zero angle.
-    """
+    """Return the rotation (3, 3) about a vector by its length in radians."""
     axis_angle = _checked(vector, (3,), "vector")
     x, y, z = axis_angle
     half_turns = float(np.linalg.norm(axis_angle)) / (2 * np.pi)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # Rodrigues' formula with (1 - cos a) / a^2 = sinc(a / 2)^2 / 2, exact down to a zero angle.
     rotation: NDArray[np.float64] = (
         np.eye(3) + np.sinc(2 * half_turns) * cross + 0.5 * np.sinc(half_turns) ** 2 * cross @ cross
     )
@@ -159,23 +148,7 @@ def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
 
 
 def vector_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
-    """Axis times angle of a rotation; the inverse of `rotation_from_vector`.
-
-    Parameters
-    ----------
-    rotation : array_like, shape (3, 3)
-        Rotation matrix, or NaN.
-
-    Returns
-    -------
-    vector : ndarray, shape (3,)
-        Radians, length in [0, pi]; at exactly pi either of the two axes is right.
-
-    Raises
-    ------
-    ValueError
-        If the matrix is not a rotation.
-    """
+    """Return axis times angle (3,) of a rotation, in radians; its length is in [0, pi]."""
     matrix = _checked(rotation, (3, 3), "rotation")
     _check_is_rotation(matrix)
     w, *axis = _quaternion_from_rotation(matrix)
@@ -185,7 +158,7 @@ def vector_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
-    """Angle of the rotation that takes one rotation to another.
+    """Return the angle of the rotation that takes one rotation to another.
 
     Parameters
     ----------
@@ -194,8 +167,8 @@ def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
 
     Returns
     -------
-    float
-        Degrees in [0, 180]; NaN where either rotation is NaN.
+    angle : float
+        Degrees in [0, 180]; NaN if either rotation is NaN.
 
     Raises
     ------
@@ -213,22 +186,22 @@ def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
 
 
 def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
-    """Angle between the directions of two translations.
+    """Return the angle between the directions of two translations.
 
     Parameters
     ----------
     a, b : Pose or array_like of shape (3,)
-        Two poses, or their translations; lengths do not matter.
+        Two poses, or their translations of any length.
 
     Returns
     -------
-    float
-        Degrees in [0, 180]; NaN where either translation is NaN or zero, which has no direction.
+    angle : float
+        Degrees in [0, 180]; NaN if either translation is NaN, or zero and so without a direction.
 
     Raises
     ------
     ValueError
-        If an array has another shape or an infinite number.
+        If an array has another shape, or an infinite number in it.
     """
     translation_a, translation_b = (
         _unit(pose.translation if isinstance(pose, Pose) else _checked(pose, (3,), name))
@@ -239,7 +212,7 @@ def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
 
 
 def _checked(array: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
-    """Float64 copy of an array of this shape without infinite numbers."""
+    """Return a float64 copy of an array; refuse another shape and infinite numbers."""
     copy = np.array(array, dtype=np.float64)
     if copy.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {copy.shape}")
@@ -262,16 +235,16 @@ def _check_is_rotation(matrix: NDArray[np.float64]) -> None:
 
 
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Direction of a vector, NaN where it has none."""
+    """Return the direction of a vector, NaN if it has none."""
     largest = float(np.abs(vector).max())
     scaled = vector / largest if largest > 0 else np.full(3, np.nan)  # no over- or underflow
     return scaled / float(np.linalg.norm(scaled))
 
 
 def _quaternion_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(w, x, y, z) of unit length, w >= 0; Shepperd 1978: divide by the largest component."""
+    """Return (w, x, y, z) with unit length and w >= 0 (Shepperd 1978)."""
     R = rotation
-    # Four times the outer product q q^T; its row of largest diagonal is q up to a factor.
+    # Four times the outer product q q^T. Each row is q times one of its numbers; take the largest.
     outer = np.array([
         [1 + R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
         [R[2, 1] - R[1, 2], 1 + R[0, 0] - R[1, 1] - R[2, 2], R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],

@@ -10,12 +10,4 @@ Progress = Callable[[str, int, int], None]
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
-    """Nothing: the progress of a run that nobody watches.
-
-    Parameters
-    ----------
-    stage : str
-        What is running.
-    done, total : int
-        Pieces done and in all.
-    """
+    """Nothing: the progress of a run that nobody watches."""

@@ -32,9 +32,10 @@ from epi360.features.detection import (
     CONTRAST_THRESHOLD,
     FAINT_CONTRAST_THRESHOLD,
     SMALLEST_WIDTH,
-    camera_of,
     check_options,
 )
+from epi360.features.image_cameras import find_camera
+from epi360.second_look import is_precise, is_settled, later_is_better
 
 # Key points are good to a third of a pixel. If the two fisheye cameras are swapped, the noise is
 # about two pixels.
@@ -45,9 +46,6 @@ IMAGE_OPTIONS = RansacOptions(min_num_inliers=15, min_iterations=50, confidence=
 # Of the 55 pairs of a real sequence 2688 pixels wide, a first look at this width settles most, in a
 # third of the time and with the same errors.
 _FIRST_LOOK_WIDTH = 1920
-# After these, a closer look at the full size would not change the verdict.
-SETTLED = ("ok", "pure_rotation")
-_PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.1, 0.3  # one sigma, over all components
 
 
 def relative_pose_of_images(
@@ -71,7 +69,8 @@ def relative_pose_of_images(
     image1, image2 : path or array
         What ``read_image`` takes; their sizes may differ.
     camera1, camera2 : Camera, optional
-        Default: a full equirectangular panorama of the image's size.
+        Default: a full equirectangular panorama of the image's size, or the part of one that the
+        GPano metadata of a file state.
     mask1, mask2 : path or array, optional
         White = use; of the image's size.
     mask_nadir_deg : float
@@ -117,23 +116,12 @@ def relative_pose_of_images(
             features1, features2 = pool.map(lambda view, s=search: view.features(s), views)
         say("matching features and estimating the pose")
         result = _estimated(views, features1, features2, inlier_threshold_deg, seed)
-        if best is None or replaces(result.status, best.status):
+        if best is None or later_is_better(best.status, result.status):
             best = result
-        if _is_precise(best) or (search.is_full and best.status in SETTLED):
+        if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
     return best
-
-
-def replaces(status: str, earlier: str) -> bool:
-    """Whether the answer of a closer look is taken instead of the earlier one.
-
-    Parameters
-    ----------
-    status, earlier : str
-        Of the results: a pose is given up only for another, or for a verdict that contradicts it.
-    """
-    return status in ("ok", "pure_rotation", "planar_ambiguous") or earlier != "ok"
 
 
 @dataclass(frozen=True)
@@ -194,17 +182,6 @@ def _pixel_deg(camera: Camera) -> float:
     return float(np.degrees(size_rad))
 
 
-def _is_precise(result: RelativePoseResult) -> bool:
-    """Whether more key points would hardly change the answer."""
-    variances = np.diag(result.covariance)
-    rotation_deg = np.degrees(np.sqrt(variances[:3].sum()))
-    if result.status == "pure_rotation":
-        return bool(rotation_deg < _PRECISE_ROTATION_DEG)
-    direction_deg = np.degrees(np.sqrt(variances[3:].sum()))
-    precise = rotation_deg < _PRECISE_ROTATION_DEG and direction_deg < _PRECISE_DIRECTION_DEG
-    return bool(result.success and not result.warnings and precise)
-
-
 @dataclass(frozen=True)
 class _View:
     """One image with its camera and mask, checked."""
@@ -225,7 +202,7 @@ class _View:
         mask_name: str,
     ) -> _View:
         picture = read_image(image, name=name)
-        camera = camera_of(picture, camera, name)
+        camera = find_camera(image, picture, camera, name)
         usable = None if mask is None else read_mask(mask, picture.shape[:2], name=mask_name)
         return cls(picture, camera, usable, mask_nadir_deg)
 

@@ -85,7 +85,9 @@ def test_one_of_the_four_poses_is_the_one_that_made_the_matrix(seed, scale):
 @pytest.mark.parametrize("seed", range(10))
 def test_all_four_poses_compose_to_the_same_matrix_up_to_sign(seed):
     E = essential_from_pose(any_pose(seed))
-    for pose in decompose_essential(E):
+    poses = decompose_essential(E)
+    assert len(poses) == 4
+    for pose in poses:
         composed = essential_from_pose(pose)
         sign = np.sign((composed * E).sum())
         np.testing.assert_allclose(sign * composed, E, atol=1e-12)

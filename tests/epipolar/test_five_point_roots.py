@@ -67,7 +67,7 @@ def test_every_solution_fits_the_matches_and_is_an_essential_matrix(kind):
     for seed in range(40):
         b1, b2, _ = five_matches(kind, seed)
         solutions = _core.five_point(b1, b2)
-        assert len(solutions) <= 10
+        assert (1 if kind in DETERMINED else 0) <= len(solutions) <= 10
         for E in normalised(solutions):
             np.testing.assert_allclose(np.einsum("ij,jk,ik->i", b2, E, b1), 0.0, atol=1e-14)
             # Up to 1e-5 where two roots meet; others are refused by the solver.
@@ -101,15 +101,18 @@ def test_solutions_are_distinct_and_come_in_pairs():
 
 @pytest.mark.parametrize("kind", ["anywhere", "on a plane", "three on a line"])
 def test_the_order_of_the_matches_does_not_matter(kind):
+    num_alone = num_all = 0
     for seed in range(40):
         b1, b2, _ = five_matches(kind, seed)
         order = np.random.default_rng(seed).permutation(5)
         solutions = normalised(_core.five_point(b1, b2))
         shuffled = normalised(_core.five_point(b1[order], b2[order]))
-        for E in solutions:
-            # Rounding may lose both of two roots that nearly meet, never one that stands alone.
-            if sum(distance(E, other) < 1e-3 for other in solutions) == 1:
-                assert min(distance(E, other) for other in shuffled) < 1e-4
+        # Rounding may lose both of two roots that nearly meet, never one that stands alone.
+        alone = [E for E in solutions if sum(distance(E, other) < 1e-3 for other in solutions) == 1]
+        for E in alone:
+            assert min(distance(E, other) for other in shuffled) < 1e-4
+        num_alone, num_all = num_alone + len(alone), num_all + len(solutions)
+    assert num_alone > 0.9 * num_all > 150  # measured: all of 188 to 207
 
 
 def test_swapping_the_views_transposes_the_solutions():

@@ -10,7 +10,7 @@ from epi360.features import extract_features
 
 
 @pytest.mark.parametrize("eps", [0.0, 1e-12, 1e-8, 1e-6])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(20))
 def test_bearings_of_a_hundredth_degree_claim_no_translation(seed, eps):
     rng = np.random.default_rng(seed)
     b = np.array([0.0, 0.0, 1.0]) + rng.normal(size=(40, 3)) * [1e-4, 1e-4, 0.0]
@@ -34,9 +34,10 @@ def test_motion_along_an_axis_without_turning_is_like_any_other(residual, num_ma
     assert refined.converged and np.isfinite(refined.covariance).all()
 
 
-def test_a_match_at_the_epipole_changes_nothing():
+@pytest.mark.parametrize("seed", range(20))
+def test_a_match_at_the_epipole_changes_nothing(seed):
     t = np.array([0.0, 0.6, 0.8])
-    points = 3.0 * np.random.default_rng(3).normal(size=(50, 3))
+    points = 3.0 * np.random.default_rng(seed).normal(size=(50, 3))
     b1, b2 = np.vstack([points, t]), np.vstack([points + t, t])
     result = estimate_relative_pose(b1, b2)
     assert result.success and np.isfinite(result.covariance).all()
@@ -44,8 +45,9 @@ def test_a_match_at_the_epipole_changes_nothing():
     np.testing.assert_allclose(result.cam2_from_cam1.translation, t, atol=1e-6)
 
 
-def test_a_logo_at_the_nadir_is_no_pure_rotation():
-    rng = np.random.default_rng(0)
+@pytest.mark.parametrize("seed", range(10))
+def test_a_logo_at_the_nadir_is_no_pure_rotation(seed):
+    rng = np.random.default_rng(seed)
     logo = np.array([0.0, 1.0, 0.0]) + 0.05 * rng.normal(size=(60, 3))
     b1, b2 = (np.vstack([logo, rng.normal(size=(200, 3))]) for _ in range(2))
     result = estimate_relative_pose(b1, b2)

@@ -156,12 +156,19 @@ def test_a_room_with_a_short_baseline_is_no_pure_rotation():
 
 
 def test_a_baseline_within_the_noise_is_a_rotation_or_comes_with_a_warning():
-    for seed in range(40):
-        result = estimate(noisy_scene(seed, 0.3, 0.2, baseline_m=0.03))
-        if result.success:
-            assert any("times the noise" in warning for warning in result.warnings)
-        else:
-            assert result.status in ("pure_rotation", "planar_ambiguous")
+    shares = {}
+    for baseline_m in (0.03, 0.065, 0.08):
+        results = [
+            estimate(noisy_scene(seed, 0.3, 0.2, baseline_m=baseline_m)) for seed in range(40)
+        ]
+        statuses = [result.status for result in results]
+        assert set(statuses) <= {"ok", "pure_rotation", "planar_ambiguous"}
+        shares[baseline_m] = statuses.count("ok") / 40
+        for result in results:
+            if result.success:
+                assert any("times the noise" in warning for warning in result.warnings)
+    # Both answers are given: a rotation at the shortest baseline, nearly never at the longest.
+    assert shares[0.03] == 0.0 and 0.2 < shares[0.065] < 0.9 and shares[0.08] > 0.8
 
 
 def plane_results(outliers, seeds):
@@ -170,19 +177,27 @@ def plane_results(outliers, seeds):
 
 
 def test_a_plane_gives_the_pose_or_names_it_among_the_alternatives():
-    right = 0
+    right = num_ambiguous = 0
     for truth, result in plane_results(0.3, range(60)):
         poses = (result.cam2_from_cam1, *result.alternatives)
         right += any(max(errors_deg(pose, truth)) < 5.0 for pose in poses)
         if result.status == "planar_ambiguous":
+            num_ambiguous += 1
             assert len(result.alternatives) >= 1 and not result.success
             assert np.isfinite(result.E).all() and np.isfinite(result.covariance).all()
-    assert right >= 0.9 * 60
+    assert right >= 0.9 * 60 and num_ambiguous > 0
 
 
-def test_a_plane_is_never_silently_wrong():
-    for truth, result in plane_results(0.0, [24, 45, 139]):
-        assert not result.success or max(errors_deg(result.cam2_from_cam1, truth)) < 10.0
+@pytest.mark.parametrize("outliers", [0.0, 0.3])
+def test_a_plane_is_never_silently_wrong(outliers):
+    accepted = [
+        max(errors_deg(result.cam2_from_cam1, truth))
+        for truth, result in plane_results(outliers, range(200))
+        if result.success
+    ]
+    assert len(accepted) >= 0.7 * 200  # measured: 83 % without outliers, 81 % with them
+    # Of 6,000 planes three are off by 10 to 12 degrees, none by more; of these 400 none is.
+    assert max(accepted) < 10.0
 
 
 def patch_among_random_matches(seed):
@@ -246,8 +261,11 @@ def is_silently_wrong(result, truth):
     return not (rotation < 10.0 and (direction_is_right or warned))
 
 
-def test_success_is_never_silently_wrong_over_mixed_hard_problems():
-    scenes = [mixed_problem(seed, narrowest_cone_deg=40.0) for seed in range(250)]
+# Of 4,000 problems four of each cone are silently wrong, all by 12 to 18 degrees in direction and
+# less than 4 in rotation; of these 250 none is.
+@pytest.mark.parametrize("narrowest_cone_deg", [40.0, 20.0])
+def test_success_is_never_silently_wrong_over_mixed_hard_problems(narrowest_cone_deg):
+    scenes = [mixed_problem(seed, narrowest_cone_deg) for seed in range(250)]
     results = [estimate(scene) for scene in scenes]
     wrong = [
         seed
@@ -256,9 +274,3 @@ def test_success_is_never_silently_wrong_over_mixed_hard_problems():
     ]
     assert wrong == []
     assert sum(result.success for result in results) > 130  # two thirds of the problems move
-
-
-@pytest.mark.parametrize("seed", [28, 179])
-def test_a_narrow_lens_with_many_outliers_is_never_silently_wrong(seed):
-    scene = mixed_problem(seed, narrowest_cone_deg=20.0)
-    assert not is_silently_wrong(estimate(scene), scene.cam2_from_cam1)

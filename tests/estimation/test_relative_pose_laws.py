@@ -111,15 +111,29 @@ def test_the_seed_of_the_sampling_does_not_matter_on_exact_data(seed):
 )
 def test_same_input_and_seed_give_the_same_bits(options):
     scene = noisy_scene(3, 0.3, 0.5)
-    first, second = (
-        estimate_relative_pose(scene.bearings1, scene.bearings2, **options) for _ in range(2)
+    assert_same_bits(
+        *(estimate_relative_pose(scene.bearings1, scene.bearings2, **options) for _ in range(2))
     )
+
+
+def test_the_alternatives_of_a_plane_are_the_same_bits_too():
+    scene = noisy_scene(13, 0.1, 0.3, layout="plane")
+    first, second = (estimate_relative_pose(scene.bearings1, scene.bearings2) for _ in range(2))
+    assert first.status == "planar_ambiguous" and len(first.alternatives) == 1
+    assert_same_bits(first, second)
+
+
+def assert_same_bits(first, second):
     for field in fields(first):
         if field.name == "cam2_from_cam1":
             np.testing.assert_array_equal(
                 first.cam2_from_cam1.matrix(), second.cam2_from_cam1.matrix()
             )
-        elif field.name != "alternatives":
+        elif field.name == "alternatives":
+            assert len(first.alternatives) == len(second.alternatives)
+            for pose, again in zip(first.alternatives, second.alternatives, strict=True):
+                np.testing.assert_array_equal(pose.matrix(), again.matrix())
+        else:
             np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
 
 

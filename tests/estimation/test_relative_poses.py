@@ -60,6 +60,14 @@ def test_each_pair_is_what_a_single_call_gives_on_any_number_of_threads(num_thre
     assert_same_bits(joined, alone)
 
 
+def test_the_alternatives_of_a_plane_are_those_of_a_single_call():
+    plane = noisy_scene(13, 0.1, 0.3, layout="plane")
+    alone = estimate_relative_pose(plane.bearings1, plane.bearings2)
+    assert alone.status == "planar_ambiguous" and len(alone.alternatives) == 1
+    together = estimate_relative_poses([(plane.bearings1, plane.bearings2)] * 2)
+    assert_same_bits(together, [alone, alone])
+
+
 def test_results_have_the_length_and_order_of_the_pairs():
     results = estimate_relative_poses(PAIRS)
     assert [result.num_matches for result in results] == SIZES

@@ -196,7 +196,11 @@ def test_images_may_be_files_and_a_generator(tmp_path):
             {},
             r"images\[1\] must be 128x64 .* got 64x32",
         ),
-        ([np.zeros((64, 128), np.uint8)] * 2, {"camera": CAMERA}, "camera's size 512x256, got 128"),
+        (
+            [np.zeros((64, 128), np.uint8)] * 2,
+            {"camera": CAMERA},
+            "128x64 but .* 512x256",
+        ),
         ([np.zeros((64, 100), np.uint8)] * 2, {}, "2:1"),
         ([np.zeros((64, 128), int)] * 2, {}, r"images\[0\] must be uint8"),
         (

@@ -42,15 +42,15 @@ def change(path, *statements):
 def test_pairs_are_read_one_at_a_time(whole):
     _, graph = panoramas_of_points(3)
     with ColmapPairs(whole) as pairs:
-        assert len(pairs) == 3
+        assert len(pairs.names) == 3
         assert pairs.names == [(pair.image1, pair.image2) for pair in graph.pairs]
         assert pairs.images == dict.fromkeys(graph.images, "1")
         for index, pair in enumerate(graph.pairs):
             np.testing.assert_array_equal(pairs.matches(index), pair.matches)
-            pixels = pairs.matched_pixels(index)
-            for name, column, found in zip(pairs.names[index], pair.matches.T, pixels, strict=True):
+            for name, column in zip(pairs.names[index], pair.matches.T, strict=True):
                 expected = graph.images[name].keypoints[column]
-                np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)  # float32
+                pixels = pairs.keypoints(name)[column]
+                np.testing.assert_allclose(pixels, expected, rtol=0, atol=1e-4)  # float32
                 assert pairs.camera(name) == PANORAMA
 
 
@@ -67,7 +67,8 @@ def test_reading_leaves_the_file_and_its_folder_alone(database):
     database.chmod(0o444)
     read_colmap_database(database, with_descriptors=True)
     with ColmapPairs(database) as pairs:
-        pairs.matched_pixels(0)
+        pairs.matches(0)
+        pairs.keypoints(pairs.names[0][0])
         assert list(database.parent.iterdir()) == [database]
     assert (database.read_bytes(), database.stat().st_mtime_ns) == before
     assert list(database.parent.iterdir()) == [database]
@@ -79,7 +80,7 @@ def test_what_a_writer_has_not_moved_into_the_file_yet_is_seen(database):
         with writer:
             writer.execute(f"DELETE FROM matches WHERE pair_id = {PAIR_1_2}")
         with ColmapPairs(database) as pairs:
-            assert len(pairs) == 2
+            assert len(pairs.names) == 2
 
 
 def test_database_of_an_older_colmap_is_read(database):
@@ -110,8 +111,7 @@ def test_pair_of_a_geometry_without_matches_has_its_inliers(database):
 def test_pair_without_matches_is_listed(database):
     change(database, "UPDATE matches SET rows = 0, data = NULL")
     with ColmapPairs(database) as pairs:
-        assert len(pairs) == 3 and pairs.matches(0).shape == (0, 2)
-        assert pairs.matched_pixels(0)[0].shape == (0, 2)
+        assert len(pairs.names) == 3 and pairs.matches(0).shape == (0, 2)
 
 
 def readers():

@@ -2,13 +2,18 @@
 """GPano metadata: which part of a panorama an image is, and where its gravity points."""
 
 import io
+import json
 
 import cv2
 import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
+from epi360.cli import main
+from epi360.features import extract_features, read_image, track_features
+from epi360.features.image_cameras import find_camera
 from epi360.features.image_headers import parse_image_header
+from epi360.features.picture_writing import encode_picture
 from epi360.interop.gpano import (
     GPano,
     PanoramaPart,
@@ -17,6 +22,9 @@ from epi360.interop.gpano import (
     read_gpano,
     with_gpano,
 )
+from epi360.poses import rotation_error_deg, translation_error_deg
+from epi360.two_view import relative_pose_of_images
+from epi360_scenes import demo_pair
 
 # As a camera writes it: properties as elements, here with numbers of our own.
 ELEMENTS = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
@@ -223,3 +231,59 @@ def test_metadata_are_written_once_and_into_pictures_only():
 def test_a_picture_without_metadata_has_none(tmp_path):
     (tmp_path / "a.jpg").write_bytes(picture(".jpg"))
     assert read_gpano(tmp_path / "a.jpg") is None
+
+
+@pytest.fixture(scope="module")
+def described_pair(tmp_path_factory):
+    """Files of the middle of two panoramas of a room: 2:1, but no panoramas themselves."""
+    pair = demo_pair()
+    part = PanoramaPart(600, 300, 200, 100, 1000, 500)
+    camera = GPano(part=part).camera(600, 300)
+    folder = tmp_path_factory.mktemp("described")
+    paths = [folder / name for name in ("1.png", "2.jpg")]
+    for path, image in zip(paths, (pair.image1, pair.image2), strict=True):
+        whole = cv2.resize(image, (1000, 500), interpolation=cv2.INTER_AREA)
+        content = encode_picture(whole[100:400, 200:800], path.suffix)
+        path.write_bytes(with_gpano(content, gpano_packet(camera)))
+    return paths, camera, pair.cam2_from_cam1
+
+
+def test_python_and_the_command_see_the_same_part_of_a_panorama(described_pair, tmp_path):
+    paths, camera, truth = described_pair
+    result = relative_pose_of_images(*paths)
+    assert main(["pair", *map(str, paths), "--json", str(tmp_path / "pose.json")]) == 0
+    record = json.loads((tmp_path / "pose.json").read_text())["cam2_from_cam1"]
+    pose = result.cam2_from_cam1
+    assert record["rotation"] == pose.rotation.tolist()
+    assert record["translation"] == pose.translation.tolist()
+    given = relative_pose_of_images(*paths, camera1=camera, camera2=camera)
+    np.testing.assert_array_equal(given.cam2_from_cam1.matrix(), pose.matrix())
+    # A pixel is 0.36 degrees wide. A camera of the whole sphere makes angles 1.7 times as large.
+    assert rotation_error_deg(pose, truth) < 1
+    assert translation_error_deg(pose, truth) < 3
+
+
+def test_features_and_tracks_of_a_described_file_are_those_of_its_part(described_pair):
+    (path, _), camera, _ = described_pair
+    picture = read_image(path)
+    np.testing.assert_array_equal(
+        extract_features(path).keypoints, extract_features(picture, camera).keypoints
+    )
+    np.testing.assert_array_equal(
+        track_features([path, picture]).keypoints,
+        track_features([picture, picture], camera).keypoints,
+    )
+
+
+def test_an_array_and_a_file_without_metadata_are_whole_panoramas(tmp_path, described_pair):
+    picture = read_image(described_pair[0][0])
+    (tmp_path / "a.png").write_bytes(encode_picture(picture, ".png"))
+    for source in (picture, tmp_path / "a.png", str(tmp_path / "a.png")):
+        assert find_camera(source, picture, None, "image") == Equirectangular(600, 300)
+
+
+def test_metadata_that_contradict_a_file_are_told_with_its_name(tmp_path):
+    packet = gpano_packet(GPano(part=PART).camera(600, 300))
+    (tmp_path / "a.png").write_bytes(with_gpano(picture(".png", 60, 50), packet))
+    with pytest.raises(ValueError, match="image1: the image is 60x50 but its GPano metadata say"):
+        relative_pose_of_images(tmp_path / "a.png", tmp_path / "a.png")

@@ -174,7 +174,7 @@ def test_a_database_of_no_images_is_an_empty_graph(tmp_path):
     graph = read_colmap_database(path)
     assert not graph.images and not graph.pairs
     with ColmapPairs(path) as pairs:
-        assert len(pairs) == 0
+        assert len(pairs.names) == 0
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ def test_ten_kills_lose_nothing_and_do_nothing_twice(matches, uninterrupted, tmp
     moments = random.Random(6)
     output, finished, files = tmp_path / "poses.parquet", {}, {}
     for _ in range(10):
-        child = start(matches, output, "--threads", "1")
+        child = start(matches, output, "--num-threads", "1")
         wait_for_a_new_part(child, output)
         time.sleep(moments.uniform(0.0, part_s))
         child.kill()
@@ -167,14 +167,14 @@ def test_ten_kills_lose_nothing_and_do_nothing_twice(matches, uninterrupted, tmp
         assert finished.items() < seconds_of_parts(output).items()
         assert files.items() < files_of_parts(output).items()
         finished, files = seconds_of_parts(output), files_of_parts(output)
-    assert outcome(start(matches, output, "--threads", "2"))[0] == 0
+    assert outcome(start(matches, output, "--num-threads", "2"))[0] == 0
     assert_is_whole(output, expected, finished)
 
 
 @NEEDS_SIGNALS
 def test_an_interrupt_keeps_what_is_finished(matches, uninterrupted, tmp_path):
     output = tmp_path / "poses.parquet"
-    child = start(matches, output, "--threads", "1")
+    child = start(matches, output, "--num-threads", "1")
     wait_for_a_new_part(child, output)
     child.send_signal(signal.SIGINT)
     code, said = outcome(child)

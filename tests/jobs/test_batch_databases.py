@@ -14,6 +14,7 @@ from epi360.cameras import Equirectangular
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.batch import BatchJob, MatchSource, estimate_parts, missing_parts, run_batch
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
+from epi360.runs import whole_files
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
@@ -178,6 +179,18 @@ def test_the_copy_of_the_database_has_the_geometries(world, database, tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["in.db", "out.db", "poses.parquet"]
 
 
+def leave_a_temporary_file(path):
+    """What a run leaves that is killed while it writes a database, with SQLite's own file."""
+    code = (
+        "import os, sys; from epi360.runs.whole_files import whole_path\n"
+        "with whole_path(sys.argv[1]) as path:\n"
+        "    path.touch(); open(f'{path}-wal', 'w').close(); os._exit(9)"
+    )
+    subprocess.run([sys.executable, "-c", code, str(path)], check=False)
+    assert len(list(path.parent.glob(".*.tmp*"))) == 2
+    whole_files.remove_leftovers.cache_clear()  # this process is another run
+
+
 def test_geometries_that_were_there_are_replaced(world, database, tmp_path):
     pycolmap = pytest.importorskip("pycolmap")
     with pycolmap.Database.open(database) as opened:
@@ -186,8 +199,7 @@ def test_geometries_that_were_there_are_replaced(world, database, tmp_path):
         old.inlier_matches = np.zeros((7, 2), np.uint32)
         opened.write_two_view_geometry(1, 2, old)
     job = BatchJob(MatchSource("colmap", str(database)), str(tmp_path / "poses.parquet"))
-    for name in (".out.db.12ab34cd.tmp", ".out.db.12ab34cd.tmp-wal"):  # a run was killed here
-        (tmp_path / name).touch()
+    leave_a_temporary_file(tmp_path / "out.db")
     run_batch(job, database=str(tmp_path / "out.db"))
     assert sorted(os.listdir(tmp_path)) == ["in.db", "out.db", "poses.parquet"]
     geometry = geometries_in(tmp_path / "out.db")["a/ä 0.jpg", "a/1.jpg"]

@@ -18,10 +18,10 @@ from epi360.jobs.batch import (
     missing_parts,
     run,
     run_batch,
-    storage,
 )
 from epi360.jobs.batch import job as job_module
 from epi360.jobs.batch.sources import pair_seed
+from epi360.runs import storage
 from epi360.two_view import IMAGE_OPTIONS
 
 pyarrow = pytest.importorskip("pyarrow")
@@ -293,14 +293,6 @@ def test_a_file_is_replaced_only_by_a_whole_one(tmp_path):
         file.write(b"new")
     assert target.read_bytes() == b"new"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-def test_what_killed_runs_have_left_is_removed_but_nothing_else(tmp_path):
-    for name in (".a.parquet.12ab34cd.tmp", ".b.parquet.12ab34cd.tmp", "a.parquet", ".a.parquet"):
-        (tmp_path / name).touch()
-    storage.remove_leftovers(str(tmp_path / "a.parquet"))
-    left = sorted(path.name for path in tmp_path.iterdir())
-    assert left == [".a.parquet", ".b.parquet.12ab34cd.tmp", "a.parquet"]
 
 
 def test_the_lock_of_a_killed_run_blocks_nobody(job):

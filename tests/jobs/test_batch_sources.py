@@ -9,15 +9,8 @@ import pytest
 from batch_inputs import columns_of, scenes, write_matches
 
 from epi360 import Equirectangular
-from epi360.jobs.batch.sources import (
-    MatchSource,
-    PairMatches,
-    check_names,
-    kind_of,
-    open_matches,
-    pair_seed,
-    parts_of,
-)
+from epi360.jobs.batch.inputs import check_names, open_matches
+from epi360.jobs.batch.sources import MatchSource, PairMatches, kind_of, pair_seed, parts_of
 
 pyarrow = pytest.importorskip("pyarrow")
 
@@ -208,7 +201,10 @@ def test_the_same_pair_twice_is_found_also_across_batches():
 
 
 def test_the_other_order_is_another_pair():
-    check_names("in", Named((["a", "b"], ["b", "a"])))
+    both_orders = ["a", "b"], ["b", "a"]
+    check_names("in", Named(both_orders))
+    with pytest.raises(ValueError, match="in: the pair b a is there twice, in rows 1 and 2"):
+        check_names("in", Named(both_orders, (["b"], ["a"])))
 
 
 def test_no_pairs_are_an_error():

@@ -18,7 +18,7 @@ from epi360.jobs.cube_faces import (
 )
 from epi360.jobs.face_sampler import FaceSampler
 from epi360.poses import Pose, rotation_from_vector
-from epi360.synthetic import furnished_room
+from epi360_scenes import furnished_room
 
 PANORAMA = Equirectangular(256, 128)
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)
@@ -360,6 +360,19 @@ class TestExport:
             export_cubemap(folder, source, folder.parent)
         with pytest.raises(ValueError, match="images' folder"):
             export_cubemap(folder, source, folder)
+
+    @pytest.mark.parametrize("way", ["absolute", "up"])
+    def test_a_name_that_leads_out_of_the_output_touches_nothing_there(self, tmp_path, way):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, _ = two_panoramas(tmp_path)
+        victim = tmp_path / "victim_front.jpg"
+        victim.write_bytes(b"theirs")
+        name = str(tmp_path / "victim.png") if way == "absolute" else "../../victim.png"
+        with pytest.raises(ValueError, match=r"victim_front\.jpg' leads out of .*images"):
+            export_cubemap(folder, plain_reconstruction(["a.png", name]), tmp_path / "out")
+        assert victim.read_bytes() == b"theirs"
+        assert not (tmp_path / "out").exists()
 
     def test_a_vanished_or_another_image_is_named_and_the_finished_faces_stay(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap

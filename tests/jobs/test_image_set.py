@@ -15,7 +15,7 @@ from epi360.interop.gpano import GPano, PanoramaPart, gpano_packet, with_gpano
 from epi360.jobs import image_set
 from epi360.jobs.image_set import find_images
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
-from epi360.synthetic import demo_pair
+from epi360_scenes import demo_pair
 
 PINHOLE = {"model": "Pinhole", "fx": 30, "fy": 30, "cx": 20, "cy": 15}
 RIGHT_TURN = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]

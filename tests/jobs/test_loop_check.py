@@ -112,7 +112,8 @@ def test_one_open_triangle_puts_all_three_in_doubt_and_contradicts_none():
     pairs["a", "b"] = turned(pairs["a", "b"], 90)
     loops = checked(pairs)
     assert loops.pop(("c", "d")) == ALONE
-    assert all(loop == LoopVerdict(1, 1) and loop.doubtful for loop in loops.values())
+    assert list(loops.values()) == [LoopVerdict(1, 1)] * 3
+    assert all(loop.doubtful for loop in loops.values())
 
 
 def test_one_open_triangle_is_enough_where_both_other_pairs_close_elsewhere():

@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
+"""Maps of a rendered room, of exact matches and of real panoramas: poses, files, second runs."""
+
 import json
 import shutil
 from itertools import combinations
@@ -8,12 +10,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from mapped_room import CAMERA, room_poses, write_picture
 
-from epi360 import cli
-from epi360.cameras import DoubleSphere, Equirectangular, KannalaBrandt, Pinhole
-from epi360.datasets.tables import read_table
+from epi360.cameras import DoubleSphere, KannalaBrandt, Pinhole
+from epi360.interop.text_tables import read_table
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, rotation_from_vector
-from epi360.synthetic import furnished_room
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -31,49 +32,8 @@ from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
 from epi360.jobs.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
 from epi360.jobs.image_set import ImageSet, SourceImage, find_images  # noqa: E402
 from epi360.jobs.mapped_models import MappedModel, write_transforms  # noqa: E402
-from epi360.jobs.mapping import MapOptions, MapRun, map_images  # noqa: E402
-from epi360.jobs.matching import MatchOptions, MatchRun  # noqa: E402
-
-CAMERA = Equirectangular(512, 256)
-
-
-def write_picture(path, rgb):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(path.suffix, rgb[..., ::-1])[1].tobytes())
-
-
-def room_poses(num_places):
-    """Places along a line through the room, the camera turning; the last one twice, turned."""
-    poses = [
-        Pose(
-            rotation_from_vector([0.02 * k, 0.4 * k, 0.03 * k]),
-            np.array([-0.9 + 0.3 * k, -1.5 + 0.04 * (k % 2), -0.5 + 0.1 * k]),
-        )
-        for k in range(num_places)
-    ]
-    turned = Pose(poses[-1].rotation @ rotation_from_vector([0.0, 1.2, 0.1]), poses[-1].translation)
-    return [*poses, turned]
-
-
-@pytest.fixture(scope="module")
-def room_folder(tmp_path_factory):
-    """A folder of panoramas with sub-folders and other letters, and the true poses by name."""
-    folder = tmp_path_factory.mktemp("room") / "images"
-    room = furnished_room(0)
-    truth = {}
-    for number, world_from_cam in enumerate(room_poses(5)):
-        name = f"Küche/{number}.png" if number < 3 else f"hall/{number}.png"
-        write_picture(folder / name, room.render(CAMERA, world_from_cam).image)
-        truth[name] = world_from_cam
-    write_picture(folder / "zz_grey.png", np.full((256, 512, 3), 128, np.uint8))
-    return folder, truth
-
-
-@pytest.fixture(scope="module")
-def room_run(room_folder, tmp_path_factory):
-    folder, _ = room_folder
-    output = tmp_path_factory.mktemp("run") / "out"
-    return output, map_images(find_images(folder), output, MapOptions(MatchOptions(num_threads=1)))
+from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
+from epi360.jobs.matching import MatchOptions  # noqa: E402
 
 
 def aligned_errors(world_from_cam, truth):
@@ -134,6 +94,7 @@ def test_the_model_and_the_transforms_on_disk_are_the_result(room_run):
     on_disk = poses_of(read_colmap_model(output / "sparse" / "0"))
     transforms = read_nerfstudio(output / "transforms.json", images="../../room0/images")
     frames = json.loads((output / "transforms.json").read_text(encoding="utf-8"))["frames"]
+    assert len(frames) == len(result) == 6
     for frame in frames:
         assert (output / frame["file_path"]).is_file()
     for name, pose in result.items():
@@ -242,87 +203,6 @@ def test_two_images_are_enough(room_folder, tmp_path):
     assert len(run.models[0].reconstruction.points) > 50
 
 
-def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_run, capsys):
-    output, _ = room_run
-    words = ["map", str(room_folder[0]), "--output", str(output), "--cubemap"]
-    assert cli.main([*words, "--faces", "front", "back", "--mask-nadir-deg", "0"]) == 0
-    printed = capsys.readouterr().out
-    assert "registered   6 of 7 images" in printed
-    assert "not used     zz_grey.png: no accepted pair" in printed
-    assert f"wrote {output / 'sparse' / '0'}" in printed
-    assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
-    assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()
-    assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
-
-
-def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_path, capsys):
-    pictures, out = tmp_path / "in", tmp_path / "out"
-    pictures.mkdir()
-    for name in ("1.png", "2.png"):
-        (pictures / name).write_bytes((room_folder[0] / "Küche" / name).read_bytes())
-    words = ["map", str(pictures), "--output", str(out)]
-    assert cli.main([*words, "--cubemap", "--faces", "front"]) == 0
-    # Other faces: said before the mapping, so that the map is still that of the faces.
-    before = (out / "mapping.json").read_bytes()
-    assert cli.main([*words, "--mapper", "global", "--cubemap", "--faces", "up"]) == 2
-    assert "cubemap with other options" in capsys.readouterr().err
-    assert (out / "mapping.json").read_bytes() == before
-    assert cli.main(words) == 0
-    assert "earlier map" not in capsys.readouterr().out
-    (pictures / "3.png").write_bytes((room_folder[0] / "Küche" / "0.png").read_bytes())
-    assert cli.main(words) == 0
-    assert f"{out / 'cubemap'} is of an earlier map: --cubemap cuts it again" in (
-        capsys.readouterr().out
-    )
-
-
-def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp_path, capsys):
-    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
-    out = tmp_path / "cube"
-    assert cli.main(["cubemap", model, images, str(out), "--faces", "up", "--face-size", "32"]) == 0
-    assert capsys.readouterr().out == f"wrote {out} (6 cube faces)\n"
-    again = read_colmap_model(out / "sparse" / "0")
-    assert {camera.width for camera in again.cameras.values()} == {32}
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["map", "IMAGES", "--faces", "front"], "need --cubemap"),
-        (["map", "NOWHERE"], "does not exist"),
-        (["cubemap", "DATABASE", "IMAGES", "OUT"], "holds matches"),
-        (["cubemap", "MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
-        (["cubemap", "MODEL", "IMAGES", "OUT", "--fov-deg", "180"], " --fov-deg must be"),
-        (["cubemap", "MODEL", "IMAGES", "OUT", "--mask-nadir-deg=-5"], " --mask-nadir-deg must"),
-        (["map", "IMAGES", "--jobs", "0"], " --jobs must be at least 1, got 0"),
-        (["map", "IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
-    ],
-)
-def test_wrong_use_is_one_line_and_exit_code_2(
-    room_folder, room_run, tmp_path, capsys, words, message
-):
-    output, _ = room_run
-    paths = {
-        "IMAGES": room_folder[0], "DATABASE": output / "database.db",
-        "MODEL": output / "sparse" / "0", "OUT": tmp_path / "out", "NOWHERE": tmp_path / "no",
-    }  # fmt: skip
-    assert cli.main([str(paths.get(word, word)) for word in words]) == 2
-    printed = capsys.readouterr().err
-    assert printed.count("\n") == 1
-    assert message in printed
-
-
-def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
-    rng = np.random.default_rng(1)
-    for name in ("a", "b"):
-        noise = cv2.resize(rng.integers(0, 256, (32, 64, 3), dtype=np.uint8), (256, 128))
-        write_picture(tmp_path / "in" / f"{name}.png", noise)
-    words = ["map", str(tmp_path / "in"), "--output", str(tmp_path / "out")]
-    assert cli.main(words) == 1
-    assert "registered   0 of 2 images" in capsys.readouterr().out
-    assert not (tmp_path / "out" / "sparse").exists()
-
-
 def written_transforms(tmp_path, cameras, masks=None, mask_nadir_deg=0.0):
     """Remarks, and the frames of a file for one image of each camera."""
     sources = tuple(
@@ -368,21 +248,6 @@ def test_a_camera_that_colmap_lacks_is_refused_before_the_matching(tmp_path):
     with pytest.raises(ValueError, match="DoubleSphere"):
         map_images(ImageSet(tmp_path, {"c": camera}, (image,)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monkeypatch):
-    models = tuple(
-        MappedModel(tmp_path / "sparse" / str(number), Reconstruction({}, ()), 0.5)
-        for number in range(2)
-    )
-    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
-    run = MapRun(matched, models, {}, 5, {}, ())
-    monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, **__: run)
-    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
-    assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert "models       2 that do not connect: 0, 0 images" in printed
-    assert f"epi360 cubemap {tmp_path / 'sparse' / '1'} {tmp_path / 'in'} NEW" in printed
 
 
 @pytest.mark.parametrize("content", ["[1, 2]", "{", "3"])

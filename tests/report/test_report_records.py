@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
-from epi360.files import write_file
 from epi360.poses import Pose
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.records import pair_record, truth_record, write_json
+from epi360.runs.whole_files import write_file
 
 CAMERA = Equirectangular(width=1024, height=512)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every camera model offers: pixels to bearings and back."""
+"""What camera models have in common: pixels to bearings and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from numbers import Integral, Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# No lens has larger or smaller numbers; within these bounds nothing overflows in the formulas.
+Array = NDArray[np.float64]
+
+# Every real lens has numbers within these bounds, and within them no formula overflows.
 LARGEST_SIZE = 10**7
 LARGEST_NUMBER = 1e12
 SMALLEST_POSITIVE = 1e-9
@@ -48,18 +50,19 @@ class Camera(ABC):
             converted = checked_size if field.name in ("width", "height") else _finite_number
             object.__setattr__(self, field.name, converted(value, field.name))
 
-    def bearings_from_pixels(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """Directions in which pixels look.
+    def bearings_from_pixels(self, pixels: ArrayLike) -> Array:
+        """Return the directions in which pixels look.
 
         Parameters
         ----------
         pixels : array_like, shape (N, 2)
-            Continuous pixels (u, v). They need not lie in the image: see the class.
+            Continuous pixels (u, v). They may lie outside the image; the class says which of those
+            have a ray.
 
         Returns
         -------
         bearings : ndarray, shape (N, 3)
-            Unit vectors; NaN rows where the pixel is NaN or infinite or the model has no ray.
+            Unit vectors; a row is NaN if the pixel is not finite or has no ray.
 
         Raises
         ------
@@ -69,8 +72,8 @@ class Camera(ABC):
         u, v = _finite_columns(pixels, 2, "pixels")
         return self._bearings(u, v)
 
-    def pixels_from_bearings(self, bearings: ArrayLike) -> NDArray[np.float64]:
-        """Pixels that look in given directions.
+    def pixels_from_bearings(self, bearings: ArrayLike) -> Array:
+        """Return the pixels that look in given directions.
 
         Parameters
         ----------
@@ -80,8 +83,8 @@ class Camera(ABC):
         Returns
         -------
         pixels : ndarray, shape (N, 2)
-            Continuous pixels (u, v) in the image; NaN rows for directions outside the field of
-            view, and for NaN, infinite and zero-length rows.
+            Continuous pixels (u, v) in the image; a row is NaN if the direction is outside the
+            field of view, not finite or of zero length.
 
         Raises
         ------
@@ -94,8 +97,8 @@ class Camera(ABC):
         pixels[no_direction] = np.nan
         return pixels
 
-    def bearing_jacobians(self, pixels: ArrayLike) -> NDArray[np.float64]:
-        """First derivatives of the unit bearings with respect to the pixels.
+    def bearing_jacobians(self, pixels: ArrayLike) -> Array:
+        """Return the first derivatives of the unit bearings with respect to the pixels.
 
         Parameters
         ----------
@@ -105,7 +108,8 @@ class Camera(ABC):
         Returns
         -------
         jacobians : ndarray, shape (N, 3, 2)
-            ``jacobians[i, j, k]`` = d bearing_j / d pixel_k in 1/px; NaN where the bearing is NaN.
+            ``jacobians[i, j, k]`` = d bearing_j / d pixel_k of row i in 1/px; NaN if the bearing
+            is NaN.
 
         Raises
         ------
@@ -116,30 +120,54 @@ class Camera(ABC):
         return self._jacobians(u, v)
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
-        """Whether the centre of each pixel has a ray, shape (height, width)."""
+        """Return whether the centre of each pixel has a ray, shape (height, width)."""
         return np.ones((self.height, self.width), dtype=np.bool_)
 
     @abstractmethod
-    def _bearings(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _bearings(self, u: Array, v: Array) -> Array:
         """Bearings (N, 3), unit length, of finite or NaN pixels."""
 
     @abstractmethod
-    def _pixels(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _pixels(self, x: Array, y: Array, z: Array) -> Array:
         """Pixels (N, 2) of finite or NaN directions of any length; may overwrite its input."""
 
     @abstractmethod
-    def _jacobians(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _jacobians(self, u: Array, v: Array) -> Array:
         """Jacobians (N, 3, 2) at finite or NaN pixels."""
 
-    def _keep_inside(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Set pixels outside the image to NaN, in place; those off by rounding go to its border."""
+    def _keep_inside(self, pixels: Array) -> Array:
+        """Set pixels outside the image to NaN, in place, and move those off by rounding to it."""
         for column, size in ((pixels[:, 0], self.width), (pixels[:, 1], self.height)):
             inside = (column >= -BORDER_TOLERANCE_PX) & (column <= size + BORDER_TOLERANCE_PX)
             pixels[~inside] = np.nan
             np.clip(column, 0.0, size, out=column)
         return pixels
+
+
+@dataclass(frozen=True)
+class FocalCamera(Camera):
+    """Camera whose pixels are points of a plane, scaled: u = fx x + cx, v = fy y + cy."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        check_positive(self, "fx", "fy")
+
+    def _plane_points(self, u: Array, v: Array) -> tuple[Array, Array]:
+        return (u - self.cx) / self.fx, (v - self.cy) / self.fy
+
+    def _plane_grid(self) -> tuple[Array, Array]:
+        """Points of the plane, without distortion, of all columns (1, W) and of all rows (H, 1)."""
+        u, v = (np.arange(size, dtype=np.float64) + 0.5 for size in (self.width, self.height))
+        return (u[None, :] - self.cx) / self.fx, (v[:, None] - self.cy) / self.fy
+
+    def _pixels_of_plane(self, x: Array, y: Array) -> Array:
+        return np.column_stack([self.fx * x + self.cx, self.fy * y + self.cy])
 
 
 def check_positive(camera: Camera, *names: str) -> None:
@@ -150,7 +178,7 @@ def check_positive(camera: Camera, *names: str) -> None:
 
 
 def checked_size(value: object, name: str) -> int:
-    """Size in pixels as an int; ``ValueError`` if it is none."""
+    """Return a size in pixels as an int; raise ``ValueError`` unless it is positive."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value <= 0:
         raise ValueError(f"{name} must be a positive integer number of pixels, got {value!r}")
     size = int(value)
@@ -170,8 +198,8 @@ def _finite_number(value: object, name: str) -> float:
     return float(number)
 
 
-def _finite_columns(array: ArrayLike, count: int, name: str) -> list[NDArray[np.float64]]:
-    """Contiguous columns of an (N, count) array, NaN rows where a number is not finite."""
+def _finite_columns(array: ArrayLike, count: int, name: str) -> list[Array]:
+    """Return contiguous columns of an (N, count) array; rows that are not finite become NaN."""
     try:
         rows = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:

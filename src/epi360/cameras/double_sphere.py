@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epi360.cameras.base import Array
 from epi360.cameras.extended_unified import check_alpha, half_space, heights, largest_square
-from epi360.cameras.lifted import Array, LiftedCamera
+from epi360.cameras.lifted import LiftedCamera
 
 
 @dataclass(frozen=True)
@@ -16,18 +17,19 @@ class DoubleSphere(LiftedCamera):
     """Two unit spheres xi apart, the second seen by a shifted pinhole.
 
     A unit direction is moved to ``q = (x, y, z + xi)``, and goes to
-    ``(q_x, q_y) / (alpha |q| + (1 - alpha) q_z)``. These are Kalibr's and basalt's ``ds``.
-    xi = 0 is `ExtendedUnified` with beta = 1; alpha = 0 is `UnifiedCamera` without distortion.
+    ``(q_x, q_y) / (alpha |q| + (1 - alpha) q_z)``. These are Kalibr's and basalt's ``ds``. With
+    xi = 0 it is `ExtendedUnified` with beta = 1; with alpha = 0 it is `UnifiedCamera` without
+    distortion.
 
-    For alpha <= 0.5 any pixel has a ray; for alpha > 0.5 those within r^2 <= 1 / (2 alpha - 1) of
-    the principal point. The directions that are seen are exactly those of these pixels.
+    If alpha <= 0.5 every pixel has a ray; if alpha > 0.5 only those do that are within
+    r^2 <= 1 / (2 alpha - 1) of the principal point. Exactly the directions of these rays are seen.
 
     Parameters
     ----------
     width, height : int
         Size of the image in pixels.
     fx, fy : float
-        Focal lengths in pixels; on the axis a direction moves by fx / (1 + xi) pixels a radian.
+        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
     cx, cy : float
         Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
     xi : float
@@ -43,10 +45,9 @@ class DoubleSphere(LiftedCamera):
     Notes
     -----
     Usenko, Demmel & Cremers, "The double sphere camera model", 3DV 2018, eq. 40-51. The paper
-    limits directions by z > -w2 with w2 = (w1 + xi) / sqrt(2 w1 xi + xi^2 + 1), which is not where
-    the pixels with a ray end unless xi = 0 or alpha = 0.5: it leaves out directions that have a
-    pixel, or lets in some of the other side. Here the limit is where q_z = -w1 |q|:
-    z = -xi (1 - w1^2) - w1 sqrt(1 - xi^2 (1 - w1^2)).
+    limits directions by z > -w2 with w2 = (w1 + xi) / sqrt(2 w1 xi + xi^2 + 1). Unless xi = 0 or
+    alpha = 0.5, that leaves out directions that have a pixel, or takes in directions that have
+    none. Here the limit is q_z = -w1 |q|, z = -xi (1 - w1^2) - w1 sqrt(1 - xi^2 (1 - w1^2)).
     """
 
     xi: float
@@ -70,7 +71,7 @@ class DoubleSphere(LiftedCamera):
         return float(-self.xi * rest - w * np.sqrt(1 - self.xi**2 * rest))
 
     def _heights(self, squares: Array) -> tuple[Array, Array]:
-        # Back from the second sphere along q to the first: a line through a unit sphere.
+        # Back from the second sphere to the first, where the line along q meets the first one.
         z, z_slopes = heights(squares, self.alpha, 1.0)
         squeeze = 1 - self.xi**2
         roots = np.sqrt(z * z + squeeze * squares)

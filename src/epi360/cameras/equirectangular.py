@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The equirectangular panorama, whole or a part of it."""
+"""The equirectangular panorama, the whole sphere or a part of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from epi360.cameras.base import Camera, check_positive
+from epi360.cameras.base import Array, Camera, check_positive
 
 RANGE_TOLERANCE_DEG = 1e-9
 ASPECT_TOLERANCE = 0.005  # of 2:1; exporters round the size to multiples of 8 or 16 pixels
@@ -19,16 +18,15 @@ POLE_TOLERANCE = 1e-15  # below this distance from the axis the longitude is rou
 class Equirectangular(Camera):
     """Panorama whose columns are longitudes and whose rows are latitudes.
 
-    With the defaults it is the full sphere: longitude 2 pi u / W - pi, latitude
-    pi / 2 - pi v / H, bearing (cos lat sin lon, -sin lat, cos lat cos lon), so that the image
-    centre looks along +z. A part of a panorama keeps the frame of the whole: +z is longitude 0,
-    wherever the part lies, and the bearings of its pixels are those of the same pixels in the
-    whole.
+    The defaults make it the full sphere: the longitude is 2 pi u / W - pi, the latitude
+    pi / 2 - pi v / H and the bearing (cos lat sin lon, -sin lat, cos lat cos lon), so that the
+    image centre looks along +z. A part of a panorama keeps the frame of the whole one: longitude 0
+    is +z wherever the part lies, and a pixel has the same bearing in the part and in the whole.
 
-    A panorama of 360 degrees wraps: any finite u has a ray, and ``pixels_from_bearings`` gives
-    u in [0, width). Rows above and below the image have no ray, nor has anything outside the
-    image of a narrower part. At a pole, where the longitude is any, ``pixels_from_bearings`` gives
-    the column of longitude 0, or the one of the image that is nearest to it.
+    A panorama that is 360 degrees wide wraps: any finite u has a ray, and ``pixels_from_bearings``
+    gives u in [0, width). Rows above and below the image have no ray; if the panorama is narrower,
+    nothing outside the image has one. At a pole, where every longitude is right,
+    ``pixels_from_bearings`` gives the column of longitude 0, or the column nearest to it.
 
     Parameters
     ----------
@@ -37,7 +35,7 @@ class Equirectangular(Camera):
     horizontal_fov_deg, vertical_fov_deg : float
         Longitudes and latitudes that the image spans, up to 360 and 180.
     center_longitude_deg, center_latitude_deg : float
-        Where u = width / 2 and v = height / 2 look; longitude to the right, latitude up.
+        Direction of the image centre; longitudes grow to the right, latitudes upwards.
 
     Raises
     ------
@@ -68,7 +66,7 @@ class Equirectangular(Camera):
 
     @classmethod
     def for_image(cls, width: int, height: int) -> Equirectangular:
-        """Camera of a full panorama of this size.
+        """Return the camera of a full panorama of this size.
 
         Parameters
         ----------
@@ -77,12 +75,13 @@ class Equirectangular(Camera):
 
         Returns
         -------
-        Equirectangular
+        camera : Equirectangular
+            Camera of the full sphere.
 
         Raises
         ------
         ValueError
-            If the image is not 2:1, so that it cannot be a full panorama of square pixels.
+            If the image is not 2:1, and so no full panorama with square pixels.
         """
         camera = cls(width, height)
         if abs(width - 2 * height) > ASPECT_TOLERANCE * 2 * height:
@@ -103,9 +102,7 @@ class Equirectangular(Camera):
             np.deg2rad(self.vertical_fov_deg) / self.height,
         )
 
-    def _angles(
-        self, u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _angles(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Longitudes and latitudes in radians, NaN where the image has no such pixel."""
         per_column, per_row = self._rad_per_px
         longitudes = (u - self.width / 2) * per_column
@@ -119,7 +116,7 @@ class Equirectangular(Camera):
         longitudes[outside] = np.nan
         return longitudes, latitudes
 
-    def _bearings(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _bearings(self, u: Array, v: Array) -> Array:
         longitudes, latitudes = self._angles(u, v)
         cos_latitudes = np.cos(latitudes)
         bearings = np.empty((len(u), 3))
@@ -128,9 +125,7 @@ class Equirectangular(Camera):
         np.multiply(cos_latitudes, np.cos(longitudes), out=bearings[:, 2])
         return bearings
 
-    def _pixels(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _pixels(self, x: Array, y: Array, z: Array) -> Array:
         per_column, per_row = self._rad_per_px
         axis_distances = np.hypot(x, z)
         z += 0.0  # -0.0 becomes 0.0: the longitude of a pole is 0, not pi
@@ -152,7 +147,7 @@ class Equirectangular(Camera):
             pixels[at_pole, 0] = np.clip(pixels[at_pole, 0], 0, self.width)
         return self._keep_inside(pixels)
 
-    def _jacobians(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _jacobians(self, u: Array, v: Array) -> Array:
         per_column, per_row = self._rad_per_px
         longitudes, latitudes = self._angles(u, v)
         sin_longitudes, cos_longitudes = np.sin(longitudes), np.cos(longitudes)

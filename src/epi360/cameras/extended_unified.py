@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epi360.cameras.base import check_positive
-from epi360.cameras.lifted import Array, LiftedCamera, rim
+from epi360.cameras.base import Array, check_positive
+from epi360.cameras.lifted import LiftedCamera, rim
 
 
 @dataclass(frozen=True)
@@ -17,12 +17,13 @@ class ExtendedUnified(LiftedCamera):
 
     A direction goes to ``(x, y) / (alpha d + (1 - alpha) z)`` with
     ``d = sqrt(beta (x^2 + y^2) + z^2)``. These are Kalibr's and basalt's ``eucm`` and COLMAP's
-    ``EUCM``. alpha = 0 is a pinhole, beta = 1 the unified camera without distortion with
-    xi = alpha / (1 - alpha) and focal lengths times 1 / (1 - alpha).
+    ``EUCM``. With alpha = 0 it is a pinhole; with beta = 1 it is the unified camera without
+    distortion, with xi = alpha / (1 - alpha) and focal lengths times 1 / (1 - alpha).
 
-    For alpha <= 0.5 any pixel has a ray; for alpha > 0.5 those within
+    If alpha <= 0.5 every pixel has a ray; if alpha > 0.5 only those do that are within
     ``r^2 <= 1 / (beta (2 alpha - 1))`` of the principal point. Directions are seen down to
-    z = -w d with w = alpha / (1 - alpha), its inverse for alpha > 0.5. Others are NaN.
+    z = -w d with w = alpha / (1 - alpha), or the inverse of that if alpha > 0.5. Pixels without a
+    ray and directions that are not seen give NaN.
 
     Parameters
     ----------
@@ -81,20 +82,20 @@ def check_alpha(alpha: float) -> None:
 
 
 def half_space(alpha: float) -> float:
-    """W of the directions z > -w d that an ellipsoid model sees."""
+    """Return w of the directions z > -w d that an ellipsoid model sees."""
     return alpha / (1 - alpha) if alpha <= 0.5 else (1 - alpha) / alpha
 
 
 def largest_square(alpha: float, beta: float) -> float:
-    """Largest x^2 + y^2 with a ray, where the root in `heights` ends."""
+    """Return the largest x^2 + y^2 with a ray, at which the root in `heights` is zero."""
     return rim(1 / (beta * (2 * alpha - 1))) if alpha > 0.5 else np.inf
 
 
 def heights(squares: Array, alpha: float, beta: float) -> tuple[Array, Array]:
-    """Z of the ray (x, y, z) and its derivative at x^2 + y^2."""
+    """Return z of the ray (x, y, z) at x^2 + y^2, and its derivative."""
     roots = np.sqrt(np.maximum(1 - (2 * alpha - 1) * beta * squares, 0))
     root_slopes = -(2 * alpha - 1) * beta / (2 * roots)
-    if alpha > 0.75:  # the same, without the denominator that is zero at the rim for alpha = 1
+    if alpha > 0.75:  # the same in another form: for alpha = 1 the other divides by 0 at the rim
         return (alpha * roots - (1 - alpha)) / (2 * alpha - 1), -alpha * beta / (2 * roots)
     denominators = alpha * roots + (1 - alpha)
     z = (1 - beta * alpha**2 * squares) / denominators

@@ -9,25 +9,26 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras.base import Camera, check_positive
+from epi360.cameras.base import Array, FocalCamera
 
-ANGLE_TOLERANCE_RAD = 1e-12  # convergence, and rounding at the border of the field of view
+ANGLE_TOLERANCE_RAD = 1e-12  # for convergence, and for rounding at the edge of the field of view
 MAX_ITERATIONS = 100  # bisection alone needs 45
 
 
 @dataclass(frozen=True)
-class KannalaBrandt(Camera):
+class KannalaBrandt(FocalCamera):
     """Fisheye whose image radius is a polynomial of the angle from the optical axis.
 
     A direction at the angle a from +z is seen at the distance
     ``r(a) = a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8)`` from the principal point, in units of the
     focal length. These are OpenCV's ``fisheye``, Kalibr's ``pinhole-equidistant`` and
-    COLMAP's ``OPENCV_FISHEYE``. Fields of view over 180 degrees are fine: nothing divides by z.
+    COLMAP's ``OPENCV_FISHEYE``. Nothing divides by z, so that the field of view may be over 180
+    degrees.
 
-    The model holds up to its largest angle: ``max_angle_deg`` where given, else 180 degrees, and
+    The model is used up to a largest angle: ``max_angle_deg`` if it is given, else 180 degrees, and
     never beyond the first extremum of r, where two angles would share a pixel. Pixels and
-    directions beyond it are NaN. Pixels outside the image but within that angle have a ray;
-    ``pixels_from_bearings`` is NaN where it would leave the image.
+    directions beyond that angle are NaN. Pixels within it have a ray also outside the image;
+    ``pixels_from_bearings`` gives NaN for directions that meet no pixel of the image.
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ class KannalaBrandt(Camera):
     k1, k2, k3, k4 : float
         Coefficients of the polynomial.
     max_angle_deg : float, optional
-        Largest angle from the axis that the lens images, at most 180; half the field of view.
+        Largest angle from the axis that the lens shows, at most 180: half the field of view.
 
     Raises
     ------
@@ -53,10 +54,6 @@ class KannalaBrandt(Camera):
     and fish-eye lenses", PAMI 2006, eq. 6.
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
@@ -66,15 +63,12 @@ class KannalaBrandt(Camera):
     def __post_init__(self) -> None:
         """Check the numbers."""
         super().__post_init__()
-        check_positive(self, "fx", "fy")
         if self.max_angle_deg is not None and not 0 < self.max_angle_deg <= 180:
             raise ValueError(f"max_angle_deg must be in (0, 180], got {self.max_angle_deg}")
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
-        """Whether the centre of each pixel has a ray, shape (height, width)."""
-        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-        mask: NDArray[np.bool_] = np.hypot(x[None, :], y[:, None]) <= self._max_radius
+        """Return whether the centre of each pixel has a ray, shape (height, width)."""
+        mask: NDArray[np.bool_] = np.hypot(*self._plane_grid()) <= self._max_radius
         return mask
 
     @cached_property
@@ -89,48 +83,45 @@ class KannalaBrandt(Camera):
     def _max_radius(self) -> float:
         return float(self._radii(np.array(self._max_angle)))
 
-    def _stretch(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _stretch(self, angles: Array) -> Array:
         """r(a) / a, which is 1 on the axis."""
         a2 = angles * angles
         return 1 + a2 * (self.k1 + a2 * (self.k2 + a2 * (self.k3 + a2 * self.k4)))
 
-    def _radii(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _radii(self, angles: Array) -> Array:
         """r(a), the distance from the principal point for unit focal length."""
         return angles * self._stretch(angles)
 
-    def _slopes(self, angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _slopes(self, angles: Array) -> Array:
         """dr/da."""
         a2 = angles * angles
         k1, k2, k3, k4 = 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4
         return 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))
 
-    def _angles(self, radii: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Angles a with r(a) = radii, NaN beyond the largest: Newton kept in a bracket."""
+    def _angles(self, radii: Array) -> Array:
+        """Angles a with r(a) = radii by Newton's method in a bracket, NaN beyond the largest."""
         angles = np.where(radii <= self._max_radius, np.minimum(radii, self._max_angle), np.nan)
         active = np.flatnonzero(~np.isnan(angles))
         low = np.zeros(len(active))
         high = np.full(len(active), self._max_angle)
         for _ in range(MAX_ITERATIONS):
-            before = angles[active]
-            errors = self._radii(before) - radii[active]
-            np.copyto(high, before, where=errors > 0)
-            np.copyto(low, before, where=errors <= 0)
+            current = angles[active]
+            errors = self._radii(current) - radii[active]
+            np.copyto(high, current, where=errors > 0)
+            np.copyto(low, current, where=errors <= 0)
             with np.errstate(divide="ignore", invalid="ignore"):
-                after = before - errors / self._slopes(before)
-            after = np.where((after >= low) & (after <= high), after, 0.5 * (low + high))
-            angles[active] = after
-            moving = np.abs(after - before) > 1e-2 * ANGLE_TOLERANCE_RAD
+                updated = current - errors / self._slopes(current)
+            updated = np.where((updated >= low) & (updated <= high), updated, 0.5 * (low + high))
+            angles[active] = updated
+            moving = np.abs(updated - current) > 1e-2 * ANGLE_TOLERANCE_RAD
             if not moving.any():
                 break
             active, low, high = active[moving], low[moving], high[moving]
         return angles
 
-    def _polar(
-        self, u: NDArray[np.float64], v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def _polar(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
         """Angles and unit image directions x, y, which are zero at the principal point."""
-        x = (u - self.cx) / self.fx
-        y = (v - self.cy) / self.fy
+        x, y = self._plane_points(u, v)
         radii = np.hypot(x, y)
         angles = self._angles(radii)
         radii[radii == 0] = 1.0  # x = y = 0 there
@@ -138,7 +129,7 @@ class KannalaBrandt(Camera):
         y /= radii
         return angles, x, y
 
-    def _bearings(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _bearings(self, u: Array, v: Array) -> Array:
         angles, x, y = self._polar(u, v)
         sines = np.sin(angles)
         bearings = np.empty((len(u), 3))
@@ -147,23 +138,19 @@ class KannalaBrandt(Camera):
         np.cos(angles, out=bearings[:, 2])
         return bearings
 
-    def _pixels(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _pixels(self, x: Array, y: Array, z: Array) -> Array:
         axis_distances = np.hypot(x, y)
         angles = np.arctan2(axis_distances, z)
         angles[angles > self._max_angle + ANGLE_TOLERANCE_RAD] = np.nan
         radii = self._radii(np.minimum(angles, self._max_angle))
-        on_axis = axis_distances == 0  # straight back is a whole circle of pixels: take its right
+        # A whole circle of pixels may look straight back; the one to the right is taken.
+        on_axis = axis_distances == 0
         axis_distances[on_axis] = 1.0
         x[on_axis] = 1.0
         radii /= axis_distances
-        pixels = np.empty((len(x), 2))
-        pixels[:, 0] = self.fx * (x * radii) + self.cx
-        pixels[:, 1] = self.fy * (y * radii) + self.cy
-        return self._keep_inside(pixels)
+        return self._keep_inside(self._pixels_of_plane(x * radii, y * radii))
 
-    def _jacobians(self, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _jacobians(self, u: Array, v: Array) -> Array:
         # With e = (x, y) / r the bearing is (sin(a) e, cos(a)); de/d(x, y) = (I - e e^T) / r.
         angles, x, y = self._polar(u, v)
         ratios = np.sinc(angles / np.pi) / self._stretch(angles)  # sin(a) / r, 1 on the axis

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the models that project through spheres and ellipsoids share."""
+"""What the models that project through spheres and ellipsoids have in common."""
 
 from __future__ import annotations
 
@@ -9,34 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras.base import Camera, check_positive
+from epi360.cameras.base import Array, FocalCamera
 
-Array = NDArray[np.float64]
-
-RIM_TOLERANCE = 1e-12  # of the squared radius, and of z of a unit direction, at the rim
+RIM_TOLERANCE = 1e-12  # at the rim: of x^2 + y^2 in the plane, and of z of a unit direction
 
 
 @dataclass(frozen=True)
-class LiftedCamera(Camera):
-    """Camera in which the point (x, y) of the image plane looks along (x, y, h(x^2 + y^2)).
-
-    The pixel is (fx x + cx, fy y + cy). A model says its height h with the slope, how far from
-    the centre there are rays, and the way back: x and y of a unit direction are divided by a
-    depth, which is positive for directions that are seen.
-    """
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        super().__post_init__()
-        check_positive(self, "fx", "fy")
+class LiftedCamera(FocalCamera):
+    """Camera in which the point (x, y) of the image plane looks along (x, y, h(x^2 + y^2))."""
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
-        """Whether the centre of each pixel has a ray, shape (height, width)."""
+        """Return whether the centre of each pixel has a ray, shape (height, width)."""
         x, y = self._plane_grid()
         mask: NDArray[np.bool_] = x * x + y * y <= self._largest_square
         return mask
@@ -44,7 +27,7 @@ class LiftedCamera(Camera):
     @property
     @abstractmethod
     def _largest_square(self) -> float:
-        """x^2 + y^2 at the rim, infinite if all of the plane has rays."""
+        """Largest x^2 + y^2 that has a ray, infinite if all of the plane has rays."""
 
     @property
     @abstractmethod
@@ -53,19 +36,11 @@ class LiftedCamera(Camera):
 
     @abstractmethod
     def _heights(self, squares: Array) -> tuple[Array, Array]:
-        """H and its derivative at x^2 + y^2, which is at most the largest; may be NaN."""
+        """Heights h at x^2 + y^2 and their derivatives; NaN stays NaN."""
 
     @abstractmethod
     def _depths(self, squares: Array, z: Array) -> Array:
-        """Divisors of x and y of unit directions, given x^2 + y^2 and z."""
-
-    def _plane_points(self, u: Array, v: Array) -> tuple[Array, Array]:
-        return (u - self.cx) / self.fx, (v - self.cy) / self.fy
-
-    def _plane_grid(self) -> tuple[Array, Array]:
-        """Points of the plane, without distortion, of all columns (1, W) and of all rows (H, 1)."""
-        u, v = (np.arange(size, dtype=np.float64) + 0.5 for size in (self.width, self.height))
-        return (u[None, :] - self.cx) / self.fx, (v[:, None] - self.cy) / self.fy
+        """What x and y of unit directions are divided by to get to the plane."""
 
     def _rays(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """Unit rays (N, 3), their lengths before that, and slopes of h at points of the plane."""
@@ -85,7 +60,7 @@ class LiftedCamera(Camera):
 
     def _ray_jacobians(self, x: Array, y: Array) -> Array:
         """Derivatives (N, 3, 2) of the unit rays with respect to points of the plane."""
-        # The ray (x, y, h) / |.| changes by what is across it of (dx, dy, 2 h' (x dx + y dy)).
+        # The unit ray changes by the part of (dx, dy, 2 h' (x dx + y dy)) perpendicular to it.
         rays, lengths, slopes = self._rays(x, y)
         jacobians = np.empty((len(x), 3, 2))
         with np.errstate(over="ignore", invalid="ignore"):  # no derivative at the rim
@@ -110,17 +85,14 @@ class LiftedCamera(Camera):
                 column /= lengths
             if np.isfinite(self._largest_square):
                 seen = z >= self._lowest_z - RIM_TOLERANCE
-            else:  # the depth is zero at the end of the field of view
+            else:  # at the end of the field of view the divisor is zero
                 seen = z > self._lowest_z
             depths = np.where(seen, self._depths(x * x + y * y, z), np.nan)
             x /= depths
             y /= depths
             return self._keep_inside(self._pixels_of_plane(x, y))
 
-    def _pixels_of_plane(self, x: Array, y: Array) -> Array:
-        return np.column_stack([self.fx * x + self.cx, self.fy * y + self.cy])
-
 
 def rim(square: float) -> float:
-    """Largest x^2 + y^2 of a model whose rays end at ``square``, with the tolerance."""
+    """Return the largest x^2 + y^2 of a model whose rays end at ``square``, with the tolerance."""
     return square * (1 + RIM_TOLERANCE)

@@ -16,12 +16,12 @@ from epi360.cameras.calibration import basalt, colmap_rig, fields, kalibr, own
 from epi360.cameras.calibration.document import read_document
 from epi360.poses import Pose
 
-# What each format says about the cameras, and their poses in one frame, whichever.
+# For each format: whether a file is of it, its cameras, and their poses in any one frame.
 Format = tuple[
     Callable[[Any], bool], Callable[[Any], dict[str, Camera]], Callable[[Any], dict[str, Pose]]
 ]
 FORMATS: tuple[Format, ...] = tuple(
-    (module.fits, module.read, module.poses) for module in (own, kalibr, basalt, colmap_rig)
+    (module.recognizes, module.read, module.poses) for module in (own, kalibr, basalt, colmap_rig)
 )
 
 
@@ -32,10 +32,10 @@ class Rig:
     Attributes
     ----------
     cameras : mapping of str to Camera
-        By name, in the order of the file.
+        Cameras by name, in the order of the file.
     cam_from_rig : mapping of str to Pose
-        Of the same names. The frame of the rig is that of its first camera, whose pose is the
-        identity; translations in the unit of the file, as a rule metres.
+        Their poses by the same names. The frame of the rig is that of its first camera, whose pose
+        is the identity. Translations have the unit of the file, usually metres.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class Rig:
 
 
 def load_rig(path: str | os.PathLike[str]) -> Rig:
-    """Read the cameras of a calibration file and where they sit on their rig.
+    """Return the cameras of a calibration file and where they sit on their rig.
 
     Parameters
     ----------
@@ -69,15 +69,15 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
         - our own YAML or JSON with several cameras, each but the first with
           ``cam_from_rig: {rotation: 3 rows, translation: [x, y, z]}`` or ``quaternion_wxyz``
           instead of the rotation;
-        - a Kalibr camchain: ``T_cn_cnm1``, or ``T_cam_imu`` where a camera has no such;
+        - a Kalibr camchain: ``T_cn_cnm1``, or ``T_cam_imu`` if a camera has no ``T_cn_cnm1``;
         - a calibration of basalt: ``T_imu_cam``;
         - COLMAP's ``rig_config.json`` of one rig, with ``camera_model_name`` and ``camera_params``,
           and the ``width`` and ``height`` that COLMAP takes from its database.
 
     Returns
     -------
-    Rig
-        Called as in `load_cameras`.
+    rig : Rig
+        Its cameras have the names that `load_cameras` gives them.
 
     Raises
     ------
@@ -89,12 +89,10 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     """
     path = Path(path)
     document = read_document(path)
-    for fits, read, poses in FORMATS:
-        if fits(document):
-            try:
+    for recognizes, read, poses in FORMATS:
+        if recognizes(document):
+            with fields.naming_file(path):
                 return _rig(read(document), poses(document))
-            except ValueError as error:
-                raise fields.in_file(path, error) from None
     raise ValueError(
         f"calibration file {path} does not say where cameras sit on a rig; load_rig reads our own "
         "files with cam_from_rig, Kalibr camchains, basalt's JSON and COLMAP's rig_config.json"
@@ -105,6 +103,6 @@ def _rig(cameras: dict[str, Camera], cam_from_body: dict[str, Pose]) -> Rig:
     """Rig with the first camera as its frame, from poses in any one frame."""
     first, *others = cameras
     body_from_first = cam_from_body[first].inverse()
-    cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # exactly
+    cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # without rounding
     cam_from_rig |= {name: cam_from_body[name] @ body_from_first for name in others}
     return Rig(cameras, cam_from_rig)

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras.lifted import Array, LiftedCamera, rim
+from epi360.cameras.base import Array
+from epi360.cameras.lifted import LiftedCamera, rim
 from epi360.cameras.radial_tangential import RadialTangential
 
 
@@ -23,18 +24,17 @@ class UnifiedCamera(LiftedCamera):
     pinhole with distortion: OpenCV's first four coefficients, Kalibr's ``pinhole-radtan``,
     COLMAP's ``SIMPLE_RADIAL``, ``RADIAL`` and ``OPENCV``.
 
-    Directions down to z = -xi are seen for xi <= 1, and any pixel then has a ray but for
-    distortion; for xi > 1 those down to z = -1 / xi, in a circle of pixels. Fields of view go over
-    180 degrees as soon as xi > 0. Distortion ends where its polynomial may fold (two directions
-    would share a pixel): the disc of `RadialTangential.max_radius`. Pixels and directions beyond
-    are NaN in both directions.
+    If xi <= 1, directions down to z = -xi are seen, and every pixel has a ray if there is no
+    distortion. If xi > 1, directions down to z = -1 / xi are seen, in a circle of pixels. The field
+    of view is over 180 degrees if xi > 0. Distortion is used up to the radius where its polynomial
+    may fold, so that two directions would share a pixel. Pixels and directions beyond are NaN.
 
     Parameters
     ----------
     width, height : int
         Size of the image in pixels.
     fx, fy : float
-        Focal lengths in pixels; on the axis a direction moves by fx / (1 + xi) pixels a radian.
+        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
     cx, cy : float
         Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
     xi : float
@@ -66,7 +66,7 @@ class UnifiedCamera(LiftedCamera):
             raise ValueError(f"xi must be above -1, got {self.xi}")
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
-        """Whether the centre of each pixel has a ray, shape (height, width)."""
+        """Return whether the centre of each pixel has a ray, shape (height, width)."""
         inner, outer = self._distortion.radius_bounds(np.sqrt(self._largest_square))
         if np.isinf(inner):
             return np.ones((self.height, self.width), dtype=np.bool_)
@@ -106,7 +106,7 @@ class UnifiedCamera(LiftedCamera):
         return self._distortion.undistort(*super()._plane_points(u, v))
 
     def _jacobians(self, u: Array, v: Array) -> Array:
-        # Through the inverse of the distortion's symmetric 2 x 2 Jacobian.
+        # Chain rule, with the inverse of the distortion's symmetric 2 x 2 Jacobian.
         x, y = self._plane_points(u, v)
         by_x, by_y = np.moveaxis(self._ray_jacobians(x, y), 2, 0)
         jacobians = np.empty((len(x), 3, 2))

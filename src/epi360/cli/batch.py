@@ -34,13 +34,13 @@ class BatchOptions:
     """How the work is done."""
 
     engine: Literal["local", "ray"] = "local"
-    """Threads of this machine, or Ray (local by default)."""
+    """Run on threads of this machine, or on Ray (local by default)."""
     address: str | None = None
     """With Ray: address of a cluster."""
-    threads: int | None = None
-    """Of the local engine; one per core by default."""
+    num_threads: Annotated[int | None, Parameter(name=("--num-threads", "--threads"))] = None
+    """Threads of the local engine; one per core by default. --threads is the older name."""
     seed: int = 0
-    """Of the random samples; a pair's own seed is a hash of it and of the images' names."""
+    """Random seed; a pair's own seed is a hash of it and of the images' names."""
     pairs_per_part: int = 1000
     """The most pairs that are held in memory and written at once."""
 
@@ -83,14 +83,14 @@ def batch(
 
     if options.address is not None and options.engine != "ray":
         raise ValueError("--address goes with --engine ray")
-    if options.threads is not None and options.engine != "local":
-        raise ValueError("--threads goes with --engine local; Ray takes all cores it is given")
+    if options.num_threads is not None and options.engine != "local":
+        raise ValueError("--num-threads goes with --engine local; Ray takes all cores it is given")
     job = BatchJob(_source(source, given, options), output, seed=options.seed)
     with show_bars() as progress:
         summary = run_batch(
             job,
             engine=options.engine,
-            num_threads=options.threads,
+            num_threads=options.num_threads,
             address=options.address,
             database=write_database,
             progress=progress,

@@ -58,9 +58,9 @@ class CubeFaces:
     faces: Annotated[tuple[Face, ...], Parameter(consume_multiple=True, negative=())] = ALL_FACES
     """Only these, as in --faces front right back left; an operator is in down."""
     image_format: Literal["jpg", "png"] = "jpg"
-    """Of the faces."""
+    """File format of the faces."""
     jpeg_quality: int = 95
-    """1 to 100."""
+    """Quality of JPEG faces, 1 to 100."""
 
 
 MAPPING, CUBE_FACES = Mapping(), CubeFaces()
@@ -175,7 +175,7 @@ def cubemap(
         raise ValueError(f"{model} holds matches; a cubemap needs poses, as epi360 map finds them")
     reconstruction = read_reconstruction(model, name)
     source = MaskSource(mask)
-    masks = {image.name: source.of(image.name) for image in reconstruction.images}
+    masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
     _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
     return SUCCESS

@@ -50,9 +50,10 @@ class MatchWork:
     max_features: int = 10000
     """Keep the strongest key points of each image."""
     seed: int = 0
-    """Of the random samples; the same seed gives the same result."""
-    jobs: int | None = None
-    """Threads; one per core by default. The result does not depend on it."""
+    """Random seed; the same seed gives the same result."""
+    num_threads: Annotated[int | None, Parameter(name=("--num-threads", "--jobs"))] = None
+    """Threads; one per core by default. The result does not depend on it. --jobs is the older
+    name."""
 
 
 NO_INPUT, DEFAULT_WORK = MatchInput(), MatchWork()
@@ -119,7 +120,7 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
             max_features=work.max_features,
             mask_nadir_deg=given.mask_nadir_deg,
             seed=work.seed,
-            num_threads=work.jobs,
+            num_threads=work.num_threads,
         )
 
 
@@ -132,8 +133,7 @@ def options_as_typed() -> Iterator[None]:
         name, must, rest = str(error).partition(" must ")
         if not (must and name.isidentifier()):
             raise
-        option = "jobs" if name == "num_threads" else name.replace("_", "-")
-        raise ValueError(f"--{option} must {rest}") from None
+        raise ValueError(f"--{name.replace('_', '-')} must {rest}") from None
 
 
 def default_output(folder: Path) -> Path:
@@ -160,8 +160,8 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
 
 def write_pairs_table(run: MatchRun) -> Path:
     """Write pairs.csv, a row a pair, and return its path."""
-    from epi360.files import write_file
     from epi360.report.match_table import pairs_csv
+    from epi360.runs.whole_files import write_file
 
     table = run.folder / "pairs.csv"
     write_file(table, pairs_csv(run))

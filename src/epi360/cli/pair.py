@@ -78,7 +78,7 @@ class _Pair:
 
     names: tuple[str, str]
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
-    cameras: tuple[Camera | None, Camera | None] = (None, None)
+    cameras: tuple[Camera, Camera]
     masks: tuple[Path | None, Path | None] = (None, None)
     truth: Pose | None = None
 
@@ -171,7 +171,7 @@ def _check_outputs(output: PairOutput, files_read: dict[str, Path]) -> None:
 
 
 def _demo_pair(progress: Say) -> _Pair:
-    from epi360.synthetic.room import demo_pair
+    from epi360_scenes.room import demo_pair
 
     progress("rendering two panoramas of a room")
     demo = demo_pair()
@@ -184,6 +184,7 @@ def _demo_pair(progress: Say) -> _Pair:
 
 
 def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _Pair:
+    from epi360.features.image_cameras import find_camera
     from epi360.features.images import read_image
 
     progress("reading the images")
@@ -194,8 +195,8 @@ def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _
         names=(str(image1), str(image2)),
         images=pictures,
         cameras=(
-            camera1 or _described_camera(image1, pictures[0], "image1"),
-            camera2 or _described_camera(image2, pictures[1], "image2"),
+            camera1 or find_camera(image1, pictures[0], None, "image1"),
+            camera2 or find_camera(image2, pictures[1], None, "image2"),
         ),
         masks=(given.mask1 or given.mask, given.mask2 or given.mask),
     )
@@ -211,22 +212,6 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
         return read_given_cameras(source).only()
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-
-
-def _described_camera(path: Path, image: NDArray[np.uint8], name: str) -> Camera | None:
-    """Camera of a part of a panorama by its GPano metadata; None where they say no such thing."""
-    from epi360.cameras import Equirectangular
-    from epi360.interop.gpano import read_gpano
-
-    gpano = read_gpano(path) if path.is_file() else None  # a pipe cannot be read twice
-    if gpano is None or gpano.part is None:
-        return None
-    height, width = image.shape[:2]
-    try:
-        camera = gpano.camera(width, height)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
-    return None if camera == Equirectangular(width, height) else camera
 
 
 def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairResult:
@@ -257,14 +242,9 @@ def _write_outputs(
         write_json(output.json, _record(images, result))
     if output.figure is not None:
         progress("drawing the figure")
-        from epi360.cameras import Equirectangular
         from epi360.report.figure import draw_pair
 
-        camera1, camera2 = (
-            camera or Equirectangular(width=image.shape[1], height=image.shape[0])
-            for image, camera in zip(images.images, images.cameras, strict=True)
-        )
-        draw_pair(*images.images, camera1, camera2, result, path=output.figure)
+        draw_pair(*images.images, *images.cameras, result, path=output.figure)
 
 
 def _record(images: _Pair, result: ImagePairResult) -> dict[str, Any]:
@@ -277,10 +257,8 @@ def _record(images: _Pair, result: ImagePairResult) -> dict[str, Any]:
 
 
 def _write_images(images: _Pair, folder: Path) -> None:
-    import cv2
-
-    from epi360.files import write_file
+    from epi360.features.picture_writing import encode_picture
+    from epi360.runs.whole_files import write_file
 
     for number, image in enumerate(images.images, start=1):
-        encoded = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1]
-        write_file(folder / f"demo{number}.png", encoded.tobytes())
+        write_file(folder / f"demo{number}.png", encode_picture(image, ".png"))

@@ -14,8 +14,8 @@ from epi360.cli.command import SUCCESS, app, show_bars, show_progress
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
-    from epi360.synthetic.meshes import MeshScene
-    from epi360.synthetic.room import Room
+    from epi360_scenes.meshes import MeshScene
+    from epi360_scenes.room import Room
 
 
 @Parameter(name="*", group=Group("Scene", sort_key=1))
@@ -91,8 +91,8 @@ def render(
     code
         Exit code.
     """
-    from epi360.synthetic.paths import handheld_path
-    from epi360.synthetic.sequence import check_folder, render_sequence
+    from epi360_scenes.paths import handheld_path
+    from epi360_scenes.sequence import check_folder, render_sequence
 
     _check_words(what, path, picture)
     camera, options = _camera(picture), _options(what, path, picture)
@@ -151,9 +151,9 @@ def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict
 
 def _scene(what: SceneChoice) -> Room | MeshScene:
     if what.mesh is None:
-        from epi360.synthetic.room import scene
+        from epi360_scenes.room import scene
 
         return scene(what.scene or "living_room", what.seed)
-    from epi360.synthetic.meshes import load_mesh_scene
+    from epi360_scenes.meshes import load_mesh_scene
 
     return load_mesh_scene(what.mesh, up=what.up)

@@ -10,20 +10,7 @@ Array = NDArray[np.float64]
 
 
 def bearings_array(bearings: ArrayLike, name: str) -> Array:
-    """Return unit bearings as float64 (N, 3); rows with NaN stay NaN.
-
-    Parameters
-    ----------
-    bearings : array_like, shape (N, 3)
-        Directions of any positive length.
-    name : str
-        Name of the argument for the message.
-
-    Raises
-    ------
-    ValueError
-        If the shape is not (N, 3), or a row is infinite or has zero length.
-    """
+    """Return unit bearings as float64 (N, 3); rows with NaN stay NaN."""
     array = np.asarray(bearings, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
@@ -42,18 +29,7 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
 
 
 def bearing_pair(bearings1: ArrayLike, bearings2: ArrayLike) -> tuple[Array, Array]:
-    """Return both views' unit bearings; row i of both is match i.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions of any positive length.
-
-    Raises
-    ------
-    ValueError
-        If one is no valid array of bearings or the lengths differ.
-    """
+    """Return the unit bearings of both views; row i of both is match i."""
     b1 = bearings_array(bearings1, "bearings1")
     b2 = bearings_array(bearings2, "bearings2")
     if len(b1) != len(b2):
@@ -63,21 +39,22 @@ def bearing_pair(bearings1: ArrayLike, bearings2: ArrayLike) -> tuple[Array, Arr
     return b1, b2
 
 
+def usable_matches(
+    bearings1: ArrayLike, bearings2: ArrayLike, weights: ArrayLike | None
+) -> tuple[Array, Array, Array | None]:
+    """Return the eight or more matches without NaN and of positive weight, and their weights."""
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    w = weights_array(weights, len(b1))
+    usable = np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1)
+    if w is not None:
+        usable &= w > 0.0
+    if usable.sum() < 8:
+        raise ValueError(f"the eight-point algorithm needs at least 8 matches, got {usable.sum()}")
+    return b1[usable], b2[usable], None if w is None else w[usable]
+
+
 def weights_array(weights: ArrayLike | None, num_matches: int) -> Array | None:
-    """Return weights as float64 (N,), or None.
-
-    Parameters
-    ----------
-    weights : array_like, shape (N,), or None
-        Non-negative, finite.
-    num_matches : int
-        N.
-
-    Raises
-    ------
-    ValueError
-        If the shape is wrong or a weight is negative or not finite.
-    """
+    """Return weights as float64 (N,), none of them negative; None stays None."""
     if weights is None:
         return None
     array = np.ascontiguousarray(weights, dtype=np.float64)
@@ -89,22 +66,7 @@ def weights_array(weights: ArrayLike | None, num_matches: int) -> Array | None:
 
 
 def jacobians_array(jacobians: ArrayLike | None, num_matches: int, name: str) -> Array | None:
-    """Return unprojection Jacobians as float64 (N, 3, 2), or None.
-
-    Parameters
-    ----------
-    jacobians : array_like, shape (N, 3, 2), or None
-        Derivative of each bearing by its pixel, as ``camera.bearing_jacobians`` gives it.
-    num_matches : int
-        N.
-    name : str
-        Name of the argument for the message.
-
-    Raises
-    ------
-    ValueError
-        If the shape is wrong.
-    """
+    """Return derivatives of each bearing by its pixel as float64 (N, 3, 2); None stays None."""
     if jacobians is None:
         return None
     array = np.ascontiguousarray(jacobians, dtype=np.float64)
@@ -114,20 +76,7 @@ def jacobians_array(jacobians: ArrayLike | None, num_matches: int, name: str) ->
 
 
 def direction_array(vector: ArrayLike, name: str) -> Array:
-    """Return a unit vector as float64 (3,).
-
-    Parameters
-    ----------
-    vector : array_like, shape (3,)
-        A direction of any positive length.
-    name : str
-        Name of the argument for the message.
-
-    Raises
-    ------
-    ValueError
-        If the shape is wrong, or the vector is zero or not finite.
-    """
+    """Return a direction of any positive length as a unit vector, float64 (3,)."""
     array = np.ascontiguousarray(vector, dtype=np.float64)
     if array.shape != (3,):
         raise ValueError(f"{name} must have shape (3,), got {array.shape}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Essential matrix, its four poses, depths along the rays."""
+"""The essential matrix, the four poses in it, and the depths of matches along their rays."""
 
 from __future__ import annotations
 
@@ -13,13 +13,7 @@ Array = NDArray[np.float64]
 
 
 def skew(vector: ArrayLike) -> Array:
-    """Return [v]x, so that ``skew(v) @ w == np.cross(v, w)``.
-
-    Parameters
-    ----------
-    vector : array_like, shape (3,)
-        v.
-    """
+    """Return [v]x, so that ``skew(v) @ w == np.cross(v, w)``."""
     x, y, z = np.asarray(vector, dtype=np.float64)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
@@ -30,12 +24,12 @@ def essential_from_pose(cam2_from_cam1: Pose) -> Array:
     Parameters
     ----------
     cam2_from_cam1 : Pose
-        x2 = R x1 + t; a zero translation gives NaN.
+        Pose with x2 = R x1 + t.
 
     Returns
     -------
     E : ndarray, shape (3, 3)
-        Frobenius norm sqrt(2).
+        Matrix with Frobenius norm sqrt(2), or NaN if the translation is zero.
     """
     t = cam2_from_cam1.translation
     norm = float(np.linalg.norm(t))
@@ -49,6 +43,11 @@ def project_to_essential(E: ArrayLike) -> Array:
     ----------
     E : array_like, shape (3, 3)
         Any matrix.
+
+    Returns
+    -------
+    essential : ndarray, shape (3, 3)
+        The nearest one in the Frobenius norm.
 
     Raises
     ------
@@ -65,7 +64,12 @@ def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     Parameters
     ----------
     E : array_like, shape (3, 3)
-        Essential matrix, any scale; it is projected first.
+        Essential matrix in any scale; `project_to_essential` is applied to it first.
+
+    Returns
+    -------
+    poses : tuple of four Pose
+        Poses ``cam2_from_cam1``, all with |t| = 1.
 
     Raises
     ------
@@ -75,7 +79,7 @@ def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     Notes
     -----
     Horn, "Recovering baseline and orientation from essential matrix", 1990, in the form
-    R = cof(E) - [t]x E for unit t with t^T E = 0; R' is R turned by half a turn about t.
+    R = cof(E) - [t]x E for a unit t with t^T E = 0. R' is R followed by half a turn about t.
     """
     E = project_to_essential(E)
     columns = [np.cross(E[:, k], E[:, (k + 1) % 3]) for k in range(3)]
@@ -87,34 +91,46 @@ def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     return Pose(R1, t), Pose(R1, -t), Pose(R2, t), Pose(R2, -t)
 
 
+def kronecker_rows(q1: Array, q2: Array) -> Array:
+    """Return A (N, 9) with A vec(E) = 0 for rows of any length: row i is q2 (x) q1."""
+    return np.asarray(np.einsum("ni,nj->nij", q2, q1).reshape(-1, 9))
+
+
+def rank_two(e: Array) -> Array:
+    """Return the nearest matrix of rank 2 to the nine numbers of vec(E)."""
+    U, s, Vt = np.linalg.svd(e.reshape(3, 3))
+    return np.asarray(U @ np.diag([s[0], s[1], 0.0]) @ Vt)
+
+
 def triangulate(
     bearings1: ArrayLike, bearings2: ArrayLike, cam2_from_cam1: Pose
 ) -> tuple[Array, Array, Array]:
-    """Return points in camera 1 and their depths along both rays.
+    """Return the points of matches in the frame of camera 1, and their depths along both rays.
 
     Parameters
     ----------
     bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match; NaN rows give NaN.
+        Directions; row i of both is one match. A row with NaN gives NaN.
     cam2_from_cam1 : Pose
-        x2 = R x1 + t, in any scale: depths come in the same.
+        Pose with x2 = R x1 + t; points and depths have the unit of t.
 
     Returns
     -------
     points : ndarray, shape (N, 3)
         Middle of the shortest segment between the two rays, in the frame of camera 1.
     depths1, depths2 : ndarray, shape (N,)
-        Distances along the rays, negative behind the camera, infinite for parallel rays.
+        Distances along the rays. They are negative if the point lies behind the camera, and
+        infinite if the rays are parallel.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    Least squares of depth2 b2 = depth1 R b1 + t. With a = R b1, c = a.b2, the depths are
-    (c t.b2 - t.a) / (1 - c^2) and (t.b2 - c t.a) / (1 - c^2).
+    The depths are the least-squares solution of depth2 b2 = depth1 R b1 + t. With a = R b1 and
+    c = a.b2 they are (c t.b2 - t.a) / (1 - c^2) and (t.b2 - c t.a) / (1 - c^2).
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     R, t = cam2_from_cam1.rotation, cam2_from_cam1.translation
@@ -132,23 +148,28 @@ def triangulate(
 def cheirality_mask(
     bearings1: ArrayLike, bearings2: ArrayLike, cam2_from_cam1: Pose
 ) -> NDArray[np.bool_]:
-    """Return which matches have positive depth along both rays, anywhere on the sphere.
+    """Return which matches have a positive depth along both rays.
 
     Parameters
     ----------
     bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; NaN rows give False.
+        Directions; row i of both is one match. A row with NaN gives False.
     cam2_from_cam1 : Pose
-        x2 = R x1 + t.
+        Pose with x2 = R x1 + t.
+
+    Returns
+    -------
+    cheirality_mask : ndarray, shape (N,), bool
+        Whether both depths are positive.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    The sign of z plays no part: half of a panorama's scene has z < 0.
+    The sign of z is not used, because half of a panorama's scene has z < 0.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     a = b1 @ cam2_from_cam1.rotation.T
@@ -157,24 +178,25 @@ def cheirality_mask(
 
 
 def pose_from_essential(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Pose:
-    """Return the pose of E that puts most matches in front of both cameras.
+    """Return the one of E's four poses that gives most matches a positive depth in both views.
 
     Parameters
     ----------
     E : array_like, shape (3, 3)
-        Essential matrix, any scale.
+        Essential matrix in any scale.
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
 
     Returns
     -------
     cam2_from_cam1 : Pose
-        With unit translation.
+        Pose with |t| = 1.
 
     Raises
     ------
     ValueError
-        If E or the bearings are not valid.
+        If E is not a finite (3, 3) matrix, an array of bearings has another shape than (N, 3), or
+        the lengths differ.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     poses = decompose_essential(E)

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from epi360.epipolar.arguments import bearing_pair, weights_array
+from epi360.epipolar.arguments import bearing_pair, usable_matches
+from epi360.epipolar.essential import kronecker_rows, rank_two
 from epi360.epipolar.normalization import check_normalization, normalizers
 from epi360.epipolar.sk_search import check_sk_search, search_sk
 
@@ -25,11 +26,12 @@ class EightPointSolution:
     Attributes
     ----------
     E : ndarray, shape (3, 3)
-        Rank 2, Frobenius norm sqrt(2); its two singular values may differ, its sign is free.
+        Matrix of rank 2 with Frobenius norm sqrt(2). Its two singular values may differ, and its
+        sign is arbitrary.
     normalizer1, normalizer2 : ndarray, shape (3, 3)
-        N of each view: the estimate was made on N b (paper eq. 6).
+        N of each view: the estimate was made from the vectors N b (paper eq. 6).
     S, K : float or None
-        Parameters of eq. 5, where the normalisation has them.
+        Parameters of eq. 5, or None if the normalisation has none.
     """
 
     E: Array
@@ -44,17 +46,17 @@ class EightPointSolution:
 
     @cached_property
     def singular_values(self) -> Array:
-        """Nine values of the (weighted) normalised observation matrix, descending.
+        """Singular values of the (weighted) normalised observation matrix, descending, shape (9,).
 
-        The eighth over the first tells how well the data determine E, the ninth over the eighth
-        how well they fit. Fewer than nine matches leave the last ones NaN.
+        The eighth divided by the first says how well the data determine E; the ninth divided by
+        the eighth says how badly they fit it. With eight matches the ninth is NaN.
         """
         b1, b2 = self._bearings1 @ self.normalizer1.T, self._bearings2 @ self.normalizer2.T
         return nine_singular_values(_weighted_rows(b1, b2, self._weights))
 
 
 def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Return A with A vec(E) = 0, row i the Kronecker product b2 (x) b1 (paper eq. 4).
+    """Return the matrix A with A vec(E) = 0 (paper eq. 4).
 
     Parameters
     ----------
@@ -64,12 +66,13 @@ def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
     Returns
     -------
     A : ndarray, shape (N, 9)
-        For the row-wise vec(E) of b2^T E b1 = 0. The printed order q1 (x) q2 belongs to E^T.
+        Row i is the Kronecker product b2 (x) b1, and vec(E) has the rows of E one after the other.
+        The order q1 (x) q2 that the paper prints belongs to E^T.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
     """
     return kronecker_rows(*bearing_pair(bearings1, bearings2))
 
@@ -93,31 +96,31 @@ def eight_point(
         "none", "isotropic", "non_isotropic", "isotropic+non_isotropic", "sk" (searched, eq. 14)
         or S and K of eq. 5 themselves.
     constraint : str
-        What has length one: "unit" the vector E, "taubin" the mean squared gradient of the
-        algebraic errors, which makes them angles to first order. The latter is the same in every
-        normalised domain, so it goes with "none" only.
+        "unit" fixes the length of vec(E). "taubin" fixes the mean squared gradient of the algebraic
+        errors, so that these become angles to first order; it gives the same E in every normalised
+        domain and is accepted only with the normalisation "none".
     weights : array_like, shape (N,), optional
-        Of the squared algebraic errors, and of the matches wherever a normalisation or constraint
-        sums over them: a weight of 3 counts like three copies, 0 removes a match.
+        Weights of the matches, in the squared algebraic errors and in every sum of a normalisation
+        or constraint: a weight of 3 counts like three copies, 0 removes a match.
     sk_search : str
-        "line" or "lm": how "sk" is searched.
+        How "sk" is searched: "line" or "lm".
 
     Returns
     -------
     solution : EightPointSolution
-        E and what it was computed with.
+        E, and the normalisation with which it was computed.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair, fewer than eight are usable, a name is unknown, or the
-        bearings do not allow the normalisation or constraint.
+        If an array has the wrong shape, fewer than eight matches are usable, a name is unknown, or
+        the bearings do not allow the normalisation or constraint.
 
     Notes
     -----
     Longuet-Higgins 1981; paper sections 3 and 4.1. Taubin, "Estimation of planar curves", PAMI
-    1991, in the tangent planes of the sphere. For eight matches there is one solution up to scale
-    and rank, whatever the constraint.
+    1991, in the tangent planes of the sphere. Eight matches give the same vec(E) under both
+    constraints.
     """
     check_normalization(normalization)
     check_constraint(constraint, normalization)
@@ -134,20 +137,7 @@ def eight_point(
 
 
 def check_constraint(constraint: str, normalization: str | tuple[float, float]) -> None:
-    """Refuse an unknown constraint, or one that the normalisation leaves without effect.
-
-    Parameters
-    ----------
-    constraint : str
-        To be checked.
-    normalization : str or tuple (S, K)
-        That it goes with.
-
-    Raises
-    ------
-    ValueError
-        With the names that exist.
-    """
+    """Raise ``ValueError`` unless the constraint is known and has an effect on E."""
     if constraint not in CONSTRAINTS:
         raise ValueError(f"constraint must be one of {', '.join(CONSTRAINTS)}, got {constraint!r}")
     if constraint == "taubin" and normalization != "none":
@@ -157,36 +147,9 @@ def check_constraint(constraint: str, normalization: str | tuple[float, float]) 
         )
 
 
-def usable_matches(
-    bearings1: ArrayLike, bearings2: ArrayLike, weights: ArrayLike | None
-) -> tuple[Array, Array, Array | None]:
-    """Return unit bearings and weights of the rows without NaN and of positive weight.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Matches.
-    weights : array_like, shape (N,), or None
-        Of the matches.
-
-    Raises
-    ------
-    ValueError
-        If the bearings are no valid pair or fewer than eight are usable.
-    """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    w = weights_array(weights, len(b1))
-    usable = np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1)
-    if w is not None:
-        usable &= w > 0.0
-    if usable.sum() < 8:
-        raise ValueError(f"the eight-point algorithm needs at least 8 matches, got {usable.sum()}")
-    return b1[usable], b2[usable], None if w is None else w[usable]
-
-
 def _least_algebraic_error(b1: Array, b2: Array, N1: Array, N2: Array, w: Array | None) -> Array:
     A = _weighted_rows(b1 @ N1.T, b2 @ N2.T, w)  # eq. 6 and 4
-    E_hat = _rank_two(np.linalg.svd(A, full_matrices=len(A) < 9)[2][8])
+    E_hat = rank_two(np.linalg.svd(A, full_matrices=len(A) < 9)[2][8])
     return _scaled(N2.T @ E_hat @ N1)  # eq. 9, with an N for each view
 
 
@@ -206,28 +169,11 @@ def _taubin(b1: Array, b2: Array, w: Array | None) -> Array:
     # With e = L^-T y and D = L L^T the constraint is |y| = 1.
     A = _weighted_rows(b1, b2, w) @ np.linalg.inv(L).T
     y = np.linalg.svd(A, full_matrices=len(A) < 9)[2][8]
-    return _scaled(_rank_two(np.linalg.solve(L.T, y)))
-
-
-def kronecker_rows(q1: Array, q2: Array) -> Array:
-    """Return the observation matrix of vectors that need not have unit length.
-
-    Parameters
-    ----------
-    q1, q2 : ndarray, shape (N, 3)
-        Bearings, normalised by N or not.
-    """
-    return np.asarray(np.einsum("ni,nj->nij", q2, q1).reshape(-1, 9))
+    return _scaled(rank_two(np.linalg.solve(L.T, y)))
 
 
 def nine_singular_values(A: Array) -> Array:
-    """Return the singular values of an observation matrix, NaN where it has fewer than nine.
-
-    Parameters
-    ----------
-    A : ndarray, shape (N, 9)
-        Observation matrix.
-    """
+    """Return nine singular values of an observation matrix, NaN where it has fewer."""
     values = np.linalg.svd(A, compute_uv=False)
     return np.concatenate([values, np.full(9 - len(values), np.nan)])
 
@@ -235,11 +181,6 @@ def nine_singular_values(A: Array) -> Array:
 def _weighted_rows(b1: Array, b2: Array, w: Array | None) -> Array:
     A = kronecker_rows(b1, b2)
     return np.asarray(A if w is None else A * np.sqrt(w)[:, None])
-
-
-def _rank_two(e: Array) -> Array:
-    U, s, Vt = np.linalg.svd(e.reshape(3, 3))
-    return np.asarray(U @ np.diag([s[0], s[1], 0.0]) @ Vt)
 
 
 def _scaled(E: Array) -> Array:

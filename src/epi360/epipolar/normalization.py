@@ -11,19 +11,19 @@ from epi360.epipolar.arguments import bearings_array, weights_array
 Array = NDArray[np.float64]
 
 NORMALIZATIONS = ("none", "isotropic", "non_isotropic", "isotropic+non_isotropic", "sk")
-# Below this ratio of second moments a view has no third direction left to whiten: 1e-6 rad.
+# Below this ratio of second moments (an angle of 1e-6 rad) the bearings lie in one plane.
 _FLAT = 1e-12
 
 
 def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) -> Array:
-    """Hartley's similarity of the plane, applied to bearings as they are: Table 1 (a).
+    """Return Hartley's similarity of the plane, applied to bearings as they are: Table 1 (a).
 
     Parameters
     ----------
     bearings : array_like, shape (N, 3)
-        One view; rows with NaN are left out.
+        Bearings of one view; rows with NaN are left out.
     weights : array_like, shape (N,), optional
-        Of the rows in mean and spread.
+        Weights of the rows in the mean and in the spread.
 
     Returns
     -------
@@ -34,15 +34,15 @@ def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) 
     Raises
     ------
     ValueError
-        If the array is no valid set of bearings or all of them are one direction.
+        If the array has another shape than (N, 3), or all bearings have one direction.
 
     Notes
     -----
     Hartley, "In defense of the eight-point algorithm", 1997, section 6.1, moves the centroid of
-    pixels (x, y, 1) to the origin. A bearing has no last coordinate 1, so on a sphere the same
-    matrix shears by z. We read "isotropic, in spherical projection" as the authors' published code
-    computes it: distances in three dimensions, root mean square. Only this scale gives the order
-    of the sigma_8 and alpha columns of Table 1.
+    pixels (x, y, 1) to the origin. The last coordinate of a bearing is not 1, so that the same
+    matrix shears the sphere by z. The paper's "isotropic, in spherical projection" is read here as
+    the authors' published code computes it: root mean square distances in three dimensions. Only
+    this scale gives the order of the sigma_8 and alpha columns of Table 1.
     """
     b, w = _usable(bearings, weights)
     mean = w @ b / w.sum()
@@ -54,30 +54,30 @@ def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) 
 
 
 def non_isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) -> Array:
-    """Whitening of the second moments about the centre of the sphere: Table 1 (b).
+    """Return the whitening of the second moments about the sphere's centre: Table 1 (b).
 
     Parameters
     ----------
     bearings : array_like, shape (N, 3)
-        One view; rows with NaN are left out.
+        Bearings of one view; rows with NaN are left out.
     weights : array_like, shape (N,), optional
-        Of the rows in the moments.
+        Weights of the rows in the moments.
 
     Returns
     -------
     N : ndarray, shape (3, 3)
-        L^-1 of the Cholesky factor in sum q q^T = L L^T, so that sum q^ q^^T = I.
+        Inverse of the Cholesky factor L of sum q q^T = L L^T, so that sum q^ q^^T = I.
 
     Raises
     ------
     ValueError
-        If the array is no valid set of bearings, or they lie in one plane through the centre.
+        If the array has another shape than (N, 3), or the bearings lie in one plane.
 
     Notes
     -----
-    Hartley 1997, section 6.2. The sum, not the mean, as in the authors' code: the scale of N does
-    not change E, but it is what makes Table 1's sigma_8 of 0.012. Follows a turn of the camera up
-    to a turn from the left, which does not change E either.
+    Hartley 1997, section 6.2. The moments are summed and not averaged, as in the authors' code:
+    the scale of N does not change E, but only the sum gives Table 1's sigma_8 of 0.012. If the
+    camera is turned, N turns with it up to a rotation from the left, which does not change E.
     """
     b, w = _usable(bearings, weights)
     moments = (b.T * w) @ b
@@ -96,7 +96,12 @@ def sk_normalizer(S: float, K: float) -> Array:
     Parameters
     ----------
     S, K : float
-        Not zero; E depends on |K / S| alone.
+        Two numbers other than zero; E depends on |K / S| alone.
+
+    Returns
+    -------
+    N : ndarray, shape (3, 3)
+        Diagonal matrix.
 
     Raises
     ------
@@ -114,29 +119,34 @@ def normalizers(
     normalization: str | tuple[float, float] = "none",
     weights: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
-    """Return the matrices N1 and N2 of a named normalisation; "sk" has to be searched first.
+    """Return the matrices N1 and N2 of a named normalisation.
 
     Parameters
     ----------
     bearings1, bearings2 : array_like, shape (N, 3)
-        The two views.
+        Directions; row i of both is one match.
     normalization : str or tuple (S, K)
         "none", "isotropic", "non_isotropic", "isotropic+non_isotropic" or the two numbers of
-        eq. 5, which serve both views.
+        eq. 5, which serve both views. "sk" is refused: `search_sk` finds its numbers first.
     weights : array_like, shape (N,), optional
-        Of the matches.
+        Weights of the matches.
+
+    Returns
+    -------
+    N1, N2 : ndarray, shape (3, 3)
+        One matrix for each view.
 
     Raises
     ------
     ValueError
-        If the name is unknown or a normaliser cannot be computed.
+        If the name is unknown, or a matrix cannot be computed from these bearings.
 
     Notes
     -----
     "isotropic+non_isotropic", Table 1's (a) + (b), is (b) in view 1 and (a) in view 2, as in the
-    authors' code. One after the other in the same view would be nothing new: whitening undoes
-    every linear map before it, so (b) after (a) gives the E of (b). With this reading the order of
-    all five sigma_8 and of the largest alpha in Table 1 come out.
+    authors' code. It cannot be (b) after (a) in the same view: whitening undoes every linear map
+    before it, so that this would give the E of (b) alone. The order of all five sigma_8 in Table 1
+    and its largest alpha agree with this reading.
     """
     check_normalization(normalization)
     if isinstance(normalization, tuple):
@@ -152,24 +162,13 @@ def normalizers(
 
 
 def check_normalization(normalization: str | tuple[float, float]) -> None:
-    """Refuse what is neither a known name nor a pair (S, K).
-
-    Parameters
-    ----------
-    normalization : str or tuple (S, K)
-        To be checked.
-
-    Raises
-    ------
-    ValueError
-        With the names that exist.
-    """
-    known = isinstance(normalization, str) and normalization in NORMALIZATIONS
-    pair = isinstance(normalization, tuple) and len(normalization) == 2
-    if not (known or pair):
+    """Raise ``ValueError`` unless this is a known name or a pair (S, K)."""
+    is_name = isinstance(normalization, str) and normalization in NORMALIZATIONS
+    is_pair = isinstance(normalization, tuple) and len(normalization) == 2
+    if not (is_name or is_pair):
         names = ", ".join(NORMALIZATIONS)
-        came = repr(normalization) if isinstance(normalization, str | tuple) else "another type"
-        raise ValueError(f"normalization must be one of {names} or a tuple (S, K), got {came}")
+        got = repr(normalization) if isinstance(normalization, str | tuple) else "another type"
+        raise ValueError(f"normalization must be one of {names} or a tuple (S, K), got {got}")
 
 
 def _usable(bearings: ArrayLike, weights: ArrayLike | None) -> tuple[Array, Array]:

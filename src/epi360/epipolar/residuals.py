@@ -12,62 +12,58 @@ from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
-RESIDUALS = ("paper", "angular", "sampson", "tangent_sampson")  # those of one match alone
+# Residuals that need one match alone; "solarte2021" divides by norms of all matches.
+RESIDUALS = ("paper", "angular", "sampson", "tangent_sampson")
 
 
 def paper_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Signed sine of the angle between each bearing of view 2 and its epipolar plane (eq. 13).
+    """Return the signed sine between each bearing of view 2 and its epipolar plane (eq. 13).
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
     residuals : ndarray, shape (N,)
-        In [-1, 1]; the paper prints the absolute value.
+        Sines in [-1, 1], NaN where b1 is the epipole; the paper prints the absolute value.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    normals = b1 @ np.asarray(E, dtype=np.float64).T
+    _, normals, _, C = _constraints(E, bearings1, bearings2)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.einsum("ij,ij->i", b2, normals) / np.linalg.norm(normals, axis=1))
+        return np.asarray(C / np.linalg.norm(normals, axis=1))
 
 
 def angular_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Signed angle between each bearing of view 2 and its epipolar plane.
+    """Return the signed angle between each bearing of view 2 and its epipolar plane.
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
     residuals_rad : ndarray, shape (N,)
-        In [-pi/2, pi/2]; zero for a perfect match; NaN where b1 is the epipole.
+        Angles in [-pi/2, pi/2], zero for a perfect match, NaN where b1 is the epipole.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    arctan2(b2.n, |b2 x n|) with the normal n = E b1 / |E b1|: valid over the whole sphere, not
-    symmetric in the views. Pagani & Stricker (OMNIVIS 2011) compare error models on the sphere.
+    The angle is arctan2(b2.n, |b2 x n|) with the normal n = E b1 / |E b1|. It is valid over the
+    whole sphere, and it changes if the views are swapped. Pagani & Stricker (OMNIVIS 2011) compare
+    error models on the sphere.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    normals = b1 @ np.asarray(E, dtype=np.float64).T
+    b2, normals, _, _ = _constraints(E, bearings1, bearings2)
     with np.errstate(invalid="ignore", divide="ignore"):
         normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     across = np.linalg.norm(np.cross(b2, normals), axis=1)
@@ -75,72 +71,67 @@ def angular_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
 
 
 def sampson_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Signed first-order angular distance of each match to the epipolar constraint.
+    """Return the signed angular distance of each match to the constraint, to first order.
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
 
     Returns
     -------
     residuals_rad : ndarray, shape (N,)
-        With isotropic noise of standard deviation s (radians, per axis) in both views their
-        standard deviation is s.
+        Angles. If both views have isotropic noise of s radians per axis (standard deviation), the
+        standard deviation of the residuals is s as well.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    C / sqrt(|grad1 C|^2 + |grad2 C|^2) with C = b2^T E b1 and gradients in the tangent planes of
-    the sphere: |E^T b2|^2 + |E b1|^2 - 2 C^2 under the root.
+    The residual is C / sqrt(|grad1 C|^2 + |grad2 C|^2) with C = b2^T E b1. The gradients lie in the
+    tangent planes of the sphere, so that their sum under the root is
+    |E^T b2|^2 + |E b1|^2 - 2 C^2.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    E = np.asarray(E, dtype=np.float64)
-    normals2, normals1 = b1 @ E.T, b2 @ E
-    C = np.einsum("ij,ij->i", b2, normals2)
+    _, normals2, normals1, C = _constraints(E, bearings1, bearings2)
     squared = (normals1**2).sum(axis=1) + (normals2**2).sum(axis=1) - 2.0 * C**2
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(C / np.sqrt(squared))
 
 
 def solarte2021_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Signed algebraic errors over norms of the whole arrays: eq. 13 as the authors' code has it.
+    """Return the residuals of eq. 13 as the authors' code computes them, with norms of all matches.
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match. Rows with NaN do not count in the norms.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match. Rows with NaN are left out of
+        the norms.
 
     Returns
     -------
     residuals : ndarray, shape (N,)
-        About the sine of eq. 13 divided by N: the thresholds of the paper's Table 4 belong to it,
-        and N times a threshold is an angle in radians.
+        Signed numbers of about the sine of eq. 13 divided by N. The thresholds of the paper's
+        Table 4 are thresholds of this residual; N times such a threshold is an angle in radians.
 
     Raises
     ------
     ValueError
-        If the bearings are no valid pair.
+        If an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    b2^T E b1 / (|B2|_F |B1 E^T|_F) with the Frobenius norms of all bearings and of all normals,
-    where eq. 13 has those of one match. The authors' code takes the absolute value.
+    The residual is b2^T E b1 / (|B2|_F |B1 E^T|_F) with the Frobenius norms of all bearings and of
+    all normals, where eq. 13 has the norms of one match. The authors' code takes the absolute
+    value.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    normals = b1 @ np.asarray(E, dtype=np.float64).T
+    b2, normals, _, C = _constraints(E, bearings1, bearings2)
     usable = np.isfinite(normals).all(axis=1) & np.isfinite(b2).all(axis=1)
     norms = np.linalg.norm(b2[usable]) * np.linalg.norm(normals[usable])
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.einsum("ij,ij->i", b2, normals) / norms)
+        return np.asarray(C / norms)
 
 
 def tangent_sampson_residuals(
@@ -150,21 +141,19 @@ def tangent_sampson_residuals(
     jacobians1: ArrayLike,
     jacobians2: ArrayLike,
 ) -> Array:
-    """Signed first-order distance of each match to the constraint, in pixels of any camera.
+    """Return the signed distance of each match to the constraint in pixels, to first order.
 
     Parameters
     ----------
-    E : array_like, shape (3, 3)
-        Essential matrix.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
+    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
+        Essential matrix, and directions; row i of both is one match.
     jacobians1, jacobians2 : array_like, shape (N, 3, 2)
-        Derivative of each bearing by its pixel (``camera.bearing_jacobians``).
+        Derivatives of the bearings by their pixels, as ``camera.bearing_jacobians`` returns them.
 
     Returns
     -------
     residuals_px : ndarray, shape (N,)
-        Pixels where the Jacobians are per pixel.
+        Distances in pixels, in the image of any central camera.
 
     Raises
     ------
@@ -175,17 +164,15 @@ def tangent_sampson_residuals(
     -----
     Terekhov & Larsson, "Tangent Sampson error", ICCV 2023.
     """
-    b1, b2 = bearing_pair(bearings1, bearings2)
-    J1 = jacobians_array(jacobians1, len(b1), "jacobians1")
-    J2 = jacobians_array(jacobians2, len(b1), "jacobians2")
-    E = np.asarray(E, dtype=np.float64)
-    normals2, normals1 = b1 @ E.T, b2 @ E
+    _, normals2, normals1, C = _constraints(E, bearings1, bearings2)
+    J1 = jacobians_array(jacobians1, len(C), "jacobians1")
+    J2 = jacobians_array(jacobians2, len(C), "jacobians2")
     assert J1 is not None and J2 is not None  # given above
     gradient1 = np.einsum("nij,ni->nj", J1, normals1)
     gradient2 = np.einsum("nij,ni->nj", J2, normals2)
     squared = (gradient1**2).sum(axis=1) + (gradient2**2).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.einsum("ij,ij->i", b2, normals2) / np.sqrt(squared))
+        return np.asarray(C / np.sqrt(squared))
 
 
 def pose_residuals(
@@ -196,23 +183,29 @@ def pose_residuals(
     jacobians1: ArrayLike | None = None,
     jacobians2: ArrayLike | None = None,
 ) -> Array:
-    """Return one residual of every match under a pose, by name.
+    """Return the named residual of every match under a pose.
 
     Parameters
     ----------
     cam2_from_cam1 : Pose
-        x2 = R x1 + t.
+        Pose with x2 = R x1 + t.
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
     residual : str
         "paper", "angular", "sampson", "tangent_sampson" or "solarte2021".
     jacobians1, jacobians2 : array_like, shape (N, 3, 2), optional
-        For "tangent_sampson".
+        Derivatives of the bearings by their pixels; only "tangent_sampson" needs them.
+
+    Returns
+    -------
+    residuals : ndarray, shape (N,)
+        Sines for "paper", radians for "angular" and "sampson", pixels for "tangent_sampson"; for
+        "solarte2021" see `solarte2021_residuals`.
 
     Raises
     ------
     ValueError
-        If the name is unknown, or Jacobians are missing.
+        If the name is unknown, Jacobians are missing, or an array has the wrong shape.
     """
     E = essential_from_pose(cam2_from_cam1)
     if residual == "tangent_sampson":
@@ -232,7 +225,7 @@ def pose_residuals(
 
 
 def tangent_basis(translation: ArrayLike) -> Array:
-    """Return B: two unit tangents of the sphere at a direction, which complete it to a basis.
+    """Return two unit tangents of the sphere at a direction t; with t they are a basis.
 
     Parameters
     ----------
@@ -242,7 +235,8 @@ def tangent_basis(translation: ArrayLike) -> Array:
     Returns
     -------
     basis : ndarray, shape (3, 2)
-        First column: the coordinate axis least aligned with t, projected; second: t x first.
+        The matrix B. Its first column is the coordinate axis that is least aligned with t,
+        projected on the tangent plane and scaled to unit length; the second is t x first.
     """
     t = np.asarray(translation, dtype=np.float64)
     axis = int(np.argmin(np.abs(t)))
@@ -254,12 +248,12 @@ def tangent_basis(translation: ArrayLike) -> Array:
 def residual_jacobians(
     cam2_from_cam1: Pose, bearings1: ArrayLike, bearings2: ArrayLike, residual: str = "sampson"
 ) -> Array:
-    """Return the derivatives of a residual by the pose's five parameters.
+    """Return the derivatives of the named residual by the five parameters of the pose.
 
     Parameters
     ----------
     cam2_from_cam1 : Pose
-        With unit translation.
+        Pose with |t| = 1.
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
     residual : str
@@ -268,18 +262,19 @@ def residual_jacobians(
     Returns
     -------
     jacobians : ndarray, shape (N, 5)
-        By w and d, where R' = exp([w]x) R and t' = (t + B d) / |.|, B from ``tangent_basis``.
+        Derivatives by w (three columns) and d (two), where R' = exp([w]x) R and
+        t' = (t + B d) / |t + B d| with B from `tangent_basis`.
 
     Raises
     ------
     ValueError
-        If the name is unknown.
+        If the name is unknown, an array has another shape than (N, 3), or the lengths differ.
 
     Notes
     -----
-    With a = R b1, b = b2, C = t.(a x b) and residual C / sqrt(D): dC/dw = a x (b x t),
-    dC/dt = a x b, and D = 1 - (t.a)^2, for Sampson also + 1 - (t.b)^2 - 2 C^2. For "solarte2021"
-    D is N times the sum of 1 - (t.a)^2 over all N matches (those without NaN).
+    With a = R b1, b = b2 and C = t.(a x b) the residual is C / sqrt(D), where dC/dw = a x (b x t)
+    and dC/dt = a x b. D is 1 - (t.a)^2; "sampson" adds 1 - (t.b)^2 - 2 C^2. For "solarte2021" D is
+    N times the sum of 1 - (t.a)^2 over all N matches without NaN.
     """
     if residual not in ("paper", "angular", "sampson", "solarte2021"):
         raise ValueError(
@@ -291,7 +286,7 @@ def residual_jacobians(
     ta, tb = (a @ t)[:, None], (b @ t)[:, None]
     C_by_a, C_by_t = np.cross(b, t), np.cross(a, b)
     C = (C_by_t @ t)[:, None]
-    # |t x a|^2 is 1 - (t.a)^2 with all of its digits near the epipole.
+    # |t x a|^2 equals 1 - (t.a)^2 and loses no digits near the epipole.
     D, half_by_a, half_by_t = (np.cross(t, a) ** 2).sum(axis=1)[:, None], -ta * t, -ta * a
     if residual == "sampson":
         D = D + 1.0 - tb**2 - 2.0 * C**2
@@ -304,10 +299,20 @@ def residual_jacobians(
         D, half_by_w, half_by_t = (
             num * x[usable].sum(axis=0, keepdims=True) for x in (D, half_by_w, half_by_t)
         )
-    D = np.maximum(D, 1e-20)  # a bearing in the epipole, as in native/core/residuals/
+    D = np.maximum(D, 1e-20)  # for a bearing in the epipole, as in the native core
     by_w = np.cross(a, C_by_a) - C / D * half_by_w
     by_d = (C_by_t - C / D * half_by_t) @ tangent_basis(t)
     jacobians = np.hstack([by_w, by_d]) / np.sqrt(D)
     if residual == "angular":
         jacobians = jacobians / np.sqrt(1.0 - C**2 / D)
     return np.asarray(jacobians)
+
+
+def _constraints(
+    E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike
+) -> tuple[Array, Array, Array, Array]:
+    """Return b2, the normals E b1 and E^T b2, and C = b2^T E b1 of each match."""
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    E = np.asarray(E, dtype=np.float64)
+    normals2 = b1 @ E.T
+    return b2, normals2, b2 @ E, np.einsum("ij,ij->i", b2, normals2)

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearing_pair
-from epi360.epipolar.linear import kronecker_rows, nine_singular_values
+from epi360.epipolar.essential import kronecker_rows
+from epi360.epipolar.linear import nine_singular_values
 from epi360.epipolar.normalization import check_normalization, normalizers
 from epi360.epipolar.sk_search import search_sk
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
-# Rows of an N x N table that are in memory at a time.
+# How many rows of an N x N table are in memory at a time.
 _BLOCK = 512
 
 
@@ -26,21 +27,22 @@ _BLOCK = 512
 class Stability:
     """The paper's measures of a set of matches, in the normalised domain q^ = N q.
 
-    What needs all N^2 pairs of matches is computed on first use, in blocks. Angles are radians.
+    Measures that need all N^2 pairs of matches are computed on first use.
 
     Attributes
     ----------
     singular_values : ndarray, shape (9,)
-        Of the normalised observation matrix, descending; the ninth is NaN for eight matches.
+        Singular values of the normalised observation matrix, descending; with eight matches the
+        ninth is NaN.
     normalizer1, normalizer2 : ndarray, shape (3, 3)
         N of each view.
     alpha_rad : ndarray, shape (M,)
-        Angle between N1 q1 and N2 q2 of every match, the camera's rotation included: Table 1's
-        alpha is the mean. NaN for missing rows, as in the next two.
+        Angle between N1 q1 and N2 q2 of every match, which contains the camera's rotation; NaN for
+        rows with NaN. Table 1's alpha is the mean.
     parallax_rad : ndarray, shape (M,)
-        Motion parallax: angle between R q1 and q2. NaN where no pose was given.
+        Motion parallax, the angle between R q1 and q2; NaN if no pose was given.
     normalized_parallax_rad : ndarray, shape (M,)
-        Angle between N2 R q1 and N2 q2. NaN where no pose was given.
+        Angle between N2 R q1 and N2 q2; NaN if no pose was given.
     """
 
     singular_values: Array
@@ -55,22 +57,22 @@ class Stability:
 
     @property
     def num_matches(self) -> int:
-        """Number n of matches without missing rows."""
+        """Number n of the matches without NaN."""
         return len(self._q1)
 
     @property
     def sigma_8(self) -> float:
-        """Second smallest singular value, as printed: grows with n and with the square of N."""
+        """Eighth singular value, the paper's measure; it grows with n and with the square of N."""
         return float(self.singular_values[7])
 
     @property
     def sigma_8_over_sigma_1(self) -> float:
-        """How well the data determine E, free of the scale of N and of n."""
+        """How well the data determine E, whatever n and the scale of N are."""
         return float(self.singular_values[7] / self.singular_values[0])
 
     @property
     def sigma_9_over_sigma_8(self) -> float:
-        """How far the data are from contradicting every E: 0 on exact data, 1 for none."""
+        """How badly the data fit the best E: 0 for exact data, 1 if no E is better than another."""
         return float(self.singular_values[8] / self.singular_values[7])
 
     @property
@@ -82,8 +84,8 @@ class Stability:
     def internal_angle_sum(self) -> float:
         """Right side of eq. 10: sum over all i, j of cos^2 beta1_ij cos^2 beta2_ij.
 
-        On rows that are not of unit length (a normalised domain) each term carries the lengths of
-        its four vectors, squared; without them the equation holds on the sphere only.
+        In a normalised domain, where vectors are not of unit length, each term is multiplied by the
+        squared lengths of its four vectors; only so the equation holds there too.
         """
         return float(
             sum(((a @ self._q1.T) ** 2 * (b @ self._q2.T) ** 2).sum() for a, b in self._blocks())
@@ -91,10 +93,10 @@ class Stability:
 
     @property
     def sigma_8_bound(self) -> float:
-        """Right side of eq. 11: no sigma_8 is larger.
+        """Right side of eq. 11, an upper bound of sigma_8.
 
-        For rows that are not of unit length n becomes tr(A^T A). The bound is that of the smallest
-        of eight numbers with this sum and sum of squares; a ninth above zero only lowers sigma_8.
+        It bounds the smallest of eight numbers whose sum and sum of squares are known; a ninth
+        number above zero only lowers sigma_8. In a normalised domain n becomes tr(A^T A).
         """
         n = float(np.nansum(self.singular_values**2))
         spread = max(8.0 * self.gram_norm_squared - n**2, 0.0)
@@ -102,22 +104,22 @@ class Stability:
 
     @property
     def mean_alpha_rad(self) -> float:
-        """Table 1's alpha."""
+        """Mean of alpha_rad over the matches without NaN: Table 1's alpha."""
         return _mean(self.alpha_rad)
 
     @property
     def mean_parallax_rad(self) -> float:
-        """Mean motion parallax, NaN where no pose was given."""
+        """Mean motion parallax, NaN if no pose was given."""
         return _mean(self.parallax_rad)
 
     @property
     def mean_normalized_parallax_rad(self) -> float:
-        """Mean motion parallax in the normalised domain of view 2, NaN where no pose was given."""
+        """Mean motion parallax in the normalised domain of view 2, NaN if no pose was given."""
         return _mean(self.normalized_parallax_rad)
 
     @cached_property
     def mean_internal_angles_rad(self) -> tuple[float, float]:
-        """Mean over all pairs i < j of beta1_ij and of beta2_ij, the internal angles."""
+        """Means of the internal angles beta1_ij and beta2_ij over all pairs i < j."""
         sums = np.zeros(2)
         for a, b in self._blocks():
             sums += _angles(a[:, None], self._q1).sum(), _angles(b[:, None], self._q2).sum()
@@ -125,32 +127,33 @@ class Stability:
         return float(sums[0] / pairs), float(sums[1] / pairs)
 
     def internal_angles_rad(self) -> tuple[Array, Array]:
-        """All internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
+        """Return the internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
         return _angles(self._q1[:, None], self._q1), _angles(self._q2[:, None], self._q2)
 
     def essential_error_bound(self, bearings1: ArrayLike, bearings2: ArrayLike) -> float:
-        """Right side of eq. 12, |Q|_2 / sigma_8, from the same matches without noise.
+        """Return the right side of eq. 12, |Q|_2 / sigma_8, from the matches without noise.
 
         Parameters
         ----------
         bearings1, bearings2 : array_like, shape (M, 3)
-            The true bearings, in the rows of those that this object was made of.
+            The true bearings, in the same rows as those that were given to `stability`.
 
         Returns
         -------
         bound : float
-            Of the sine of the angle between the DLT's vector and the true one, both in the
-            normalised domain and before rank 2.
+            Upper bound of the sine of the angle between the vec(E) of the DLT and the true one,
+            both in the normalised domain and before E is made to have rank 2.
 
         Raises
         ------
         ValueError
-            If the bearings are no valid pair, their number is another one or a used row is NaN.
+            If there are not M rows, or a row is NaN that was not NaN for `stability`.
 
         Notes
         -----
-        Q = A - A_true with sigma_8 of the noisy A. With A_true e = 0 and e at the angle theta from
-        the last right singular vector of A: sigma_8 sin theta <= |A e| = |Q e| <= |Q|_2.
+        Q is A - A_true, and sigma_8 is that of the noisy A. If A_true e = 0 and theta is the angle
+        between e and the last right singular vector of A, then
+        sigma_8 sin theta <= |A e| = |Q e| <= |Q|_2.
         """
         b1, b2 = bearing_pair(bearings1, bearings2)
         if len(b1) != len(self._usable):
@@ -180,9 +183,9 @@ def stability(
     bearings1, bearings2 : array_like, shape (M, 3)
         At least eight matches; rows with NaN are left out.
     normalization : str or tuple (S, K)
-        As in `eight_point`: the domain to measure in. "sk" is searched first.
+        Domain to measure in, named as in `eight_point`; "sk" is searched first.
     cam2_from_cam1 : Pose, optional
-        For the true motion parallax.
+        True pose, which the motion parallax needs.
 
     Returns
     -------
@@ -192,14 +195,14 @@ def stability(
     Raises
     ------
     ValueError
-        If the bearings are no valid pair, fewer than eight are usable or the normalisation is
-        unknown or impossible.
+        If an array has the wrong shape, fewer than eight matches are usable, or the normalisation
+        is unknown or impossible with these bearings.
 
     Notes
     -----
     Paper section 4.2; da Silveira & Jung, "Perturbation analysis of the 8-point algorithm", CVPR
-    2019. sigma_8 alone compares nothing: S = K = 2 makes it four times larger and leaves E as it
-    is. Compare sigma_8_over_sigma_1 and sigma_9_over_sigma_8.
+    2019. Do not compare sigma_8 alone: S = K = 2 makes it four times larger and does not change
+    E. Compare sigma_8_over_sigma_1 and sigma_9_over_sigma_8.
     """
     check_normalization(normalization)
     b1, b2 = bearing_pair(bearings1, bearings2)

@@ -13,7 +13,7 @@ from epi360.poses import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
 
-_ON_THE_CIRCLE = 1e-6  # distance of a computed root: rounding moves nearly double ones by 1e-8
+_ON_THE_CIRCLE = 1e-6  # largest distance of a root from it; rounding moves double roots by 1e-8
 
 
 def upright_three_point(
@@ -24,29 +24,31 @@ def upright_three_point(
     Parameters
     ----------
     bearings1, bearings2 : array_like, shape (3, 3)
-        Row i of both is one match; any length.
+        Directions of any length; row i of both is one match.
     gravity1, gravity2 : array_like, shape (3,)
-        Direction of gravity in both cameras, any length.
+        Direction of gravity in each camera, of any length.
 
     Returns
     -------
     poses : list of Pose
-        Up to four, |t| = 1 and t up to sign; none where a bearing is NaN.
+        Up to four poses with |t| = 1, where -t is as good as t; none if a bearing is NaN.
 
     Raises
     ------
     ValueError
-        If there are not three matches, a bearing is infinite or zero, or a gravity is no direction.
+        If there are not three matches, a bearing is infinite or zero, or a gravity is zero or not
+        finite.
 
     Notes
     -----
     Fraundorfer, Tanskanen & Pollefeys, "A minimal case solution to the calibrated relative pose
     problem for the case of two known orientation angles", ECCV 2010. Both cameras are turned so
-    that gravity is +y; one unknown of the rotation is left, the heading theta. Each match puts t
-    across the normal of its epipolar plane, (Ry(theta) b1 x b2) . t = 0. Three normals across one
-    t lie in one plane: their determinant vanishes. The paper writes it as a quartic in the tangent
-    of half the heading; here it is one in z = exp(i theta), whose roots of modulus one are the
-    headings, half turns among them.
+    that gravity is +y, which leaves one unknown of the rotation, the heading theta. Each match
+    makes t perpendicular to the normal of its epipolar plane, (Ry(theta) b1 x b2) . t = 0. Three
+    normals that are perpendicular to one t lie in one plane, so that their determinant is zero. The
+    paper writes this as a quartic in tan(theta / 2); here it is a quartic in z = exp(i theta),
+    whose roots of modulus one are the headings. It finds half turns too, where the tangent is
+    infinite.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     if len(b1) != 3:
@@ -58,7 +60,7 @@ def upright_three_point(
     constant, wave = _normals(b1 @ upright1.T, b2 @ upright2.T)
     poses = []
     for heading in _headings(constant, wave):
-        t = _across(constant + 2.0 * (np.exp(1j * heading) * wave).real)
+        t = _perpendicular_to(constant + 2.0 * (np.exp(1j * heading) * wave).real)
         if np.isfinite(t).all():
             turn = rotation_from_vector([0.0, heading, 0.0])
             poses.append(Pose(upright2.T @ turn @ upright1, upright2.T @ t))
@@ -66,7 +68,7 @@ def upright_three_point(
 
 
 def _upright_from(gravity: Array) -> Array:
-    """Rotation that takes a unit direction to +y; which way is x does not matter."""
+    """Return a rotation that takes a unit direction to +y."""
     x = tangent_basis(gravity)[:, 0]
     return np.stack([x, gravity, np.cross(x, gravity)])
 
@@ -81,7 +83,7 @@ def _normals(b1: Array, b2: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 
 def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
-    """Headings theta at which the three normals are linearly dependent."""
+    """Return the headings theta at which the three normals are linearly dependent."""
     # z (n0 + z n1 + conj(n1) / z), component by component
     a, b, c = (
         [Polynomial([n1.conjugate(), n0, n1]) for n0, n1 in zip(*row, strict=True)]
@@ -92,16 +94,16 @@ def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
         + a[1] * (b[2] * c[0] - b[0] * c[2])
         + a[2] * (b[0] * c[1] - b[1] * c[0])
     )
-    # All n1 are across (1, 0, i): no three of them are independent, and the first and the last of
-    # the seven coefficients are zero.
+    # All n1 are perpendicular to (1, 0, i), so that no three of them are independent: the first and
+    # the last of the seven coefficients are zero.
     coefficients = np.zeros(7, dtype=np.complex128)
     coefficients[: len(determinant.coef)] = determinant.coef
     roots = np.asarray(Polynomial(coefficients[1:6]).roots(), dtype=np.complex128)
     return np.angle(roots[np.abs(np.abs(roots) - 1.0) < _ON_THE_CIRCLE])
 
 
-def _across(normals: Array) -> Array:
-    """Unit vector across three vectors of one plane, NaN if they are parallel."""
+def _perpendicular_to(normals: Array) -> Array:
+    """Return the unit vector perpendicular to three of one plane, NaN if they are parallel."""
     products = np.cross(normals, np.roll(normals, -1, axis=0))
     lengths = np.linalg.norm(products, axis=1)
     longest = int(np.argmax(lengths))

@@ -6,7 +6,8 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from epi360 import _core
-from epi360.epipolar.linear import EightPointSolution, check_constraint, usable_matches
+from epi360.epipolar.arguments import usable_matches
+from epi360.epipolar.linear import EightPointSolution, check_constraint
 from epi360.epipolar.normalization import check_normalization, sk_normalizer
 from epi360.epipolar.sk_search import check_sk_search
 

@@ -9,20 +9,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular
-from epi360.features.images import ImageSource, read_image, read_mask, require_panorama
+from epi360.cameras import Camera
+from epi360.features.image_cameras import find_camera
+from epi360.features.images import ImageSource, read_image, read_mask
 from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
 
 Array = NDArray[np.float64]
 
-# SIFT's default of 0.04 finds too little on wide baselines indoors: with 0.02 twice the matches.
+# SIFT's default of 0.04 finds too little on wide baselines indoors; 0.02 gives twice the matches.
 CONTRAST_THRESHOLD = 0.02
-# Of 17 wide real pairs indoors, 14 succeed at the usual threshold and all with this one, which
-# finds half as many features again.
+# With this threshold all of 17 real pairs indoors with wide baselines succeed, with the usual one
+# 14. It finds half as many features again.
 FAINT_CONTRAST_THRESHOLD = 0.013
-SMALLEST_WIDTH = 64  # that max_width may ask for
+SMALLEST_WIDTH = 64  # the least that max_width may be
 _DUPLICATE_PX = 1.0
-_LAYERS_PER_OCTAVE = 3
+_LAYERS_PER_OCTAVE = 3  # SIFT's own default
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def extract_features(
     image : path or array
         What ``read_image`` takes.
     camera : Camera, optional
-        Default: a full equirectangular panorama of the image's size.
+        Default: a full equirectangular panorama of the image's size, or the part of one that the
+        GPano metadata of a file state.
     mask : path or array, optional
         White = use; of the image's size.
     mask_nadir_deg : float
@@ -85,7 +87,7 @@ def extract_features(
     max_features : int
         The strongest are kept.
     contrast_threshold : float
-        Of SIFT; lower finds more.
+        Least contrast of a key point, as SIFT measures it; lower finds more.
 
     Returns
     -------
@@ -118,16 +120,7 @@ def extract_features(
 class SiftKeypoints:
     """Key points of one image as SIFT finds them, strongest first.
 
-    Attributes
-    ----------
-    pixels : ndarray, shape (N, 2)
-        Continuous pixels of the original image.
-    sizes : ndarray, shape (N,)
-        Diameter of the described region, in pixels of the original image at the horizon.
-    strengths : ndarray, shape (N,)
-        Contrast, the response of SIFT.
-    descriptors : ndarray, shape (N, 128)
-        Whole numbers from 0 to 255.
+    Pixels and sizes are those of the original image, descriptors whole numbers from 0 to 255.
     """
 
     pixels: Array
@@ -136,13 +129,7 @@ class SiftKeypoints:
     descriptors: NDArray[np.float32] | NDArray[np.uint8]
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> SiftKeypoints:
-        """Return some of them.
-
-        Parameters
-        ----------
-        index : ndarray
-            Mask or indices.
-        """
+        """Return those of a mask or of indices."""
         return SiftKeypoints(
             self.pixels[index], self.sizes[index], self.strengths[index], self.descriptors[index]
         )
@@ -152,13 +139,7 @@ class SiftKeypoints:
         return Features(self.pixels, _root_sift(self.descriptors), self.sizes)
 
     def num_above(self, contrast_threshold: float) -> int:
-        """How many of them a search at a higher threshold would find: the first so many.
-
-        Parameters
-        ----------
-        contrast_threshold : float
-            Of SIFT.
-        """
+        """Return how many of them a search at a higher threshold would find: the first so many."""
         contrasts = self.strengths.astype(np.float32) * np.float32(_LAYERS_PER_OCTAVE)
         return int(np.count_nonzero(contrasts >= np.float32(contrast_threshold)))
 
@@ -173,25 +154,14 @@ def find_keypoints(
     max_features: int,
     contrast_threshold: float,
 ) -> SiftKeypoints:
-    """SIFT key points of an image with strengths and descriptors as SIFT has them.
-
-    Parameters
-    ----------
-    image, camera, mask, mask_nadir_deg, max_width, max_features, contrast_threshold
-        As in `extract_features`.
-
-    Raises
-    ------
-    ValueError
-        As `extract_features`.
-    """
+    """SIFT key points of an image with their strengths; the arguments of `extract_features`."""
     check_options(max_width, mask_nadir_deg)
     if max_features < 1:
         raise ValueError(f"max_features must be at least 1, got {max_features}")
     if not 0.0 < contrast_threshold < 1.0:
         raise ValueError(f"contrast_threshold must be in (0, 1), got {contrast_threshold}")
     picture = read_image(image)
-    camera = camera_of(picture, camera, "image")
+    camera = find_camera(image, picture, camera, "image")
     height, width = picture.shape[:2]
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     scale = min(1.0, max_width / width)
@@ -212,63 +182,18 @@ def find_keypoints(
 
 
 def check_options(max_width: int, mask_nadir_deg: float) -> None:
-    """Refuse options out of their range, before any work.
-
-    Parameters
-    ----------
-    max_width : int
-        At least 64.
-    mask_nadir_deg : float
-        In [0, 180).
-
-    Raises
-    ------
-    ValueError
-        If one is out of its range.
-    """
+    """Raise ``ValueError`` before any work if an option is out of its range."""
     if max_width < SMALLEST_WIDTH:
         raise ValueError(f"max_width must be at least {SMALLEST_WIDTH} pixels, got {max_width}")
     if not 0.0 <= mask_nadir_deg < 180.0:
         raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
 
 
-def camera_of(picture: NDArray[np.uint8], camera: Camera | None, name: str) -> Camera:
-    """Return the camera of a picture, by default a full panorama of its size.
-
-    Parameters
-    ----------
-    picture : ndarray, shape (H, W, 3)
-        The picture.
-    camera : Camera or None
-        The camera given by the user.
-    name : str
-        What messages call the picture.
-
-    Raises
-    ------
-    ValueError
-        If the sizes differ, or there is no camera and the picture is no panorama.
-    """
-    height, width = picture.shape[:2]
-    if camera is None:
-        require_panorama(picture, name)
-        try:
-            return Equirectangular.for_image(width, height)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-    if (camera.width, camera.height) != (width, height):
-        raise ValueError(
-            f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
-            "give the camera of this image size"
-        )
-    return camera
-
-
 _NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
 
 
 def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
-    """Key points of a view in pixels of the original image."""
+    """Key points of a view, in pixels of the original image."""
     points, descriptors = sift.detectAndCompute(view.picture, view.mask)
     if not points:
         return _NOTHING
@@ -282,7 +207,7 @@ def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
 
 
 def _merged(parts: list[SiftKeypoints], camera: Camera, pixel: float) -> SiftKeypoints:
-    """All views' key points; one that an earlier view found too is dropped.
+    """All views' key points, without those that an earlier view found too.
 
     Twins would be each other's runner-up and fail the ratio test.
     """
@@ -304,7 +229,7 @@ def _merged(parts: list[SiftKeypoints], camera: Camera, pixel: float) -> SiftKey
 def _repeated(
     part: SiftKeypoints, others: SiftKeypoints, camera: Camera, pixel: float
 ) -> NDArray[np.bool_]:
-    """Which key points lie within a pixel, on the sphere, of another view's of similar size."""
+    """Which key points lie within a pixel of another view's of similar size."""
     repeated = np.zeros(len(part.pixels), dtype=bool)
     near1 = _in_overlap(part.pixels, camera)
     near2 = _in_overlap(others.pixels, camera)

@@ -3,22 +3,27 @@
 
 from __future__ import annotations
 
+import io
 import re
-import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL.PngImagePlugin import PngImageFile
+
+from epi360.features.image_headers import (
+    JPEG_SIGNATURE,
+    PNG_SIGNATURE,
+    TIFF_SIGNATURES,
+    parse_image_header,
+)
 
 MAX_PIXELS = 2**28
 """23170 x 11585: larger than any camera; 0.8 GB once decoded."""
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_JPEG_SIGNATURE = b"\xff\xd8\xff"
-_SIGNATURES = (_JPEG_SIGNATURE, _PNG_SIGNATURE, b"II*\0", b"MM\0*", b"RIFF", b"BM")
+_SIGNATURES = (JPEG_SIGNATURE, PNG_SIGNATURE, *TIFF_SIGNATURES, b"RIFF", b"BM")
 _RAW_FILES = {
     ".insp": "a raw dual fisheye file; export a stitched panorama first",
     ".insv": "a raw dual fisheye video; export stitched panoramas first",
@@ -27,36 +32,21 @@ _RAW_FILES = {
 }
 # The next marker inside JPEG scan data: FF 00 is a stuffed byte, FF D0..D7 restart, FF FF filling.
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
+_END_OF_JPEG = 0xD9
 
 
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
-    """Pixels of a complete file in OpenCV's order, upright unless some are transparent.
+    """Pixels of a complete file, (H, W, 3) BGR or (H, W, 4) BGRA of the file's own type.
 
-    Parameters
-    ----------
-    path : Path
-        JPEG, PNG, TIFF, WebP or BMP file.
-    max_pixels : int
-        Limit on width x height, checked before decoding for JPEG and PNG.
-    name : str
-        What error messages call the image.
-
-    Returns
-    -------
-    pixels : ndarray, shape (H, W, 3) BGR or (H, W, 4) BGRA
-        Of the file's own type.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the file does not exist.
-    ValueError
-        If it is no complete image file or larger than ``max_pixels``.
+    They are upright unless some are transparent. A file that is missing, incomplete, no image or
+    larger than ``max_pixels`` raises `read_image`'s errors, which call it ``name``.
     """
     data = _read_bytes(path, name)
     try:
-        _check_complete(data, max_pixels)
-        pixels = _decode(data)
+        header = parse_image_header(io.BytesIO(data))
+        _check_size(header.size, max_pixels)
+        _check_complete(data)
+        pixels = _decoded(data, header.may_have_alpha)
         _check_size((pixels.shape[1], pixels.shape[0]), max_pixels)
     except ValueError as error:
         raise ValueError(f"{name} {path} {error}") from None
@@ -84,21 +74,8 @@ def _read_bytes(path: Path, name: str) -> bytes:
         raise ValueError(f"{name} {path} cannot be read: {error.strerror}") from None
 
 
-def _check_complete(data: bytes, max_pixels: int) -> None:
-    """Refuse oversized, cut and damaged files: OpenCV decodes some in part, others noisily."""
-    if data.startswith(_PNG_SIGNATURE):
-        size = _check_png(data)
-    elif data.startswith(_JPEG_SIGNATURE):
-        size = _check_jpeg(data)
-    elif data.startswith(b"RIFF") and len(data) < 8 + int.from_bytes(data[4:8], "little"):
-        raise ValueError("is a truncated WebP file; copy or export it again")
-    else:
-        return
-    _check_size(size, max_pixels)
-
-
-def _check_size(size: tuple[int, int], max_pixels: int) -> None:
-    width, height = size
+def _check_size(size: tuple[int, int] | None, max_pixels: int) -> None:
+    width, height = size or (0, 0)
     if width * height > max_pixels:
         raise ValueError(
             f"has {width}x{height} = {width * height} pixels, more than the limit of {max_pixels};"
@@ -106,52 +83,46 @@ def _check_size(size: tuple[int, int], max_pixels: int) -> None:
         )
 
 
-def _png_chunks(data: bytes) -> Iterator[bytes]:
-    """Type of each whole chunk, its checksum verified (PNG specification, 5.3)."""
-    start = 8
-    while start + 12 <= len(data):
-        stop = start + 12 + int.from_bytes(data[start : start + 4], "big")
-        if stop > len(data):
-            return
-        checked = memoryview(data)[start + 4 : stop - 4]
-        if zlib.crc32(checked) != int.from_bytes(data[stop - 4 : stop], "big"):
-            raise ValueError("is a damaged PNG file (wrong checksum); copy or export it again")
-        yield bytes(checked[:4])
-        start = stop
+def _check_complete(data: bytes) -> None:
+    """Refuse cut and damaged files: OpenCV decodes some in part, others noisily."""
+    if data.startswith(PNG_SIGNATURE):
+        _check_png(data)
+    elif data.startswith(JPEG_SIGNATURE):
+        _check_jpeg(data)
+    elif data.startswith(b"RIFF") and len(data) < 8 + int.from_bytes(data[4:8], "little"):
+        raise ValueError("is a truncated WebP file; copy or export it again")
 
 
-def _check_png(data: bytes) -> tuple[int, int]:
-    """Width and height of a complete PNG file."""
-    for kind in _png_chunks(data):
-        if kind == b"IEND" and data[12:16] == b"IHDR":
-            return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    raise ValueError("is a truncated PNG file; copy or export it again")
+def _check_png(data: bytes) -> None:
+    try:
+        PngImageFile(io.BytesIO(data)).verify()
+    except Exception as error:  # what a damaged file makes Pillow raise is not documented
+        if "bad header checksum" in str(error):
+            raise ValueError(
+                "is a damaged PNG file (wrong checksum); copy or export it again"
+            ) from None
+        raise ValueError("is a truncated PNG file; copy or export it again") from None
 
 
-def _check_jpeg(data: bytes) -> tuple[int, int]:
-    """Width and height of a complete JPEG file; bytes after its end marker are no concern.
+def _check_jpeg(data: bytes) -> None:
+    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B).
 
-    The segments are walked (ITU T.81, annex B): thumbnails inside them have end markers too, and
+    Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
     phones and 360 cameras append videos and their own data after the end.
     """
-    size = (0, 0)
     at = 2
     while marker := _JPEG_MARKER.search(data, at):
-        kind, at = data[marker.start() + 1], marker.end()
-        if kind == 0xD9:
-            return size
-        if 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            height, width = data[at + 3 : at + 5], data[at + 5 : at + 7]
-            size = (int.from_bytes(width, "big"), int.from_bytes(height, "big"))
-        at += int.from_bytes(data[at : at + 2], "big")
+        if data[marker.start() + 1] == _END_OF_JPEG:
+            return
+        at = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
     raise ValueError("is a truncated JPEG file; copy or export it again")
 
 
-def _decode(data: bytes) -> NDArray[Any]:
+def _decoded(data: bytes, may_have_alpha: bool) -> NDArray[Any]:
     """Pixels as OpenCV orders them: BGR, or BGRA when some are transparent."""
     encoded = np.frombuffer(data, dtype=np.uint8)
     try:
-        pixels = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if _may_have_alpha(data) else None
+        pixels = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if may_have_alpha else None
         if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 4:
             # Unlike IMREAD_UNCHANGED this applies the orientation tag.
             pixels = cv2.imdecode(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
@@ -164,10 +135,3 @@ def _decode(data: bytes) -> NDArray[Any]:
     if pixels is None:
         raise ValueError("is a damaged image file that OpenCV cannot decode; export it again")
     return pixels
-
-
-def _may_have_alpha(data: bytes) -> bool:
-    """Whether transparency is possible: by the header for PNG, never in JPEG."""
-    if data.startswith(_PNG_SIGNATURE):  # colour type bit 4, or a transparent palette entry
-        return bool(data[25] & 4) or b"tRNS" in _png_chunks(data)
-    return not data.startswith(_JPEG_SIGNATURE)

@@ -73,9 +73,9 @@ def _passes(
 def _two_nearest(
     queries: NDArray[np.float32], targets: NDArray[np.float32]
 ) -> tuple[NDArray[np.int64], Similarities, Similarities, Similarities]:
-    """Index of the most similar target, its similarity and that of the runner-up.
+    """Most similar target of each query, its similarity, and that of the second most similar.
 
-    And for each target the largest similarity to a query whose most similar target is another.
+    Last, for each target the largest similarity to a query that prefers another target.
     """
     nearest = np.zeros(len(queries), dtype=np.int64)
     best = np.zeros(len(queries), dtype=np.float32)

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.features.images import ImageSource, read_image, read_mask, require_panorama
+from epi360.features.image_cameras import find_camera
+from epi360.features.images import ImageSource, read_image, read_mask
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,8 @@ def track_features(
     images : iterable of str, path or ndarray
         At least two of one size, see `read_image`; two are held at a time.
     camera : Camera, optional
-        None: full equirectangular panoramas.
+        Default: full equirectangular panoramas, or the part of one that the GPano metadata of the
+        first file state.
     mask : str, path or ndarray, optional
         White = use. Points that enter the black part are lost.
     max_features : int
@@ -180,9 +182,13 @@ def _keypoints_of_frames(
     for index, source in enumerate(images):
         image = read_image(source, name=f"images[{index}]")
         if view is None:
-            view = _make_view(image, camera, mask, options)
+            view = _make_view(find_camera(source, image, camera, "images[0]"), mask, options)
         if image.shape[:2] != view.mask.shape:
-            raise ValueError(_size_message(index, image, view))
+            height, width = view.mask.shape
+            raise ValueError(
+                f"images[{index}] must be {width}x{height} like the camera and the images before "
+                f"it, got {image.shape[1]}x{image.shape[0]}; resize it or track it separately"
+            )
         current = view.pad(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8))
         if index == 0:
             pixels = _detect(current, view, options, pixels)
@@ -192,32 +198,13 @@ def _keypoints_of_frames(
         previous = current
 
 
-def _size_message(index: int, image: NDArray[np.uint8], view: _View) -> str:
-    height, width = view.mask.shape
-    return (
-        f"images[{index}] must be {width}x{height} like the camera and the images before it, got "
-        f"{image.shape[1]}x{image.shape[0]}; resize it or track it separately"
-    )
-
-
-def _make_view(
-    image: NDArray[np.uint8], camera: Camera | None, mask: ImageSource | None, options: _Options
-) -> _View:
-    height, width = image.shape[:2]
-    if camera is None:
-        require_panorama(image, "images[0]")
-        camera = Equirectangular.for_image(width, height)
-    if (width, height) != (camera.width, camera.height):
-        raise ValueError(
-            f"images[0] must have the camera's size {camera.width}x{camera.height}, got "
-            f"{width}x{height}; scale the calibration or the image"
-        )
+def _make_view(camera: Camera, mask: ImageSource | None, options: _Options) -> _View:
     usable = camera.field_of_view_mask()
     if mask is not None:
-        usable = usable & read_mask(mask, (height, width))
+        usable = usable & read_mask(mask, (camera.height, camera.width))
     wraps = isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360
     # At the coarsest level: half a window for the patch and about half a window of motion.
-    margin = min(width // 2, options.window_px << options.pyramid_levels) if wraps else 0
+    margin = min(camera.width // 2, options.window_px << options.pyramid_levels) if wraps else 0
     return _View(camera, usable, margin)
 
 

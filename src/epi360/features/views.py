@@ -25,13 +25,13 @@ _LARGEST_STRIP = 3_000_000  # pixels: SIFT's scale space takes 240 bytes for eac
 
 @dataclass(frozen=True)
 class View:
-    """A picture to search and how its pixels map back to the searched image."""
+    """A picture to search, and how its pixels map back to the searched image."""
 
     picture: NDArray[np.uint8]
     mask: NDArray[np.uint8] | None
 
     def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Pixels of the image, which of them are this view's to report, and relative scale."""
+        """Pixels of the image, which of them this view reports, and their relative scale."""
         return pixels, np.ones(len(pixels), dtype=bool), np.ones(len(pixels))
 
 
@@ -46,7 +46,7 @@ class Strip(View):
     right: int
 
     def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """As in View; own are the columns and latitudes that no other view reports."""
+        """Report the columns and latitudes that no other view reports."""
         moved = pixels + [self.left - self.padding, self.top]
         height = self.camera.height
         own = (moved[:, 0] >= self.left) & (moved[:, 0] < self.right)
@@ -64,7 +64,7 @@ class Face(View):
     focal: float
 
     def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """As in View; own is the cap beyond FACE_LATITUDE_DEG."""
+        """Report the cap beyond FACE_LATITUDE_DEG."""
         centred = (pixels - self.picture.shape[0] / 2.0) / self.focal
         rays = np.column_stack([centred, np.ones(len(centred))])
         lengths = np.linalg.norm(rays, axis=1)
@@ -75,19 +75,10 @@ class Face(View):
 
 
 def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
-    """Views that together show everything the camera sees.
+    """Views that together show everything that the camera of the original image sees.
 
-    Parameters
-    ----------
-    grey : ndarray, shape (H, W), uint8
-        The image, possibly smaller than the camera's.
-    camera : Camera
-        Of the original image.
-
-    Yields
-    ------
-    view : View
-        For a full panorama strips around the horizon and faces at the poles, else the image.
+    A full panorama has strips around the horizon and faces at the poles. Any other image is one
+    view.
     """
     height, width = grey.shape
     if not isinstance(camera, Equirectangular):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Cameras to pycolmap's and back. Which model is which: `epi360.cameras.calibration.colmap`."""
+"""Our cameras to pycolmap's and back; `epi360.cameras.calibration.colmap` pairs the models."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from epi360.extras import extra_library
 
 
 def colmap_camera(camera: Camera) -> Any:
-    """`pycolmap.Camera` with the same rays: the simplest of COLMAP's models that is exactly equal.
+    """Return a ``pycolmap.Camera`` with the same rays, of the simplest model that is exactly equal.
 
     Parameters
     ----------
     camera : Camera
-        ``max_angle_deg`` of a fisheye is left out: COLMAP has no place for it.
+        Camera to convert. The ``max_angle_deg`` of a fisheye is lost: COLMAP has no such number.
 
     Returns
     -------
     camera : pycolmap.Camera
-        Without an id; its focal length counts as known.
+        Camera without an id, whose focal length counts as known.
 
     Raises
     ------
     ValueError
-        If COLMAP has no such model: part of a panorama, `DoubleSphere`, `UnifiedCamera` with xi.
+        If COLMAP has no such model: for a part of a panorama, `DoubleSphere`, and `UnifiedCamera`
+        with xi other than 0.
     ImportError
         If pycolmap is missing.
 
     Notes
     -----
-    Within COLMAP 4.2 only panoramas have rays behind the camera: pixels of a fisheye that look 90
-    degrees or more from the axis have none, or wrong ones.
+    In COLMAP 4.2 only panoramas have rays behind the camera. Pixels of a fisheye that look 90
+    degrees or more from the axis have no ray there, or a wrong one.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="COLMAP cameras")
     model, parameters = model_of_camera(camera)
@@ -47,15 +48,17 @@ def colmap_camera(camera: Camera) -> Any:
 
 
 def camera_from_colmap(camera: Any) -> Camera:
-    """Camera with the same rays as one of pycolmap.
+    """Return the camera with the same rays as one of pycolmap.
 
     Parameters
     ----------
     camera : pycolmap.Camera
+        Camera to convert.
 
     Returns
     -------
-    Camera
+    camera : Camera
+        One of our models.
 
     Raises
     ------

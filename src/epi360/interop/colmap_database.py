@@ -1,27 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""COLMAP databases: a new one from a match graph, and the match graph of one that is there.
+"""COLMAP databases: write a match graph to a new one, and read one as a match graph.
 
 | status                                   | config in COLMAP | pose, E            |
 | ---------------------------------------- | ---------------- | ------------------ |
 | ok                                       | CALIBRATED       | both               |
 | planar_ambiguous                         | PLANAR           | both               |
 | pure_rotation                            | PANORAMIC        | pose with t = 0    |
-| every other: none of the inliers is kept | DEGENERATE       | none               |
+| every other: no inlier is written        | DEGENERATE       | none               |
 | the pair was not verified                | no row           |                    |
 
-COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all others alike.
-The incremental one finds poses itself; the global one takes the rotation of the pose, or of E.
+COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all other pairs. The
+incremental mapper computes poses itself; the global one takes the rotation of the pose, or of E.
 
-Read, UNCALIBRATED and CALIBRATED_RIG are "ok", PLANAR_OR_PANORAMIC is "planar_ambiguous",
-DEGENERATE and WATERMARK are "too_few_inliers"; a row without pose and E, with several models
-(MULTIPLE) or UNDEFINED counts as not verified.
+The reader takes UNCALIBRATED and CALIBRATED_RIG for "ok", PLANAR_OR_PANORAMIC for
+"planar_ambiguous", and DEGENERATE and WATERMARK for "too_few_inliers". A pair counts as not
+verified if its row has neither pose nor E, or is MULTIPLE or UNDEFINED.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,13 +30,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar import essential_from_pose, pose_from_essential
-from epi360.extras import extra_library
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.colmap_rigs import read_rigs, write_frames, write_rigs
+from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_frames, write_rigs
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.whole_files import whole_path
 
 __all__ = [
     "ColmapPairs",
@@ -60,33 +59,12 @@ STATUS_OF_CONFIG = {  # the numbers are COLMAP's TwoViewGeometry::ConfigurationT
     7: "too_few_inliers",  # WATERMARK
     9: "ok",  # CALIBRATED_RIG
 }
-TYPES_OF_BYTES = (-1, 0)  # descriptors: unknown, SIFT; those of networks are floats
+TYPES_OF_BYTES = (-1, 0)  # descriptors of unknown type and of SIFT; networks make floats
 
 
 def open_colmap_database(path: str | os.PathLike[str]) -> Any:
-    """Database that is there, opened by pycolmap to write to it.
-
-    Parameters
-    ----------
-    path : str or path
-        COLMAP marks it with its version and upgrades tables of an older one, even if nothing is
-        written: open a copy of what must stay as it is, or read with `ColmapPairs`.
-
-    Returns
-    -------
-    database : pycolmap.Database
-        Close it, or use it in a ``with``.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is truncated, no COLMAP database or may not be written.
-    ImportError
-        If pycolmap is missing.
-    """
-    pycolmap = _pycolmap()
+    """Return a database opened by pycolmap to write to it; COLMAP upgrades older tables."""
+    pycolmap = pycolmap_library()
     with ColmapTables(path):
         pass
     if not os.access(path, os.W_OK):
@@ -98,29 +76,12 @@ def open_colmap_database(path: str | os.PathLike[str]) -> Any:
 
 
 def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
-    """`pycolmap.TwoViewGeometry` with config, E, pose and inlier matches.
-
-    Parameters
-    ----------
-    geometry : TwoViewGeometry
-        Of a pair; write it under the ids of image 1 and image 2 in this order, COLMAP inverts it
-        where it must.
-
-    Returns
-    -------
-    geometry : pycolmap.TwoViewGeometry
-        A failure is DEGENERATE without inliers: COLMAP's mappers would use them.
-
-    Raises
-    ------
-    ImportError
-        If pycolmap is missing.
-    """
-    pycolmap = _pycolmap()
+    """Return a ``pycolmap.TwoViewGeometry`` for image 1 and image 2 in this order."""
+    pycolmap = pycolmap_library()
     config = CONFIG_OF_STATUS.get(geometry.status, FAILURE)
     colmap_geometry = pycolmap.TwoViewGeometry()
     colmap_geometry.config = getattr(pycolmap.TwoViewGeometryConfiguration, config)
-    if config == FAILURE:
+    if config == FAILURE:  # without inliers, which COLMAP's mappers would use
         return colmap_geometry
     pose = geometry.cam2_from_cam1
     translation = pose.translation
@@ -135,26 +96,26 @@ def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
 
 
 def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> None:
-    """Write a match graph to a new database of COLMAP 4, whole or not at all.
+    """Write a match graph to a new database of COLMAP 4, the whole of it or nothing.
 
-    COLMAP keeps key points in single precision, numbers cameras and images in the order of the
-    graph, and files a pair under the smaller number. Descriptors are not written.
+    COLMAP keeps key points in single precision. Cameras and images are numbered in the order of the
+    graph, and image 1 of a pair in the file has the smaller number. Descriptors are not written.
 
     Parameters
     ----------
-    path : str or path
-        A file that is not there yet.
+    path : path-like
+        A file that does not exist yet.
     graph : MatchGraph
-        Images that share a ``frame`` become frames of a rig where the graph's ``cam_from_rig`` has
-        their cameras; every other image is a frame of its own.
+        Images that share a ``frame`` become a frame of a rig if their cameras are in
+        ``cam_from_rig``; every other image is a frame of its own.
 
     Raises
     ------
     ValueError
-        If the file is there already, an image has no camera, COLMAP lacks the model of a camera or
-        a frame has two images of one camera.
+        If the file exists already, an image has no camera, COLMAP lacks the model of a camera, or a
+        frame has two images of one camera.
     FileNotFoundError
-        If the folder is not there.
+        If the folder does not exist.
     OSError
         If the file cannot be written.
     ImportError
@@ -167,10 +128,10 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
         raise FileNotFoundError(f"folder {path.parent} of the COLMAP database does not exist")
     if not os.access(path.parent, os.W_OK):  # COLMAP does not say why it fails
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-    pycolmap = _pycolmap()
+    pycolmap = pycolmap_library()
     try:
-        # Without pycolmap.DatabaseTransaction: where its commit fails, on a full disk, the process
-        # is ended. A hundred thousand pairs take eight seconds with it and without.
+        # Without pycolmap.DatabaseTransaction, which ends the process if its commit fails on a full
+        # disk. A hundred thousand pairs take eight seconds with and without it.
         with whole_database(path) as temporary, pycolmap.Database.open(temporary) as database:
             _write(database, graph)
     except (OSError, RuntimeError) as error:
@@ -182,44 +143,21 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
 
 @contextmanager
 def whole_database(path: Path) -> Iterator[Path]:
-    """File beside a database, which takes its place if all that was written is in it.
-
-    Parameters
-    ----------
-    path : Path
-        Replaced where it is there.
-
-    Yields
-    ------
-    temporary : Path
-        To be written and closed.
-
-    Raises
-    ------
-    OSError
-        If the file is not whole or cannot be renamed; then there is none.
-    """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
-    try:
+    """Yield a temporary file that replaces a database once all that was written is in it."""
+    with whole_path(path) as temporary:
         yield temporary
-        # On a full disk SQLite leaves the rest in this file when it closes, without a word.
+        # If the disk is full, SQLite leaves the rest in its log and reports nothing.
         log = Path(f"{temporary}-wal")
         if log.exists() and log.stat().st_size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            raise OSError(os.strerror(errno.ENOSPC))
         try:
             ColmapTables(temporary).close()
         except ValueError as error:
             raise OSError(str(error)) from None
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        for end in ("", "-journal", "-wal", "-shm"):
-            Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 
 def _write(database: Any, graph: MatchGraph) -> None:
-    pycolmap = _pycolmap()
+    pycolmap = pycolmap_library()
     camera_ids: dict[str, int] = {}
     for name, camera in graph.cameras.items():
         camera_ids[name] = database.write_camera(colmap_camera(camera))
@@ -243,32 +181,33 @@ def _write(database: Any, graph: MatchGraph) -> None:
 def read_colmap_database(
     path: str | os.PathLike[str], *, with_descriptors: bool = False
 ) -> MatchGraph:
-    """Match graph of a COLMAP database, which stays as it is.
+    """Return the match graph of a COLMAP database, which is not changed.
 
     Parameters
     ----------
-    path : str or path
-        Of COLMAP 3 or 4; nothing may write to it while it is read.
+    path : path-like
+        A database of COLMAP 3 or 4, to which nothing may write while it is read.
     with_descriptors : bool
-        Read the descriptors too, mostly the largest part of the file.
+        Whether to read the descriptors too, usually the largest part of the file.
 
     Returns
     -------
     graph : MatchGraph
-        Cameras are called by their id, frames of a rig by theirs. Image 1 of a pair is the one with
-        the smaller id. A pair with a geometry but no matches has the inliers for matches. With
-        several rigs, cameras sit relative to the reference camera of their own one.
+        Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
+        matches of a pair with a geometry but without matches are the inliers. The pose of a camera
+        is relative to the reference camera of its own rig.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
-        If it is no COLMAP database, truncated or damaged, or has a camera that epi360 lacks.
+        If the file is no COLMAP database, is truncated or damaged, or has a camera with a model
+        that epi360 lacks.
 
     Notes
     -----
-    A geometry without pose is decomposed from E with the bearings of its inliers.
+    If a geometry has no pose, its pose is computed from E and the bearings of its inliers.
     """
     with ColmapPairs(path) as pairs:
         cam_from_rig, frames = read_rigs(pairs)
@@ -295,7 +234,7 @@ def read_colmap_database(
 
 
 def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
-    """Descriptors (N, D), None where the image has none."""
+    """Descriptors (N, D), or None if the image has none."""
     has_type = pairs.has_columns("descriptors", "type")
     query = (
         f"SELECT {'type' if has_type else '0'}, rows, cols, data FROM descriptors "
@@ -348,7 +287,7 @@ def _stored_pose(
     quaternion: bytes | None,
     translation: bytes | None,
 ) -> Pose | None:
-    """Pose of a row, None where it has none: older versions of COLMAP then store the identity."""
+    """Pose of a row, or None if it has none; older versions of COLMAP then store the identity."""
     if not quaternion or not translation:
         return None
     what = f"pose of pair {names[0]} {names[1]}"
@@ -367,7 +306,7 @@ def _stored_pose(
 def _decomposed(
     pairs: ColmapPairs, names: tuple[str, str], E: bytes | None, inliers: NDArray[np.int64]
 ) -> Pose | None:
-    """Pose of an essential matrix, None where there is no matrix or no inlier to choose it by."""
+    """Pose of an essential matrix, or None without a matrix or an inlier to choose it by."""
     if not E or not len(inliers):
         return None
     matrix = pairs.array((3, 3, E), np.float64, f"matrix of pair {names[0]} {names[1]}")
@@ -378,7 +317,3 @@ def _decomposed(
         for name, indices in zip(names, inliers.T, strict=True)
     ]
     return pose_from_essential(matrix, *bearings)
-
-
-def _pycolmap() -> Any:
-    return extra_library("pycolmap", extra="colmap", purpose="COLMAP databases")

@@ -6,11 +6,11 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.interop.checks import pose_of_numbers
 from epi360.interop.colmap_model_bytes import model_files
 from epi360.interop.colmap_model_files import (
     PIXEL,
@@ -19,30 +19,31 @@ from epi360.interop.colmap_model_files import (
     read_model_files,
     read_rig_files,
 )
-from epi360.interop.colmap_model_rigs import poses_and_frames, rig_files
+from epi360.interop.colmap_model_rigs import poses_and_frames
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
-from epi360.poses import pose_from_quaternion
+from epi360.runs.whole_files import whole_paths
 
 
 def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
-    """Reconstruction of a folder with ``cameras``, ``images`` and ``points3D``, .bin or .txt.
+    """Return the reconstruction of a folder with ``cameras``, ``images`` and ``points3D``.
 
     Parameters
     ----------
-    folder : str or path
-        With or without rigs and frames. Text may call its panoramas SPHERICAL or SPHERE.
+    folder : path-like
+        Folder with .bin or .txt files; those of rigs and frames may be missing. A text file may
+        call its panoramas SPHERICAL or SPHERE.
 
     Returns
     -------
     reconstruction : Reconstruction
-        Cameras are called by their id, frames of a rig of several cameras by theirs; images and
-        points are in the order of their ids. With several rigs, cameras sit relative to the
-        reference sensor of their own one.
+        Cameras, and frames of rigs with several cameras, are named by their id. Images and points
+        are in the order of their ids. The pose of a camera is relative to the reference sensor of
+        its own rig.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such folder, or no model in it.
+        If the folder does not exist or holds no model.
     ValueError
         If a file is damaged, or a camera has a model that epi360 lacks.
     """
@@ -66,26 +67,27 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
 def write_colmap_model(
     folder: str | os.PathLike[str], reconstruction: Reconstruction, *, text: bool = False
 ) -> None:
-    """Write cameras, rigs, frames, images and points of a reconstruction; none is left half done.
+    """Write cameras, rigs, frames, images and points of a reconstruction, all files or none.
 
     Parameters
     ----------
-    folder : str or path
-        Made where it is not there; a model in it is replaced.
+    folder : path-like
+        Folder, which is made if it does not exist; a model in it is replaced.
     reconstruction : Reconstruction
-        Images that share a ``frame`` become a frame of a rig where ``cam_from_rig`` has their
-        cameras and fits their poses to 1e-9; every other image is a frame of its own, every other
-        camera a rig. A frame whose name is a number has it as its id; other ids are 1, 2, ... in
-        the order of the reconstruction. Of the key points, those of its observations are written.
+        Images that share a ``frame`` become a frame of a rig if their cameras are in
+        ``cam_from_rig`` and their poses agree with it to 1e-9. Every other image is a frame of its
+        own, and every other camera a rig of its own. A frame whose name is a number has it as its
+        id; other ids are 1, 2, ... in the order of the reconstruction. Only key points with an
+        observation are written.
     text : bool
-        Write .txt in place of .bin.
+        Whether to write .txt files instead of .bin files.
 
     Raises
     ------
     ValueError
-        If there is no image, an image has no camera or pose or, for text, a name with a space,
-        COLMAP lacks the model of a camera, a frame has two images of one camera, or the folder has
-        a model of the other kind.
+        If there is no image, an image has no camera or no pose, an image name in a text file has a
+        space, COLMAP lacks the model of a camera, a frame has two images of one camera, or the
+        folder holds a model of the other kind.
     OSError
         If the folder cannot be written.
     """
@@ -93,23 +95,17 @@ def write_colmap_model(
     other = "bin" if text else "txt"
     if (folder / f"images.{other}").exists():
         raise ValueError(f"folder {folder} has a COLMAP model in .{other} already; take another")
-    files = model_files(reconstruction, text=text) | rig_files(reconstruction, text=text)
+    files = model_files(reconstruction, text=text)
     folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".model-", dir=folder) as temporary:
-        for name, data in files.items():
-            (Path(temporary) / name).write_bytes(data)
-        for name in files:
-            os.replace(Path(temporary) / name, folder / name)
+    with whole_paths(*(folder / name for name in files)) as temporaries:
+        for temporary, data in zip(temporaries, files.values(), strict=True):
+            temporary.write_bytes(data)
 
 
 def _posed(image: ImageEntry) -> PosedImage:
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(image.wxyz)
-    if not 0 < length < np.inf:
-        raise ValueError(f"image {image.name} must have a rotation, got {image.wxyz.tolist()}")
-    if not (np.isfinite(image.translation).all() and np.isfinite(image.pixels["pixel"]).all()):
+    if not (np.isfinite(image.pose[4:]).all() and np.isfinite(image.pixels["pixel"]).all()):
         raise ValueError(f"translation and key points of image {image.name} must be finite")
-    pose = pose_from_quaternion(image.translation, image.wxyz / length)
+    pose = pose_of_numbers(image.pose, f"image {image.name} must have a rotation")
     return PosedImage(image.name, image.camera, pose)
 
 
@@ -122,7 +118,7 @@ def _positions(points: list[PointEntry]) -> NDArray[np.float64]:
 
 
 def _observations(images: list[ImageEntry], point_ids: NDArray[np.int64]) -> Observations | None:
-    """Key points of points; ``point_ids`` are sorted."""
+    """Key points with a point; ``point_ids`` are sorted."""
     seen = [image.pixels[image.pixels["point"] >= 0] for image in images]
     table = np.concatenate(seen) if seen else np.zeros(0, PIXEL)
     if not len(table):

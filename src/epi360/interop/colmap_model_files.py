@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files of COLMAP's sparse models, binary and text: https://colmap.github.io/format.html.
+"""Reading the files of COLMAP's sparse models: https://colmap.github.io/format.html.
 
-They are read here, not by pycolmap, whose reader takes what it finds beyond the end of a truncated
-file for numbers. Poses of images are in ``images``, also those of a rig.
+pycolmap does not read them here, because its reader takes whatever it finds beyond the end of a
+truncated file for numbers. Images of a rig have their pose in ``images`` like all others.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,25 +20,24 @@ from epi360.cameras import Camera, load_cameras
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number, num_parameters
 from epi360.interop.colmap_rigs import CAMERA
 
-PIXEL = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])  # point -1: none
-T = TypeVar("T")
+PIXEL = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])  # the point is -1 if there is none
 NEEDED = ("cameras", "images", "points3D")  # rigs and frames came with COLMAP 3.12
+AT_ORIGIN = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the reference sensor has no pose in the file
+SENSOR_TYPES = {"CAMERA": "0", "IMU": "1"}
+T = TypeVar("T")
 
 
-@dataclass(frozen=True, eq=False)
-class ImageEntry:
-    """An image of a model: key of its camera, quaternion and translation, key points."""
+class ImageEntry(NamedTuple):
+    """An image of a model; its pose is a quaternion, w first, and a translation."""
 
     id: int
     name: str
     camera: str
-    wxyz: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    pose: NDArray[np.float64]
     pixels: NDArray[Any]  # of PIXEL
 
 
-@dataclass(frozen=True)
-class PointEntry:
+class PointEntry(NamedTuple):
     """A point of a model."""
 
     id: int
@@ -47,17 +45,15 @@ class PointEntry:
     color: tuple[int, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class RigEntry:
-    """A rig of a model: quaternion and translation of each camera, None where it has no pose."""
+class RigEntry(NamedTuple):
+    """A rig of a model, with the pose of each of its cameras that has one."""
 
     id: int
-    cam_from_rig: dict[str, tuple[float, ...] | None]
+    cam_from_rig: dict[str, tuple[float, ...]]
 
 
-@dataclass(frozen=True)
-class FrameEntry:
-    """A frame of a model: ids of itself, its rig and its images."""
+class FrameEntry(NamedTuple):
+    """A frame of a model."""
 
     id: int
     rig_id: int
@@ -65,71 +61,53 @@ class FrameEntry:
 
 
 Entry = TypeVar("Entry", ImageEntry, PointEntry)
-AT_ORIGIN = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # of the reference sensor
-SENSOR_TYPES = {"CAMERA": "0", "IMU": "1"}
 
 
 def read_model_files(folder: Path) -> tuple[dict[str, Camera], list[ImageEntry], list[PointEntry]]:
-    """Cameras by id, images and points of a folder, each in the order of the ids.
-
-    Parameters
-    ----------
-    folder : path
-        With ``cameras``, ``images`` and ``points3D``, as .bin if it has both kinds.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no model in it.
-    ValueError
-        If a file is damaged, or a camera has a model that epi360 lacks.
-    """
+    """Return cameras by id, images and points of a folder, each in the order of the ids."""
     kind = _kind(folder)
-    paths = [folder / f"{name}.{kind}" for name in NEEDED]
+    cameras, images, points = (folder / f"{name}.{kind}" for name in NEEDED)
     if kind == "bin":
-        cameras = _used(_cameras_of_bytes, paths[0])
-        images, points = _used(_images_of_bytes, paths[1]), _used(_points_of_bytes, paths[2])
-    else:
-        cameras = load_cameras(paths[0])
-        images, points = _used(_images_of_text, paths[1]), _used(_points_of_text, paths[2])
-    return cameras, images, points
-
-
-def read_rig_files(folder: Path) -> tuple[list[RigEntry], list[FrameEntry]]:
-    """Rigs and frames of a folder, none of either where one of the files is missing.
-
-    Parameters
-    ----------
-    folder : path
-        Of a model.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such folder, or no model in it.
-    ValueError
-        If a file is damaged.
-    """
-    kind = _kind(folder)
-    paths = [folder / f"{name}.{kind}" for name in ("rigs", "frames")]
-    if not all(path.is_file() for path in paths):
-        return [], []
+        return (
+            _parsed(cameras, _cameras_of_bytes),
+            _parsed(images, lambda data: _by_id(_of_bytes(data, _image_of_bytes))),
+            _parsed(points, lambda data: _by_id(_of_bytes(data, _point_of_bytes))),
+        )
     return (
-        _used(lambda data: _entries(data, kind, _rig), paths[0]),
-        _used(lambda data: _entries(data, kind, _frame), paths[1]),
+        load_cameras(cameras),
+        _parsed(images, lambda data: _by_id(_images_of_text(data))),
+        _parsed(points, lambda data: _by_id(_of_lines(data, _point_of_line))),
     )
 
 
-def _used(read: Callable[[bytes], T], path: Path) -> T:
-    """What ``read`` makes of a file; its errors name the file."""
+def read_rig_files(folder: Path) -> tuple[list[RigEntry], list[FrameEntry]]:
+    """Return rigs and frames of a folder; none if a file is missing, as in older models."""
+    kind = _kind(folder)
+    rigs, frames = (folder / f"{name}.{kind}" for name in ("rigs", "frames"))
+    if not (rigs.is_file() and frames.is_file()):
+        return [], []
+    if kind == "bin":
+        return (
+            _parsed(rigs, lambda data: _of_bytes(data, _rig)),
+            _parsed(frames, lambda data: _of_bytes(data, _frame)),
+        )
+    return (
+        _parsed(rigs, lambda data: _of_lines(data, lambda line: _rig(_Words(line)))),
+        _parsed(frames, lambda data: _of_lines(data, lambda line: _frame(_Words(line)))),
+    )
+
+
+def _parsed(path: Path, parse: Callable[[bytes], T]) -> T:
+    """What ``parse`` makes of the content of a file; its errors name the file."""
     try:
-        return read(path.read_bytes())
+        return parse(path.read_bytes())
     except (ValueError, OverflowError, struct.error) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"COLMAP model file {path} cannot be used: {reason}") from None
 
 
 def _kind(folder: Path) -> str:
+    """Extension of the files of a model; "bin" if a folder has both kinds."""
     if not folder.is_dir():
         raise FileNotFoundError(f"folder {folder} of the COLMAP model does not exist")
     for kind in ("bin", "txt"):
@@ -142,10 +120,10 @@ def _kind(folder: Path) -> str:
 
 
 def _by_id(entries: list[Entry]) -> list[Entry]:
-    """Entries in the order of their ids, each of which is there once."""
+    """Entries in the order of their ids, which must differ."""
     entries.sort(key=lambda entry: entry.id)
-    for entry, after in pairwise(entries):
-        if entry.id == after.id:
+    for entry, following in pairwise(entries):
+        if entry.id == following.id:
             raise ValueError(f"id {entry.id} is there twice")
     if entries and not 0 <= entries[0].id <= entries[-1].id < 2**63:
         raise ValueError(f"ids must be 0 to 2^63 - 1, got {entries[0].id} to {entries[-1].id}")
@@ -153,18 +131,17 @@ def _by_id(entries: list[Entry]) -> list[Entry]:
 
 
 class _Cursor:
-    """Bytes read from the first to the last; reading beyond the end is a ValueError."""
+    """Bytes that are read in their order; reading beyond their end is a ``ValueError``."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._position = 0
 
     def take(self, num_bytes: int) -> bytes:
-        first, last = self._position, self._position + num_bytes
-        if last > len(self._data):
+        start, self._position = self._position, self._position + num_bytes
+        if self._position > len(self._data):
             raise ValueError(f"it is truncated at {len(self._data)} bytes")
-        self._position = last
-        return self._data[first:last]
+        return self._data[start : self._position]
 
     def values(self, layout: str) -> tuple[Any, ...]:
         return struct.unpack(f"<{layout}", self.take(struct.calcsize(f"<{layout}")))
@@ -197,18 +174,32 @@ class _Words:
         return tuple(convert(word) for word in words)
 
 
+def _of_bytes(data: bytes, read: Callable[[_Cursor], T]) -> list[T]:
+    """What ``read`` makes of each entry of a binary file, which begins with their number."""
+    cursor = _Cursor(data)
+    entries = [read(cursor) for _ in range(cursor.count())]
+    cursor.check_is_at_end()
+    return entries
+
+
+def _of_lines(data: bytes, read: Callable[[str], T]) -> list[T]:
+    """What ``read`` makes of each line of a text file that holds something."""
+    lines = data.decode("utf-8").splitlines()
+    return [read(line) for line in lines if line.strip() and not line.startswith("#")]
+
+
 def _rig(source: _Cursor | _Words) -> RigEntry:
     rig_id, num_sensors = source.values("II")
-    cameras: dict[str, tuple[float, ...] | None] = {}
+    cam_from_rig: dict[str, tuple[float, ...]] = {}
     for index in range(num_sensors):
         kind, sensor_id = source.values("iI")
-        pose: tuple[float, ...] | None = AT_ORIGIN
+        pose = AT_ORIGIN
         if index:
             (has_pose,) = source.values("B")
-            pose = source.values("7d") if has_pose else None
-        if kind == CAMERA:
-            cameras[str(sensor_id)] = pose
-    return RigEntry(rig_id, cameras)
+            pose = source.values("7d") if has_pose else ()
+        if kind == CAMERA and pose:
+            cam_from_rig[str(sensor_id)] = pose
+    return RigEntry(rig_id, cam_from_rig)
 
 
 def _frame(source: _Cursor | _Words) -> FrameEntry:
@@ -219,53 +210,36 @@ def _frame(source: _Cursor | _Words) -> FrameEntry:
     return FrameEntry(frame_id, rig_id, tuple(image for kind, _, image in data if kind == CAMERA))
 
 
-def _entries(data: bytes, kind: str, read: Callable[[_Cursor | _Words], T]) -> list[T]:
-    if kind == "txt":
-        lines = data.decode("utf-8").splitlines()
-        return [read(_Words(line)) for line in lines if line.strip() and not line.startswith("#")]
-    cursor = _Cursor(data)
-    entries = [read(cursor) for _ in range(cursor.count())]
-    cursor.check_is_at_end()
-    return entries
-
-
 def _cameras_of_bytes(data: bytes) -> dict[str, Camera]:
-    cameras: dict[str, Camera] = {}
-    cursor = _Cursor(data)
-    for _ in range(cursor.count()):
-        camera_id, number, width, height = cursor.values("IiQQ")
-        model = model_of_number(number)
-        try:
-            parameters = cursor.values(f"{num_parameters(model)}d")
-            camera = camera_of_model(model, width, height, list(parameters))
-        except ValueError as error:
-            raise ValueError(f"camera {camera_id}: {error}") from None
-        if cameras.setdefault(str(camera_id), camera) is not camera:
+    cameras: dict[int, Camera] = {}
+    for camera_id, camera in _of_bytes(data, _camera_of_bytes):
+        if camera_id in cameras:
             raise ValueError(f"camera {camera_id} is there twice")
-    cursor.check_is_at_end()
-    return dict(sorted(cameras.items(), key=lambda item: int(item[0])))
+        cameras[camera_id] = camera
+    return {str(camera_id): cameras[camera_id] for camera_id in sorted(cameras)}
 
 
-def _images_of_bytes(data: bytes) -> list[ImageEntry]:
-    entries, cursor = [], _Cursor(data)
-    for _ in range(cursor.count()):
-        image_id, *pose, camera_id = cursor.values("I7dI")
-        name = cursor.text()
-        pixels = np.frombuffer(cursor.take(cursor.count() * PIXEL.itemsize), PIXEL)
-        numbers = np.array(pose)
-        entries.append(ImageEntry(image_id, name, str(camera_id), numbers[:4], numbers[4:], pixels))
-    cursor.check_is_at_end()
-    return _by_id(entries)
+def _camera_of_bytes(cursor: _Cursor) -> tuple[int, Camera]:
+    camera_id, number, width, height = cursor.values("IiQQ")
+    model = model_of_number(number)
+    try:
+        parameters = cursor.values(f"{num_parameters(model)}d")
+        return camera_id, camera_of_model(model, width, height, list(parameters))
+    except ValueError as error:
+        raise ValueError(f"camera {camera_id}: {error}") from None
 
 
-def _points_of_bytes(data: bytes) -> list[PointEntry]:
-    points, cursor = [], _Cursor(data)
-    for _ in range(cursor.count()):
-        point_id, x, y, z, red, green, blue, _ = cursor.values("Q3d3Bd")
-        cursor.take(8 * cursor.count())  # the track is in the images as well
-        points.append(PointEntry(point_id, (x, y, z), (red, green, blue)))
-    cursor.check_is_at_end()
-    return _by_id(points)
+def _image_of_bytes(cursor: _Cursor) -> ImageEntry:
+    image_id, *pose, camera_id = cursor.values("I7dI")
+    name = cursor.text()
+    pixels = np.frombuffer(cursor.take(cursor.count() * PIXEL.itemsize), PIXEL)
+    return ImageEntry(image_id, name, str(camera_id), np.array(pose), pixels)
+
+
+def _point_of_bytes(cursor: _Cursor) -> PointEntry:
+    point_id, x, y, z, red, green, blue, _ = cursor.values("Q3d3Bd")
+    cursor.take(8 * cursor.count())  # the images have the track as well
+    return PointEntry(point_id, (x, y, z), (red, green, blue))
 
 
 def _images_of_text(data: bytes) -> list[ImageEntry]:
@@ -282,22 +256,15 @@ def _images_of_text(data: bytes) -> list[ImageEntry]:
         pixels = np.empty(len(words) // 3, PIXEL)
         pixels["pixel"] = np.array([words[0::3], words[1::3]], dtype=np.float64).T
         pixels["point"] = np.array(words[2::3], dtype=np.int64)
-        entries.append(
-            ImageEntry(int(image_id), name, str(int(camera_id)), numbers[:4], numbers[4:], pixels)
-        )
-    return _by_id(entries)
+        entries.append(ImageEntry(int(image_id), name, str(int(camera_id)), numbers, pixels))
+    return entries
 
 
-def _points_of_text(data: bytes) -> list[PointEntry]:
-    points = []
-    for line in data.decode("utf-8").splitlines():
-        words = line.split()
-        if not words or line.startswith("#"):
-            continue
-        if len(words) < 8 or len(words) % 2:
-            raise ValueError(f"point {words[0]} must have 3 numbers, a color, an error and pairs")
-        color = tuple(int(word) for word in words[4:7])
-        if not 0 <= min(color) <= max(color) <= 255:
-            raise ValueError(f"the color of point {words[0]} must be three numbers up to 255")
-        points.append(PointEntry(int(words[0]), tuple(float(word) for word in words[1:4]), color))
-    return _by_id(points)
+def _point_of_line(line: str) -> PointEntry:
+    words = line.split()
+    if len(words) < 8 or len(words) % 2:
+        raise ValueError(f"point {words[0]} must have 3 numbers, a color, an error and pairs")
+    color = tuple(int(word) for word in words[4:7])
+    if not 0 <= min(color) <= max(color) <= 255:
+        raise ValueError(f"the color of point {words[0]} must be three numbers up to 255")
+    return PointEntry(int(words[0]), tuple(float(word) for word in words[1:4]), color)

@@ -15,51 +15,17 @@ from epi360.cameras.calibration.colmap import camera_of_model, model_of_number
 from epi360.interop.colmap_tables import Blob, ColmapTables
 
 LARGEST_IMAGE_ID = 2147483647  # a pair's id is this times the smaller image id, plus the larger
-CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few images are in use at once
+CACHED_IMAGES = 64  # consecutive pairs share images, so that few images are in use at a time
 
 
 class ColmapPairs(ColmapTables):
-    """Matched pairs of a COLMAP database, read as they are asked for; the file stays as it is.
-
-    In memory are the names and numbers alone: ids, counts and the key points of the last images.
-    Works with databases of COLMAP 3 and 4, needs no pycolmap. Use it in one thread, in a ``with``;
-    another process opens its own by the path.
-
-    Parameters
-    ----------
-    path : str or path
-        The database; nothing may write to it while it is read.
-
-    Attributes
-    ----------
-    cameras : dict of str to Camera
-        By the camera's id as text.
-    images : dict of str to str
-        Key of the camera of each image, by the image's name, in the order of the ids.
-    names : list of (str, str)
-        Names of both images of each pair with matches (also with none found), in the order of the
-        file; image 1 is the one with the smaller id.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no COLMAP database, truncated or damaged, or has a camera that epi360 lacks, an
-        image without camera or a pair without image.
-
-    Examples
-    --------
-    >>> with ColmapPairs("database.db") as pairs:
-    ...     for index, (image1, image2) in enumerate(pairs.names):
-    ...         pixels1, pixels2 = pairs.matched_pixels(index)
-    ...         bearings1 = pairs.camera(image1).bearings_from_pixels(pixels1)
-    ...         bearings2 = pairs.camera(image2).bearings_from_pixels(pixels2)
-    """
+    """COLMAP database whose key points and matches are read when asked for, without pycolmap."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         super().__init__(path)
         try:
+            # Camera keys are ids as text; images have their camera's key by name, in order of ids.
+            # Image 1 of a pair has the smaller id.
             self.cameras = {str(number): camera for number, camera in self._read_cameras()}
             self._name_of_id: dict[int, str] = {}
             self.images = dict(self._read_images())
@@ -73,33 +39,12 @@ class ColmapPairs(ColmapTables):
             raise
         self._cached: OrderedDict[str, NDArray[np.float64]] = OrderedDict()
 
-    def __len__(self) -> int:
-        """Number of pairs."""
-        return len(self.names)
-
     def camera(self, name: str) -> Camera:
-        """Camera of an image.
-
-        Parameters
-        ----------
-        name : str
-            Of the image.
-        """
+        """Return the camera of an image."""
         return self.cameras[self.images[name]]
 
     def keypoints(self, name: str) -> NDArray[np.float64]:
-        """Key points of an image in continuous pixels, shape (N, 2), read-only.
-
-        Parameters
-        ----------
-        name : str
-            Of the image; one without a row in the database has no key points.
-
-        Raises
-        ------
-        ValueError
-            If the row is damaged.
-        """
+        """Return the key points of an image in continuous pixels, shape (N, 2), read-only."""
         if name not in self._cached:
             query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
             what = f"key points of {name}"
@@ -117,40 +62,13 @@ class ColmapPairs(ColmapTables):
         return self._cached[name]
 
     def matches(self, index: int) -> NDArray[np.int64]:
-        """Matches of a pair, shape (M, 2): (key point in image 1, key point in image 2).
-
-        Parameters
-        ----------
-        index : int
-            Of the pair in ``names``.
-
-        Raises
-        ------
-        ValueError
-            If the row is damaged, or an index is beyond the key points.
-        """
+        """Return the matches of a pair, shape (M, 2): key points in image 1 and in image 2."""
         query = "SELECT rows, cols, data FROM matches WHERE pair_id = ?"
         (blob,) = self.rows(query, self._pair_ids[index])
         return self.checked_matches(blob, self.names[index])
 
-    def matched_pixels(self, index: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Key points of a pair's matches: continuous pixels (M, 2) of image 1 and of image 2.
-
-        Parameters
-        ----------
-        index : int
-            Of the pair in ``names``.
-
-        Raises
-        ------
-        ValueError
-            As ``matches`` and ``keypoints``.
-        """
-        (image1, image2), matches = self.names[index], self.matches(index)
-        return self.keypoints(image1)[matches[:, 0]], self.keypoints(image2)[matches[:, 1]]
-
     def names_of(self, pair_id: int) -> tuple[str, str]:
-        """Names of the images of a pair's id."""
+        """Return the names of the two images of a pair."""
         id1, id2 = divmod(pair_id, LARGEST_IMAGE_ID)
         if not id1 < id2:
             raise self.error(f"pair {pair_id} must name two images, the smaller id first")
@@ -160,7 +78,7 @@ class ColmapPairs(ColmapTables):
         return self._name_of_id[id1], self._name_of_id[id2]
 
     def checked_matches(self, blob: Blob, names: tuple[str, str]) -> NDArray[np.int64]:
-        """Matches of (rows, cols, data), shape (M, 2), all of key points that are there."""
+        """Return the matches in (rows, cols, data), shape (M, 2); their key points exist."""
         pair = f"pair {names[0]} {names[1]}"
         matches = self.array(blob, np.uint32, f"matches of {pair}").astype(np.int64)
         if matches.shape[1] != 2:

@@ -1,107 +1,60 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rigs and frames of COLMAP: which images were taken at one moment, by which cameras.
 
-COLMAP 4 maps frames, each of one rig: a camera alone is a rig of one sensor, and each of its images
-a frame. A rig's frame is that of its reference sensor.
+Each frame of COLMAP 4 belongs to a rig. A single camera is a rig of one sensor, and each of its
+images is a frame. The coordinate frame of a rig is that of its reference sensor.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from epi360.extras import extra_library
+from epi360.interop.checks import pose_of_numbers
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.match_graph import MatchGraph
-from epi360.poses import Pose, pose_from_quaternion
+from epi360.interop.match_graph import MatchedImage, MatchGraph
+from epi360.interop.reconstruction import PosedImage
+from epi360.poses import Pose
 
-CAMERA = 0  # SensorType of the tables and of binary files
-
-
-class _Shot(Protocol):
-    """What a matched and a posed image share."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def camera(self) -> str | None: ...
-    @property
-    def frame(self) -> str | None: ...
+CAMERA = 0  # the SensorType in tables and binary files
+Image = TypeVar("Image", MatchedImage, PosedImage)
 
 
-Shot = TypeVar("Shot", bound=_Shot)
-
-
-def frames_of_images(images: Iterable[Shot], cam_from_rig: Mapping[str, Pose]) -> list[list[Shot]]:
-    """Images of each frame, in the order of their first images.
-
-    Parameters
-    ----------
-    images : iterable of MatchedImage or PosedImage
-        One whose camera is on no rig is alone.
-    cam_from_rig : mapping of str to Pose
-        By the camera's key.
-
-    Raises
-    ------
-    ValueError
-        If a frame has two images of one camera.
-    """
-    frames: dict[tuple[str, str | None], list[Shot]] = defaultdict(list)
+def frames_of_images(
+    images: Iterable[Image], cam_from_rig: Mapping[str, Pose]
+) -> list[list[Image]]:
+    """Return the images of each frame; one whose camera is on no rig is a frame of its own."""
+    frames: dict[tuple[str, str | None], list[Image]] = defaultdict(list)
     for image in images:
         shares = image.frame is not None and image.camera in cam_from_rig
         frames[("frame", image.frame) if shares else ("image", image.name)].append(image)
-    for shots in frames.values():
-        if len({image.camera for image in shots}) < len(shots):
-            raise ValueError(f"frame {shots[0].frame!r} must have one image a camera")
+    for group in frames.values():
+        if len({image.camera for image in group}) < len(group):
+            raise ValueError(f"frame {group[0].frame!r} must have one image a camera")
     return list(frames.values())
 
 
 def cameras_of_rigs(
-    cameras: Iterable[str], frames: Iterable[list[Shot]], cam_from_rig: Mapping[str, Pose]
+    cameras: Iterable[str], frames: Iterable[list[Image]], cam_from_rig: Mapping[str, Pose]
 ) -> list[list[str]]:
-    """Cameras of each rig, its reference first: joined by frames, directly or over others.
-
-    Parameters
-    ----------
-    cameras : iterable of str
-        Keys of all.
-    frames : iterable of list of MatchedImage or PosedImage
-        Of `frames_of_images`.
-    cam_from_rig : mapping of str to Pose
-        The first one of a rig is its reference.
-    """
+    """Return the cameras of each rig, which frames join; the first of ``cam_from_rig`` leads."""
     joined = {name: {name} for name in cameras}
     for images in frames:
-        together = set.union(*(joined[str(image.camera)] for image in images))
-        for name in together:
-            joined[name] = together
+        rig = set.union(*(joined[str(image.camera)] for image in images))
+        for name in rig:
+            joined[name] = rig
     order = {name: rank for rank, name in enumerate(cam_from_rig)}
     rigs = {id(rig): rig for rig in joined.values()}
     return [sorted(rig, key=lambda name: order.get(name, 0)) for rig in rigs.values()]
 
 
 def write_rigs(database: Any, graph: MatchGraph, camera_ids: dict[str, int]) -> dict[str, int]:
-    """Write the rigs: cameras that share a frame are in one, others alone.
-
-    Parameters
-    ----------
-    database : pycolmap.Database
-        With the cameras.
-    graph : MatchGraph
-        The first camera of its ``cam_from_rig`` on a rig is its reference.
-    camera_ids : dict of str to int
-        Of the cameras in the database.
-
-    Returns
-    -------
-    rig_ids : dict of str to int
-        Rig of each camera.
-    """
-    pycolmap = _pycolmap()
+    """Write the rigs of a graph to a pycolmap database, and return the rig id of each camera."""
+    pycolmap = pycolmap_library()
     frames = frames_of_images(graph.images.values(), graph.cam_from_rig)
     rig_ids: dict[str, int] = {}
     for cameras in cameras_of_rigs(graph.cameras, frames, graph.cam_from_rig):
@@ -122,23 +75,8 @@ def write_frames(
     camera_ids: dict[str, int],
     rig_ids: dict[str, int],
 ) -> None:
-    """Write the frames, in the order of their first images.
-
-    Parameters
-    ----------
-    database : pycolmap.Database
-        With the images and rigs.
-    graph : MatchGraph
-        Its images.
-    image_ids, camera_ids, rig_ids : dict of str to int
-        Of the images, of the cameras, and the rig of each camera.
-
-    Raises
-    ------
-    ValueError
-        If a frame has two images of one camera.
-    """
-    pycolmap = _pycolmap()
+    """Write the frames of a graph to a pycolmap database, in the order of their first images."""
+    pycolmap = pycolmap_library()
     for images in frames_of_images(graph.images.values(), graph.cam_from_rig):
         cameras = [str(image.camera) for image in images]
         frame = pycolmap.Frame()
@@ -150,26 +88,8 @@ def write_frames(
 
 
 def read_rigs(pairs: ColmapPairs) -> tuple[dict[str, Pose], dict[str, str]]:
-    """Where cameras sit on the rigs of several, and the frames of their images.
-
-    Parameters
-    ----------
-    pairs : ColmapPairs
-        The open database; before COLMAP 3.12 there were no rigs.
-
-    Returns
-    -------
-    cam_from_rig : dict of str to Pose
-        By the camera's key, the identity for reference cameras; those that COLMAP has no pose for
-        are left out.
-    frames : dict of str to str
-        Frame of each image of these rigs, by the image's name.
-
-    Raises
-    ------
-    ValueError
-        If a pose is damaged.
-    """
+    """Return the poses on rigs of several cameras, and the frame of each image of these rigs."""
+    # There were no rigs before COLMAP 3.12. A camera without a pose is left out.
     if not (pairs.has_columns("rigs", "rig_id") and pairs.has_columns("frame_data", "frame_id")):
         return {}, {}
     query = (
@@ -190,20 +110,22 @@ def read_rigs(pairs: ColmapPairs) -> tuple[dict[str, Pose], dict[str, str]]:
 
 
 def _pose(pairs: ColmapPairs, camera_id: int, blob: bytes | None) -> Pose:
-    """Pose of a sensor's quaternion and translation; the reference sensor has none."""
+    """Pose of a sensor on its rig; the reference sensor has no numbers."""
     if blob is None:
         return Pose(np.eye(3), np.zeros(3))
     what = f"pose of camera {camera_id} on its rig"
     numbers = pairs.array((1, 7, blob), np.float64, what)[0]
-    if not (np.isfinite(numbers).all() and numbers[:4].any()):
-        raise pairs.error(f"{what} must be a quaternion and a translation, got {numbers.tolist()}")
-    return pose_from_quaternion(numbers[4:], numbers[:4] / np.linalg.norm(numbers[:4]))
+    try:
+        return pose_of_numbers(numbers, f"{what} must be a quaternion and a translation")
+    except ValueError as error:
+        raise pairs.error(str(error)) from None
 
 
 def _sensor(camera_id: int) -> Any:
-    pycolmap = _pycolmap()
+    pycolmap = pycolmap_library()
     return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
 
 
-def _pycolmap() -> Any:
+def pycolmap_library() -> Any:
+    """Return pycolmap, or say how to install it."""
     return extra_library("pycolmap", extra="colmap", purpose="COLMAP databases")

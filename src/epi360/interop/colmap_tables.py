@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables of a COLMAP database, read without touching the file.
 
-They are read by sqlite3: opening a database through pycolmap writes to the file, upgrades the
-tables of an older COLMAP and fails where the file may not be written. Tables and blobs:
+sqlite3 reads them, because pycolmap writes to the file when it opens a database: it upgrades the
+tables of an older COLMAP, and fails if the file is read-only. Tables and blobs are described in
 https://colmap.github.io/database.html.
 """
 
@@ -29,29 +29,14 @@ NEEDED_COLUMNS = {
     "matches": {"pair_id", "rows", "cols", "data"},
     "two_view_geometries": {"pair_id", "rows", "cols", "data", "config"},
 }
-# SQLite keeps whatever it is given. Columns that are in neither of these hold integers.
+# SQLite does not check types. Columns that are in neither of these sets hold integers.
 TEXTS = {"name"}
-BLOBS = {"params", "data", "E", "qvec", "tvec", "sensor_from_rig"}  # or nothing
+BLOBS = {"params", "data", "E", "qvec", "tvec", "sensor_from_rig"}  # bytes or nothing
 LONGEST_REASON = 200  # SQLite's messages may quote a whole table
 
 
 class ColmapTables:
-    """COLMAP database that can only be read; the file stays as it is.
-
-    Use it in one thread, in a ``with``; another process opens its own by the path.
-
-    Parameters
-    ----------
-    path : str or path
-        The database; nothing may write to it while it is read.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is truncated or no COLMAP database.
-    """
+    """COLMAP database opened read-only, for one thread; use it in a ``with``."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
@@ -68,19 +53,19 @@ class ColmapTables:
             raise
 
     def __enter__(self) -> Self:
-        """Open already."""
+        """Return the open database."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.close()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._connection.close()
 
     def rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
-        """Rows of an SQL query; what SQLite cannot read, or is of another type, is a ValueError."""
+        """Yield the rows of an SQL query; raise ``ValueError`` for damage or a wrong type."""
         try:
             cursor = self._connection.execute(query, values)
             columns = [(name, *_type_of(name)) for name, *_ in cursor.description]
@@ -95,12 +80,12 @@ class ColmapTables:
             raise self.error(f"it cannot be read: {reason}") from None
 
     def has_columns(self, table: str, *columns: str) -> bool:
-        """Whether the database has these columns: older ones lack some."""
+        """Return whether the database has these columns, which older ones may lack."""
         query = "SELECT name FROM pragma_table_info(?)"
         return {name for (name,) in self.rows(query, table)} >= set(columns)
 
     def array(self, blob: Blob, dtype: Any, what: str) -> NDArray[Any]:
-        """Array of (rows, cols, data), empty ones with two columns."""
+        """Return the array of (rows, cols, data); an empty one has two columns."""
         num_rows, num_columns, data = blob
         if num_rows == 0:
             return np.zeros((0, 2), dtype)
@@ -110,25 +95,25 @@ class ColmapTables:
         return np.frombuffer(data or b"", dtype).reshape(num_rows, num_columns)
 
     def error(self, what: str) -> ValueError:
-        """Error that names the database."""
+        """Return an error that names the database."""
         return ValueError(f"COLMAP database {self.path}: {what}")
 
 
 def _type_of(column: str) -> tuple[Any, str]:
-    """Type of what a column holds, and its name."""
+    """Type of the values in a column, and a name of it for messages."""
     if column in TEXTS:
         return str, "text"
     return (bytes | None, "bytes") if column in BLOBS else (int, "an integer")
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Connection that cannot write, to a file that is whole."""
+    """Read-only connection to a file that is not truncated."""
     if not path.exists():
         raise FileNotFoundError(f"COLMAP database {path} does not exist")
     if not path.is_file():
         raise ValueError(f"COLMAP database {path} must be a file")
-    # Changes that a writer, or a crash, has left in a second file are seen only by SQLite's usual
-    # way, which needs a folder to write to; "immutable" needs nothing and leaves nothing behind.
+    # A writer or a crash may have left changes in a second file. Only SQLite's usual mode sees
+    # them, and it needs a writable folder; "immutable" needs none and leaves no file behind.
     pending = any(
         file.is_file() and file.stat().st_size
         for file in (Path(f"{path.resolve()}{end}") for end in ("-wal", "-journal"))
@@ -143,17 +128,15 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _check_length(path: Path) -> None:
-    """Raise unless the file is as long as its header says (https://sqlite.org/fileformat.html).
-
-    SQLite itself finds out only where it reads; its own check reads all of the file.
-    """
+    """Raise unless the file is as long as its header says (https://sqlite.org/fileformat.html)."""
+    # SQLite notices a truncated file only when it reads there; its own check reads the whole file.
     with path.open("rb") as file:
         header = file.read(100)
     if not header.startswith(b"SQLite format 3\0"):
         raise ValueError(f"COLMAP database {path} must be an SQLite file, got something else")
     page_size = int.from_bytes(header[16:18], "big")
     length = int.from_bytes(header[28:32], "big") * (65536 if page_size == 1 else page_size)
-    is_valid = len(header) < 100 or header[24:28] == header[92:96]  # else left by an old SQLite
+    is_valid = len(header) < 100 or header[24:28] == header[92:96]  # an old SQLite leaves it wrong
     size, expected = path.stat().st_size, max(100, length * is_valid)
     if size < expected:
         raise ValueError(f"COLMAP database {path} is truncated: it has {size} of {expected} bytes")

@@ -25,26 +25,7 @@ COLMAP_MODELS = "colmap", "colmap-text"
 
 
 def read_reconstruction(path: PathLike, name: str, *, images: str = "images") -> Reconstruction:
-    """Reconstruction of a file or folder in one of the formats.
-
-    Parameters
-    ----------
-    path : path-like
-        The file or folder.
-    name : str
-        Key of `FORMATS`, of kind "reconstruction".
-    images : str
-        As in `read_nerfstudio`.
-
-    Returns
-    -------
-    Reconstruction
-
-    Raises
-    ------
-    ValueError, FileNotFoundError, ImportError
-        As the reader of the format.
-    """
+    """Return the reconstruction in a file or folder of the named format."""
     if name in COLMAP_MODELS:
         return read_colmap_model(path)
     if name == "opensfm":
@@ -57,24 +38,7 @@ def read_reconstruction(path: PathLike, name: str, *, images: str = "images") ->
 def write_reconstruction(
     path: PathLike, name: str, reconstruction: Reconstruction, *, images: str = "images"
 ) -> None:
-    """Write a reconstruction in one of the formats.
-
-    Parameters
-    ----------
-    path : path-like
-        File or, for COLMAP, folder.
-    name : str
-        Key of `FORMATS`, of kind "reconstruction".
-    reconstruction : Reconstruction
-        What the format has no place for is left out: see `lost`.
-    images : str
-        As in `write_nerfstudio`.
-
-    Raises
-    ------
-    ValueError, OSError, ImportError
-        As the writer of the format.
-    """
+    """Write a reconstruction in the named format, without what `lost` says."""
     if name in COLMAP_MODELS:
         write_colmap_model(path, reconstruction, text=name == "colmap-text")
     elif name == "opensfm":
@@ -94,30 +58,7 @@ def read_matches(
     cameras: Mapping[str, Camera] | None = None,
     with_descriptors: bool = False,
 ) -> MatchGraph:
-    """Match graph of a file in one of the formats.
-
-    Parameters
-    ----------
-    path : path-like
-        COLMAP database, or matches file of hloc.
-    name : str
-        Key of `FORMATS`, of kind "matches".
-    features, pairs : path-like, optional
-        Features file and pairs file of hloc.
-    cameras : mapping of str to Camera, optional
-        As in `read_hloc`.
-    with_descriptors : bool
-        Read them too, mostly the largest part of the files.
-
-    Returns
-    -------
-    MatchGraph
-
-    Raises
-    ------
-    ValueError, FileNotFoundError, ImportError
-        As the reader of the format; ``ValueError`` also if hloc's features are not given.
-    """
+    """Return the match graph in a COLMAP database, or in hloc's matches and features."""
     if name == "colmap-database":
         return read_colmap_database(path, with_descriptors=with_descriptors)
     if features is None:
@@ -135,24 +76,7 @@ def write_matches(
     features: PathLike | None = None,
     pairs: PathLike | None = None,
 ) -> None:
-    """Write a match graph in one of the formats.
-
-    Parameters
-    ----------
-    path : path-like
-        COLMAP database, or matches file of hloc.
-    name : str
-        Key of `FORMATS`, of kind "matches".
-    graph : MatchGraph
-        What the format has no place for is left out: see `lost`.
-    features, pairs : path-like, optional
-        Features file and pairs file of hloc, written as well.
-
-    Raises
-    ------
-    ValueError, OSError, ImportError
-        As the writer of the format; ``ValueError`` also if hloc's features have no name.
-    """
+    """Write a match graph to a COLMAP database, or as hloc's matches, features and pairs."""
     if name == "colmap-database":
         write_colmap_database(path, graph)
     elif features is None:
@@ -162,26 +86,7 @@ def write_matches(
 
 
 def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Reconstruction:
-    """Reconstruction whose images without a camera have this one.
-
-    Parameters
-    ----------
-    reconstruction : Reconstruction
-        Of a trajectory, for example.
-    name : str
-        What the camera is called.
-    camera : Camera
-        The camera.
-
-    Returns
-    -------
-    Reconstruction
-
-    Raises
-    ------
-    ValueError
-        If no image is without a camera, or another one is called so.
-    """
+    """Return a reconstruction whose images without a camera have this one."""
     if all(image.camera is not None for image in reconstruction.images):
         raise ValueError("a camera is for images without one, and all images have theirs")
     if name in reconstruction.cameras:
@@ -194,22 +99,10 @@ def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Re
 
 
 def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
-    """What is there and has no place in a format, in words.
-
-    Parameters
-    ----------
-    content : Reconstruction or MatchGraph
-        What is to be written.
-    name : str
-        Key of `FORMATS`.
-
-    Returns
-    -------
-    words : list of str
-    """
+    """Return, in words, which parts of the content have no place in the named format."""
     if isinstance(content, Reconstruction):
         seen = content.observations
-        there = {
+        present = {
             "cameras": bool(content.cameras),
             "points": len(content.points) > 0,
             "observations": seen is not None and len(seen.points) > 0,
@@ -218,37 +111,24 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
             "parts of rigs": name in COLMAP_MODELS and not keeps_rigs(content),
         }
     else:
-        there = {
+        present = {
             "cameras": bool(content.cameras),
             "descriptors": any(image.descriptors is not None for image in content.images.values()),
             "poses of pairs": any(pair.geometry is not None for pair in content.pairs),
             "rig": bool(content.cam_from_rig),
         }
     return [
-        word for word, is_there in there.items() if is_there and word not in FORMATS[name].keeps
+        word
+        for word, is_present in present.items()
+        if is_present and word not in FORMATS[name].keeps
     ]
 
 
 def files_written(path: PathLike, name: str, *besides: PathLike | None) -> list[Path]:
-    """Files that may be written, so that none that is there need be replaced.
-
-    Parameters
-    ----------
-    path : path-like
-        Output.
-    name : str
-        Key of `FORMATS`.
-    *besides : path-like or None
-        Features file and pairs file of hloc.
-
-    Returns
-    -------
-    paths : list of Path
-        Of a COLMAP model its folder; nerfstudio's PLY also where there will be no points.
-    """
+    """Return the files that may be written; COLMAP models are folders."""
     paths = [Path(path)]
     if name == "nerfstudio":
-        paths.append(paths[0].parent / POINTS_FILE)
+        paths.append(paths[0].parent / POINTS_FILE)  # written only if there are points
     if name == "hloc":
         paths += [Path(file) for file in besides if file is not None]
     return paths

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which tool a file belongs to: found from its content, or from the name it is to have."""
+"""Which tool a file belongs to, by its content, or by its name if it is to be written."""
 
 from __future__ import annotations
 
@@ -13,17 +13,7 @@ Kind = Literal["reconstruction", "matches"]
 
 @dataclass(frozen=True)
 class Format:
-    """A file format of a tool.
-
-    Attributes
-    ----------
-    title : str
-        What a message calls it.
-    kind : "reconstruction" or "matches"
-        What is in it.
-    keeps : frozenset of str
-        What it has a place for beside poses, or key points and matches.
-    """
+    """A file format: its title in messages, its kind, and what it keeps beside that."""
 
     title: str
     kind: Kind
@@ -55,26 +45,7 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 def format_of_file(path: str | os.PathLike[str]) -> str:
-    """Format of a file or folder that is there, from its content.
-
-    Parameters
-    ----------
-    path : path-like
-        Any of `FORMATS`.
-
-    Returns
-    -------
-    name : str
-        Key of `FORMATS`; "colmap" for both forms of a model. Whether the rest of the file fits is
-        left to its reader.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is none of them.
-    """
+    """Return the format of an existing file or folder by its content, a key of `FORMATS`."""
     path = Path(path)
     if holds_colmap_model(path):
         return "colmap"
@@ -101,36 +72,12 @@ def format_of_file(path: str | os.PathLike[str]) -> str:
 
 
 def holds_colmap_model(folder: str | os.PathLike[str]) -> bool:
-    """Whether a folder has the files of a COLMAP model, text or binary.
-
-    Parameters
-    ----------
-    folder : path-like
-        It need not exist.
-    """
+    """Return whether a folder exists and has the files of a COLMAP model, text or binary."""
     return any((Path(folder) / name).is_file() for name in MODEL_FILES)
 
 
 def format_of_name(path: str | os.PathLike[str]) -> str:
-    """Format that a file is to have, from its name.
-
-    Parameters
-    ----------
-    path : path-like
-        ``*.db``: COLMAP database; ``*.h5``: hloc matches; ``*.txt``, ``*.tum``: TUM trajectory;
-        ``transforms*.json``: nerfstudio; ``reconstruction*.json``: OpenSfM; without an extension,
-        or a folder: COLMAP model.
-
-    Returns
-    -------
-    name : str
-        Key of `FORMATS`.
-
-    Raises
-    ------
-    ValueError
-        If the name does not say.
-    """
+    """Return the format that a file is to have by its name, a key of `FORMATS`."""
     path = Path(path)
     suffix = path.suffix.lower()
     if path.is_dir() or not suffix:
@@ -140,12 +87,12 @@ def format_of_name(path: str | os.PathLike[str]) -> str:
     for name, beginning in (("nerfstudio", "transforms"), ("opensfm", "reconstruction")):
         if suffix == ".json" and path.name.lower().startswith(beginning):
             return name
-    known = ", ".join(FORMATS)
-    raise ValueError(f"the name {path.name} does not say its format; give it (--format): {known}")
+    names = ", ".join(FORMATS)
+    raise ValueError(f"the name {path.name} does not say its format; give it (--format): {names}")
 
 
 def _is_trajectory(text: bytes) -> bool:
-    """Whether the first row that is no comment has eight words, the first one a number."""
+    """Whether the first row that is no comment has eight words and begins with a number."""
     for line in text.splitlines():
         words = line.split()
         if words and not line.startswith(b"#"):

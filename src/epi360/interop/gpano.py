@@ -1,168 +1,28 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""GPano metadata: which part of a panorama an image is, and how its camera was held.
-
-Source: Google, Photo Sphere XMP Metadata, https://developers.google.com/streetview/spherical-metadata.
-"""
+"""GPano metadata in image files; what they mean for a camera is in `epi360.cameras.gpano`."""
 
 from __future__ import annotations
 
 import io
-import math
 import os
 import struct
 import zlib
-from dataclasses import astuple, dataclass
-from xml.etree import ElementTree
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import astuple
 
 from epi360.cameras import Equirectangular
+from epi360.cameras.gpano import NAMESPACE, PART_NAMES, GPano, PanoramaPart, parse_gpano
 from epi360.features.image_headers import (
-    XMP_IN_JPEG,
-    XMP_IN_PNG,
+    JPEG_SIGNATURE,
+    PNG_SIGNATURE,
     parse_image_header,
     read_image_header,
 )
 
-NAMESPACE = "http://ns.google.com/photos/1.0/panorama/"
-SHAPE_TOLERANCE = 0.005  # a resized file rounds its sides; as `Equirectangular.for_image`
+__all__ = ["GPano", "PanoramaPart", "gpano_packet", "parse_gpano", "read_gpano", "with_gpano"]
 
-
-@dataclass(frozen=True)
-class PanoramaPart:
-    """Part of a panorama that an image shows, in pixels of the whole.
-
-    Attributes
-    ----------
-    width, height : int
-        Of the part.
-    left, top : int
-        Column and row of the whole where the part begins.
-    full_width, full_height : int
-        Of the whole.
-    """
-
-    width: int
-    height: int
-    left: int
-    top: int
-    full_width: int
-    full_height: int
-
-
-_PART_NAMES = (  # in the order of the fields
-    "CroppedAreaImageWidthPixels",
-    "CroppedAreaImageHeightPixels",
-    "CroppedAreaLeftPixels",
-    "CroppedAreaTopPixels",
-    "FullPanoWidthPixels",
-    "FullPanoHeightPixels",
-)
-
-
-@dataclass(frozen=True)
-class GPano:
-    """GPano metadata of an image.
-
-    The angles are those of the whole panorama, whichever part of it the image shows: cropping does
-    not change them. Where a number is missing or none, it is None.
-
-    Attributes
-    ----------
-    projection : str
-        "equirectangular" where the file does not say.
-    part : PanoramaPart or None
-        None: the file does not say, or not all of it.
-    heading_deg : float or None
-        Compass heading of the centre, clockwise from north.
-    pitch_deg : float or None
-        Of the centre above the horizon: with 10, the horizon runs below the centre.
-    roll_deg : float or None
-        Clockwise turn of the camera: with 10 its right side hangs down, and the horizon is turned
-        counter-clockwise in the picture.
-    """
-
-    projection: str = "equirectangular"
-    part: PanoramaPart | None = None
-    heading_deg: float | None = None
-    pitch_deg: float | None = None
-    roll_deg: float | None = None
-
-    @property
-    def down(self) -> NDArray[np.float64] | None:
-        """Unit direction of gravity in the camera frame, shape (3,).
-
-        None where the file has neither pitch nor roll; one of them alone makes the other 0. Many
-        programs write 0 for both without knowing.
-        """
-        if self.pitch_deg is None and self.roll_deg is None:
-            return None
-        # The camera is turned by heading, pitch and roll, each about its axes after the one before.
-        pitch, roll = math.radians(self.pitch_deg or 0.0), math.radians(self.roll_deg or 0.0)
-        level = math.cos(pitch)
-        return np.array([level * math.sin(roll), level * math.cos(roll), -math.sin(pitch)])
-
-    def camera(self, width: int, height: int) -> Equirectangular:
-        """Camera of the image.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the image; a resized part still shows the same angles.
-
-        Returns
-        -------
-        camera : Equirectangular
-            Of the whole panorama where the file does not say, or where the image is 2:1 and has
-            not the shape of the part: somebody filled the rest in and left the metadata.
-
-        Raises
-        ------
-        ValueError
-            If the projection is another, the part lies outside the whole, the whole is not 2:1, or
-            the image has another shape than its part.
-        """
-        if self.projection.lower() != "equirectangular":
-            raise ValueError(
-                f"GPano metadata must say projection equirectangular, got {self.projection!r:.40}; "
-                "give a camera file"
-            )
-        part = self.part
-        if part is None:
-            return Equirectangular.for_image(width, height)
-        _check_part(part)
-        expected_height = width * part.height / part.width
-        if abs(height - expected_height) > max(1.0, SHAPE_TOLERANCE * expected_height):
-            try:
-                return Equirectangular.for_image(width, height)
-            except ValueError:
-                raise ValueError(
-                    f"the image is {width}x{height} but its GPano metadata say {part.width}x"
-                    f"{part.height}, another shape; correct or remove them, or give a camera file"
-                ) from None
-        return Equirectangular(
-            width,
-            height,
-            horizontal_fov_deg=360 * part.width / part.full_width,
-            vertical_fov_deg=180 * part.height / part.full_height,
-            center_longitude_deg=360 * ((part.left + part.width / 2) / part.full_width - 0.5),
-            center_latitude_deg=180 * (0.5 - (part.top + part.height / 2) / part.full_height),
-        )
-
-
-def _check_part(part: PanoramaPart) -> None:
-    inside = (
-        0 <= part.left < part.left + part.width <= part.full_width
-        and 0 <= part.top < part.top + part.height <= part.full_height
-    )
-    if not inside:
-        raise ValueError(
-            f"GPano metadata must describe a part inside the panorama, got {part.width}x"
-            f"{part.height} at {part.left},{part.top} of {part.full_width}x{part.full_height}; "
-            "correct or remove them, or give a camera file"
-        )
-    Equirectangular.for_image(part.full_width, part.full_height)
+# Adobe, XMP Specification Part 3
+_XMP_IN_JPEG = b"http://ns.adobe.com/xap/1.0/\0"
+_XMP_IN_PNG = b"XML:com.adobe.xmp\0"
 
 
 def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
@@ -176,7 +36,7 @@ def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
     Returns
     -------
     gpano : GPano or None
-        None where the file has none, or a packet that cannot be read.
+        None if the file has none, or an XMP packet that cannot be read.
 
     Raises
     ------
@@ -184,54 +44,6 @@ def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
         If the file cannot be read.
     """
     return parse_gpano(read_image_header(path).xmp)
-
-
-def parse_gpano(xmp: bytes | None) -> GPano | None:
-    """GPano metadata of an XMP packet.
-
-    Parameters
-    ----------
-    xmp : bytes or None
-        The packet.
-
-    Returns
-    -------
-    gpano : GPano or None
-        None where it has none or cannot be read.
-    """
-    try:
-        text = (xmp or b"").decode("utf-8-sig").strip("\0 \t\r\n")
-        if "<!DOCTYPE" in text:  # its entities could make a small packet expand without end
-            return None
-        root = ElementTree.fromstring(text)
-    except (UnicodeDecodeError, ElementTree.ParseError):
-        return None
-    values: dict[str, str] = {}
-    for element in root.iter():  # properties are attributes or elements, as the writer likes
-        for name, value in ((element.tag, element.text or ""), *element.items()):
-            if name.startswith(f"{{{NAMESPACE}}}"):
-                values.setdefault(name.partition("}")[2], value.strip())
-    return _gpano(values) if values else None
-
-
-def _gpano(values: dict[str, str]) -> GPano:
-    numbers = [_number(values.get(name)) for name in _PART_NAMES]
-    integers = [int(number) for number in numbers if number is not None and number.is_integer()]
-    return GPano(
-        projection=values.get("ProjectionType") or "equirectangular",
-        part=PanoramaPart(*integers) if len(integers) == len(_PART_NAMES) else None,
-        heading_deg=_number(values.get("PoseHeadingDegrees")),
-        pitch_deg=_number(values.get("PosePitchDegrees")),
-        roll_deg=_number(values.get("PoseRollDegrees")),
-    )
-
-
-def _number(text: str | None) -> float | None:
-    try:
-        number = float(text or "")
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 def gpano_packet(
@@ -246,23 +58,23 @@ def gpano_packet(
     Parameters
     ----------
     camera : Equirectangular
-        Of the image.
+        Camera of the image.
     heading_deg, pitch_deg, roll_deg : float, optional
-        How it was held, see `GPano`; left out where None.
+        How the camera was held, see `GPano`; None is not written.
 
     Returns
     -------
     packet : bytes
-        For `with_gpano`. Its numbers are whole pixels: the camera that it describes is off by up to
-        half a pixel where this one's borders are not.
+        What `with_gpano` takes. It states whole pixels: if the borders of this camera lie between
+        pixels, the camera that it describes is off by up to half a pixel.
 
     Raises
     ------
     ValueError
-        If the camera does not lie inside the whole panorama: it crosses the seam.
+        If the part crosses the seam of the whole panorama.
     """
     part = _part_of(camera)
-    _check_part(part)
+    part.check()
     angles = {
         "PoseHeadingDegrees": heading_deg,
         "PosePitchDegrees": pitch_deg,
@@ -270,7 +82,7 @@ def gpano_packet(
     }
     properties = {
         "ProjectionType": "equirectangular",
-        **dict(zip(_PART_NAMES, astuple(part), strict=True)),
+        **dict(zip(PART_NAMES, astuple(part), strict=True)),
         **{name: float(angle) for name, angle in angles.items() if angle is not None},
     }
     written = " ".join(f'GPano:{name}="{value}"' for name, value in properties.items())
@@ -306,7 +118,7 @@ def with_gpano(image: bytes, packet: bytes) -> bytes:
     image : bytes
         Content of a JPEG or PNG file without XMP.
     packet : bytes
-        Of `gpano_packet`.
+        What `gpano_packet` returns.
 
     Returns
     -------
@@ -320,13 +132,13 @@ def with_gpano(image: bytes, packet: bytes) -> bytes:
     """
     if parse_image_header(io.BytesIO(image)).xmp is not None:
         raise ValueError("the image must have no XMP packet yet, but it has one; export it without")
-    if image.startswith(b"\xff\xd8\xff"):
+    if image.startswith(JPEG_SIGNATURE):
         at = 4 + int.from_bytes(image[4:6], "big") if image[3] == 0xE0 else 2  # behind JFIF's
-        data = XMP_IN_JPEG + packet
+        data = _XMP_IN_JPEG + packet
         chunk = b"\xff\xe1" + struct.pack(">H", len(data) + 2) + data
-    elif image.startswith(b"\x89PNG\r\n\x1a\n"):
+    elif image.startswith(PNG_SIGNATURE):
         at = 33  # behind IHDR, which has 25 bytes
-        data = b"iTXt" + XMP_IN_PNG + b"\0\0\0\0" + packet
+        data = b"iTXt" + _XMP_IN_PNG + b"\0\0\0\0" + packet
         chunk = struct.pack(">I", len(data) - 4) + data + struct.pack(">I", zlib.crc32(data))
     else:
         raise ValueError("the image must be the content of a JPEG or PNG file")

@@ -17,6 +17,7 @@ from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
 from epi360.interop.pairs_file import write_pairs_file
+from epi360.runs.whole_files import whole_paths
 
 __all__ = ["HlocPairs", "camera_of_image", "read_hloc", "write_hloc"]
 
@@ -29,37 +30,42 @@ def read_hloc(
     cameras: Mapping[str, Camera] | None = None,
     with_descriptors: bool = False,
 ) -> MatchGraph:
-    """Images, key points and matches of hloc's files.
+    """Return the images, key points and matches of hloc's files.
 
     Parameters
     ----------
     features, matches : path-like
         hloc's HDF5 files.
     pairs : path-like, optional
-        The pairs file that was matched; only its pairs are taken, in its order. Without it: all
-        pairs of the matches file, sorted.
+        The pairs file that was matched: only its pairs are read, in its order. Without it all pairs
+        of the matches file are read, sorted.
     cameras : mapping of str to Camera, optional
-        By the name of an image or of a folder that it lies in, such as "front" or "rig/front"; a
-        single one is that of all images of its size. An image without one is a full panorama if
-        it is 2:1, else its camera is None.
+        Cameras by the name of an image or of a folder that it lies in, such as "front" or
+        "rig/front". A single camera is used for all images of its size. An image without a camera
+        is a full panorama if it is 2:1, else its camera is None.
     with_descriptors : bool, optional
-        Read the descriptors as well, by far the largest part of the features.
+        Whether to read the descriptors too, by far the largest part of the features.
 
     Returns
     -------
-    MatchGraph
-        All images of the features file, sorted by name, also those in no pair.
+    graph : MatchGraph
+        All images of the features file, sorted by name, also those that are in no pair.
 
     Raises
     ------
     FileNotFoundError
         If a file does not exist.
     ValueError
-        If a file is damaged or has another layout, a pair has no matches or names no image, the
-        matches do not fit the key points, the name of a pair fits several pairs of images, or a
-        camera has not the size of its image.
+        If a file is damaged or has another layout, a pair has no matches or names an unknown image,
+        matches name key points that do not exist, the name of a pair may mean several pairs of
+        images, or a camera does not have the size of its image.
     ImportError
         If h5py is missing; the message holds the command that installs it.
+
+    Notes
+    -----
+    Unless told otherwise, hloc writes key points in half precision, which is exact to 1 px from
+    column 1024 on, to 2 px from column 2048 on and to 4 px from column 4096 on.
     """
     all_cameras = dict(cameras or {})
     images: dict[str, MatchedImage] = {}
@@ -81,31 +87,8 @@ def read_hloc(
 def camera_of_image(
     name: str, size: tuple[int, int] | None, cameras: Mapping[str, Camera]
 ) -> tuple[str | None, Camera | None]:
-    """Camera of an image by its name and size.
-
-    Parameters
-    ----------
-    name : str
-        Of the image, with "/" between its parts.
-    size : (int, int) or None
-        Width and height in pixels, where known.
-    cameras : mapping of str to Camera
-        By the name of an image or of a folder that it lies in, of which the innermost counts; a
-        single one is that of all images of its size.
-
-    Returns
-    -------
-    key : str or None
-        Name of the camera; of a panorama that is in none of the cameras "panorama_WIDTHxHEIGHT".
-    camera : Camera or None
-        None where the image is not 2:1 and has no camera.
-
-    Raises
-    ------
-    ValueError
-        If the camera of that name has another size than the image.
-    """
-    parts = name.split("/")
+    """Return name and camera of an image by its name, folders or size; None if it has none."""
+    parts = name.split("/")  # the innermost folder with a camera counts
     for key in ("/".join(parts[:count]) for count in range(len(parts), 0, -1)):
         if key in cameras:
             camera = cameras[key]
@@ -134,25 +117,24 @@ def write_hloc(
     *,
     pairs: str | os.PathLike[str] | None = None,
 ) -> None:
-    """Write the key points and matches of a graph as hloc's files: both whole, or neither.
+    """Write the key points and matches of a graph as hloc's two files, both or neither.
 
-    Poses and cameras have no place in them, but for the size of the images.
+    These files hold no poses, and only the image sizes of the cameras.
 
     Parameters
     ----------
     features, matches : path-like
-        HDF5 files, written or replaced.
+        HDF5 files, which are replaced if they exist.
     graph : MatchGraph
-        Every match is written, not only the inliers of a pose.
+        Graph of which every match is written, not only the inliers of a pose.
     pairs : path-like, optional
-        Pairs file, which hloc wants beside them; written as well.
+        Pairs file to write as well, which hloc needs beside the other two.
 
     Raises
     ------
     ValueError
-        If a pair matches a key point of image 1 twice, two pairs are called the same once "/"
-        becomes "-", or HDF5 would change a name ("./a", "a//b"): hloc's layout has no place for
-        them.
+        If hloc's layout cannot hold the graph: a pair matches a key point of image 1 twice, two
+        pairs have the same name once "/" becomes "-", or HDF5 would change a name ("./a", "a//b").
     OSError
         If a file cannot be written.
     ImportError
@@ -171,23 +153,15 @@ def write_hloc(
 
 @contextmanager
 def _written_together(*paths: Path) -> Iterator[list[Any]]:
-    """HDF5 files under temporary names that take the place of the real ones together."""
+    """HDF5 files under temporary names, which get the real names together."""
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
-    targets = [Path(os.path.realpath(path)) for path in paths]
-    temporaries = [path.with_name(f".{path.name}.{os.getpid()}.tmp") for path in targets]
-    for target in targets:
-        if target.is_dir():
-            raise IsADirectoryError(f"{target} must be a file to write, it is a folder")
-    try:
-        with ExitStack() as files:
-            for temporary in temporaries:
-                temporary.touch()  # a missing folder is told more shortly than by HDF5
-            yield [files.enter_context(h5py.File(path, "w")) for path in temporaries]
-        for temporary, target in zip(temporaries, targets, strict=True):
-            os.replace(temporary, target)
-    finally:
+    for path in paths:
+        if path.is_dir():
+            raise IsADirectoryError(f"{path} must be a file to write, it is a folder")
+    with whole_paths(*paths) as temporaries, ExitStack() as files:
         for temporary in temporaries:
-            temporary.unlink(missing_ok=True)
+            temporary.touch()  # for a shorter message than HDF5's if the folder is missing
+        yield [files.enter_context(h5py.File(path, "w")) for path in temporaries]
 
 
 def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) -> None:
@@ -195,7 +169,7 @@ def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) 
         raise ValueError(f"image name {image.name!r} cannot stand in hloc's files; rename it")
     group = file.create_group(image.name)
     keypoints = image.keypoints - HLOC_TO_CONTINUOUS
-    group["keypoints"] = keypoints.astype(np.float32)  # half, hloc's default, is too coarse
+    group["keypoints"] = keypoints.astype(np.float32)  # half precision, hloc's own, is too coarse
     if image.descriptors is not None:
         group["descriptors"] = image.descriptors.T
     if image.camera is not None:
@@ -219,5 +193,5 @@ def _write_pair(file: Any, pair: MatchedPair, num_keypoints1: int) -> None:
             "point"
         )
     file[f"{path}/matches0"] = matches0
-    # hloc asks for scores; the graph has none, so that all matches are equally good.
+    # hloc needs scores. The graph has none, so that all matches count as equally good.
     file[f"{path}/matching_scores0"] = (matches0 >= 0).astype(np.float32)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""hloc's HDF5 files: how they are laid out and what images and pairs are called in them.
+"""hloc's HDF5 files: their layout, and the names of images and pairs in them.
 
-As hloc's own code writes and reads them (github.com/cvg/Hierarchical-Localization:
-extract_features.py, match_features.py, utils/parsers.py, utils/io.py). Features: a group an image,
-with ``keypoints`` (N, 2), the centre of the first pixel at (0, 0), ``descriptors`` (D, N),
-``scores`` (N,), in half precision unless asked otherwise, and ``image_size`` (width, height).
-Matches: a group a pair, called by both names with "-" for "/" and "/" between them, in older files
-"_"; ``matches0`` (N,) has the key point in image 2 of each one in image 1, or -1.
+The layout is that of hloc's own code (github.com/cvg/Hierarchical-Localization:
+extract_features.py, match_features.py, utils/parsers.py, utils/io.py). The features file has a
+group for each image, with ``keypoints`` (N, 2), where the centre of the first pixel is (0, 0),
+``descriptors`` (D, N) and ``scores`` (N,), by default in half precision, and ``image_size`` (width,
+height). The matches file has a group for each pair. Its name is both image names with "-" for "/",
+and "/" between them, or "_" in older files. Its ``matches0`` (N,) holds for each key point of image
+1 the key point of image 2, or -1.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from epi360.extras import extra_library
 
 HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
 
-LARGEST_DATASET = 2**28  # numbers; descriptors of a million key points are as many
+LARGEST_DATASET = 2**28  # numbers, as many as in 2^20 descriptors of length 256
 
-# Of a pair: the path of its group, and whether that has the images the other way.
+# For each pair the path of its group, and whether the group has the images in the other order.
 PairGroups = dict[tuple[str, str], tuple[str, bool]]
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """HDF5 file, open to be read."""
+    """Yield an HDF5 file that is open for reading."""
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
     if not path.exists():
         raise FileNotFoundError(f"hloc file {path} does not exist")
@@ -46,7 +47,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what h5py raises in a damaged file into an error that names the file."""
+    """Turn what h5py raises in a damaged file into a ``ValueError`` that names the file."""
     try:
         yield
     except (OSError, RuntimeError, KeyError, UnicodeError, OverflowError, TypeError) as error:
@@ -55,7 +56,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def image_names(file: Any, path: Path) -> list[str]:
-    """Paths of the groups that hold key points, sorted: the folders of a name are groups."""
+    """Return the paths of the groups with key points, sorted; they are the image names."""
     names = _groups_with("keypoints", file, path, "extract local features again")
     if not names:
         raise ValueError(f"{path} has no images; extract local features again")
@@ -63,80 +64,77 @@ def image_names(file: Any, path: Path) -> list[str]:
 
 
 def pair_groups(file: Any, path: Path) -> list[str]:
-    """Paths of the groups of a matches file, sorted."""
+    """Return the paths of the groups of a matches file, sorted."""
     return _groups_with("matches0", file, path, "match again")
 
 
 def dataset(group: Any, name: str, path: Path) -> NDArray[Any] | None:
-    """Content of a dataset of a group, None where it has none."""
+    """Return the content of a dataset of a group, or None if it has none."""
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
     with reading(path):
         if name not in group:
             return None
-        found = group[name]
-        # What is left out of a file is read as zeros: a small one may claim any size.
-        if isinstance(found, h5py.Dataset) and (found.size or 0) <= LARGEST_DATASET:
-            return np.asarray(found[()])
+        member = group[name]
+        # HDF5 reads zeros for what a file leaves out, so that a small file may claim any size.
+        if isinstance(member, h5py.Dataset) and (member.size or 0) <= LARGEST_DATASET:
+            return np.asarray(member[()])
     raise ValueError(
         f"{path}: {group.name}/{name} must be a dataset of {LARGEST_DATASET} numbers at most"
     )
 
 
 def _groups_with(needed: str, file: Any, path: Path, remedy: str) -> list[str]:
-    """Paths of the groups with a dataset of this name; every dataset lies in one of them.
-
-    Each object is visited once, and no link, so that a file that holds itself comes to an end.
-    """
+    """Paths of the groups with a dataset of this name; every dataset must lie in one of them."""
     names: list[str] = []
     with reading(path):
-        file.visit(names.append)
+        file.visit(names.append)  # it follows no links, and so ends also if a file holds itself
         if not all(isinstance(name, str) for name in names):
             raise KeyError("a name is no Unicode text")
     groups = {name.rpartition("/")[0] for name in names}
     datasets = [name.rpartition("/") for name in names if name not in groups]
-    found = {group for group, _, name in datasets if name == needed}
+    complete = {group for group, _, name in datasets if name == needed}
     for group, _, name in datasets:
-        if group not in found:
+        if group not in complete:
             raise ValueError(
                 f"{path}: {group or 'the file'} must have {needed!r}, got {name}; {remedy}"
             )
-    return sorted(found)
+    return sorted(complete)
 
 
 def listed_pairs(
     groups: Collection[str], images: Collection[str], pairs: Iterable[tuple[str, str]]
 ) -> PairGroups:
-    """Group of each pair of a list."""
-    there = frozenset(groups)
-    found: PairGroups = {}
-    taken: dict[str, tuple[str, str]] = {}
+    """Return the group of each pair of a list."""
+    existing = frozenset(groups)
+    group_of_pair: PairGroups = {}
+    owner: dict[str, tuple[str, str]] = {}
     for pair in pairs:
         what = f"pair {' '.join(pair)}"
         for image in pair:
             if image not in images:
                 raise ValueError(f"{what} is listed, but the features have no image {image}")
-        paths = [(path, swapped) for path, swapped in _possible_groups(pair) if path in there]
+        paths = [(path, swapped) for path, swapped in _possible_groups(pair) if path in existing]
         if not paths:
             raise ValueError(
                 f"{what} is listed, but has no matches; match with the same pairs file"
             )
         path, swapped = paths[0]
-        if path in taken:
+        if path in owner:
             raise ValueError(
-                f"{what} and the pair {' '.join(taken[path])} are both called {path!r} in the "
+                f"{what} and the pair {' '.join(owner[path])} are both called {path!r} in the "
                 "matches, which put '-' for '/'; rename the images"
             )
-        taken[path] = pair
-        found[pair] = path, swapped
-    return found
+        owner[path] = pair
+        group_of_pair[pair] = path, swapped
+    return group_of_pair
 
 
 def resolved_pairs(groups: Collection[str], images: Collection[str]) -> PairGroups:
-    """The pair that each group must be, given the names of the images."""
+    """Return the group of each pair, if the names of the images leave no doubt."""
     by_flat_name: dict[str, list[str]] = {}
     for image in images:
         by_flat_name.setdefault(_flat(image), []).append(image)
-    found: PairGroups = {}
+    group_of_pair: PairGroups = {}
     for path in groups:
         pairs = _possible_pairs(path, by_flat_name)
         if not pairs:
@@ -146,16 +144,16 @@ def resolved_pairs(groups: Collection[str], images: Collection[str]) -> PairGrou
                 f"{path!r} may be the pair {' '.join(pairs[0])} or {' '.join(pairs[1])}; "
                 "give the pairs file (--pairs)"
             )
-        if pairs[0] in found or pairs[0][::-1] in found:
+        if pairs[0] in group_of_pair or pairs[0][::-1] in group_of_pair:
             raise ValueError(
                 f"the pair {' '.join(pairs[0])} is there twice; give the pairs file (--pairs)"
             )
-        found[pairs[0]] = path, False
-    return found
+        group_of_pair[pairs[0]] = path, False
+    return group_of_pair
 
 
 def group_of(image1: str, image2: str) -> str:
-    """Path of the group of a pair."""
+    """Return the path of the group of a pair."""
     return f"{_flat(image1)}/{_flat(image2)}"
 
 
@@ -164,7 +162,7 @@ def _flat(image: str) -> str:
 
 
 def _possible_groups(pair: tuple[str, str]) -> Iterator[tuple[str, bool]]:
-    """Paths that the group of a pair may have, the likeliest first, and whether that swaps it."""
+    """Paths that the group of a pair may have, and whether they swap it, likeliest first."""
     first, second = map(_flat, pair)
     for separator in "/_":
         yield f"{first}{separator}{second}", False

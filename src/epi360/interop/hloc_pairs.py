@@ -6,8 +6,7 @@ from __future__ import annotations
 import os
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,34 +23,11 @@ from epi360.interop.hloc_layout import (
 )
 from epi360.interop.pairs_file import read_pairs_file
 
-LARGEST_SIDE = 2**31  # of an image, in pixels
+LARGEST_SIDE = 2**31  # pixels of the width or height of an image
 
 
 class HlocPairs:
-    """Features and matches files of hloc, read a pair at a time.
-
-    ``HlocPairs(features, matches, pairs=None)`` reads the names of the images and pairs; key
-    points and matches stay in the files until they are asked for. It is a context manager.
-
-    Parameters
-    ----------
-    features, matches : path-like
-        hloc's HDF5 files.
-    pairs : path-like, optional
-        The pairs file that was matched; only its pairs are taken, in its order. Without it: all
-        pairs of the matches file, sorted.
-
-    Raises
-    ------
-    FileNotFoundError
-        If a file does not exist.
-    ValueError
-        If a file is no HDF5 file or is damaged, an image has no key points, a listed pair has no
-        matches or names no image of the features, or the name of a pair in the matches fits
-        several pairs of images: hloc writes "-" for "/".
-    ImportError
-        If h5py is missing; the message holds the command that installs it.
-    """
+    """hloc's features and matches files, read a pair at a time; use it in a ``with``."""
 
     def __init__(
         self,
@@ -64,7 +40,7 @@ class HlocPairs:
         with ExitStack() as files:
             self._features = files.enter_context(opened(self._features_path))
             self._matches = files.enter_context(opened(self._matches_path))
-            # A dict for its order and its fast look-up.
+            # A dict, because it keeps its order and is fast to search.
             self._images = dict.fromkeys(image_names(self._features, self._features_path))
             self._counts: dict[str, int] = {}
             groups = pair_groups(self._matches, self._matches_path)
@@ -80,57 +56,30 @@ class HlocPairs:
                 raise ValueError(f"{self._matches_path}: {error}") from None
             self._files = files.pop_all()
 
-    def __enter__(self) -> HlocPairs:
-        """Itself."""
+    def __enter__(self) -> Self:
+        """Return the open files."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the files."""
         self.close()
 
     def close(self) -> None:
-        """Close the files; closing twice is no error."""
+        """Close the files, which may be closed already."""
         self._files.close()
 
     def images(self) -> list[str]:
-        """Names of all images of the features file, sorted."""
+        """Return the names of all images of the features file, sorted."""
         return list(self._images)
 
     def pairs(self) -> list[tuple[str, str]]:
-        """Names of the two images of each pair."""
+        """Return the names of the two images of each pair."""
         return list(self._groups)
 
     def keypoints(self, image: str) -> NDArray[np.float64]:
-        """Key points of an image.
-
-        Parameters
-        ----------
-        image : str
-            Name.
-
-        Returns
-        -------
-        keypoints : ndarray, shape (N, 2)
-            Continuous pixels: hloc's + 0.5. A file written with hloc's default half precision is
-            exact to 1 px from column 1024 on, to 2 px from 2048 and to 4 px from 4096 on.
-
-        Raises
-        ------
-        ValueError
-            If there is no such image or its key points are not (N, 2) finite numbers.
-        """
+        """Return the key points of an image in continuous pixels, shape (N, 2)."""
         values = self._dataset(image, "keypoints")
-        if (
-            values is None
-            or values.ndim != 2
-            or values.shape[1] != 2
-            or values.dtype.kind not in "fiu"
-        ):
+        if values is None or not _are_numbers(values) or values.shape[1:] != (2,):
             raise ValueError(
                 f"{self._features_path}: keypoints of {image} must be numbers of shape (N, 2), "
                 f"got {_described(values)}"
@@ -140,22 +89,11 @@ class HlocPairs:
         return values.astype(np.float64) + HLOC_TO_CONTINUOUS
 
     def descriptors(self, image: str) -> NDArray[np.float32] | None:
-        """Descriptors of an image, shape (N, D); None where the file has none.
-
-        Parameters
-        ----------
-        image : str
-            Name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such image or there is not one descriptor a key point.
-        """
+        """Return the descriptors of an image, shape (N, D), or None if the file has none."""
         values, count = self._dataset(image, "descriptors"), self._num_keypoints(image)
         if values is None:
             return None
-        if values.ndim != 2 or values.shape[1] != count or values.dtype.kind not in "fiu":
+        if not _are_numbers(values) or values.ndim != 2 or values.shape[1] != count:
             raise ValueError(
                 f"{self._features_path}: descriptors of {image} must be numbers of shape "
                 f"(D, {count}), got {_described(values)}"
@@ -163,22 +101,11 @@ class HlocPairs:
         return np.ascontiguousarray(values.T, dtype=np.float32)
 
     def image_size(self, image: str) -> tuple[int, int] | None:
-        """Width and height of an image in pixels; None where the file does not say.
-
-        Parameters
-        ----------
-        image : str
-            Name.
-
-        Raises
-        ------
-        ValueError
-            If there is no such image or its size is not two positive numbers.
-        """
+        """Return width and height of an image in pixels, or None if the file does not say."""
         values = self._dataset(image, "image_size")
         if values is None:
             return None
-        is_pair = values.shape == (2,) and values.dtype.kind in "fiu"
+        is_pair = _are_numbers(values) and values.shape == (2,)
         if not (is_pair and ((values > 0) & (values < LARGEST_SIDE)).all()):
             got = values.tolist() if is_pair else _described(values)
             raise ValueError(
@@ -187,31 +114,13 @@ class HlocPairs:
         return int(values[0]), int(values[1])
 
     def matches(self, image1: str, image2: str) -> NDArray[np.int64]:
-        """Matches of a pair; in either order of the images.
-
-        Parameters
-        ----------
-        image1, image2 : str
-            Names.
-
-        Returns
-        -------
-        matches : ndarray, shape (M, 2), int
-            (key point in image 1, key point in image 2).
-
-        Raises
-        ------
-        ValueError
-            If there is no such pair, or its matches do not fit the key points.
-        """
-        if (image1, image2) in self._groups:
-            path, is_swapped = self._groups[image1, image2]
-        elif (image2, image1) in self._groups:
-            path, is_swapped = self._groups[image2, image1]
-            is_swapped = not is_swapped
-        else:
+        """Return the matches of a pair in either order, shape (M, 2): key points of both images."""
+        is_listed = (image1, image2) in self._groups
+        listed = (image1, image2) if is_listed else (image2, image1)
+        if listed not in self._groups:
             raise ValueError(f"{self._matches_path} has no pair {image1} {image2}")
-        if is_swapped:
+        path, is_swapped = self._groups[listed]
+        if is_swapped == is_listed:  # the group has image 2 first
             return self._stored_matches(path, image2, image1)[:, ::-1].copy()
         return self._stored_matches(path, image1, image2)
 
@@ -236,22 +145,25 @@ class HlocPairs:
         return np.column_stack((indices1, indices2[indices1])).astype(np.int64)
 
     def _image(self, image: str) -> Any:
-        """Group of an image."""
         if image not in self._images:
             raise ValueError(f"{self._features_path} has no image {image}")
         return self._features[image]
 
     def _num_keypoints(self, image: str) -> int:
-        if image not in self._counts:  # half of the time of reading a pair's matches
+        if image not in self._counts:  # it would take half of the time of reading a pair's matches
             with reading(self._features_path):
                 self._counts[image] = int(self._image(image)["keypoints"].shape[0])
         return self._counts[image]
 
     def _dataset(self, image: str, name: str) -> NDArray[Any] | None:
-        """Dataset of an image."""
+        """Dataset of an image, or None if it has none."""
         with reading(self._features_path):
             group = self._image(image)
         return dataset(group, name, self._features_path)
+
+
+def _are_numbers(values: NDArray[Any]) -> bool:
+    return values.dtype.kind in "fiu"
 
 
 def _described(values: NDArray[Any] | None) -> str:

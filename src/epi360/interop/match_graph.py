@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Images, their key points and the matched pairs: what every match database is read into."""
+"""Images, key points and matched pairs: every match database is read into these."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.interop.reconstruction import check_image_name
+from epi360.interop.reconstruction import check_image
 from epi360.poses import Pose
 
 
@@ -23,13 +23,13 @@ class MatchedImage:
     name : str
         Path of the image below the folder of the images, with "/" between its parts.
     camera : str or None
-        Key in the graph's cameras; None where the file does not say.
+        Key in the graph's cameras; None if the file does not say.
     keypoints : ndarray, shape (N, 2)
-        Continuous pixels: the centre of the top-left pixel is (0.5, 0.5).
+        Continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
     descriptors : ndarray, shape (N, D), optional
-        As the file has them.
+        Descriptors of the key points, as they are in the file.
     frame : str or None
-        Images of a rig that share a frame were taken at one moment; None: a frame of its own.
+        Images of a rig that share a frame were taken at one moment; None is a frame of its own.
     """
 
     name: str
@@ -41,16 +41,16 @@ class MatchedImage:
 
 @dataclass(frozen=True, eq=False)
 class TwoViewGeometry:
-    """What was found of a pair.
+    """Relative pose of a pair of images and the matches that agree with it.
 
     Attributes
     ----------
     status : str
-        Of `RelativePoseResult`.
+        One of the values of ``RelativePoseResult.status``.
     cam2_from_cam1 : Pose
-        |t| = 1; NaN where the pair does not determine it.
+        Pose with |t| = 1, or NaN if the pair does not determine it.
     inliers : ndarray, shape (K, 2), int
-        Rows of the pair's matches that agree with it: (key point in image 1, in image 2).
+        Matches that agree with the pose: (key point in image 1, key point in image 2).
     """
 
     status: str
@@ -60,16 +60,16 @@ class TwoViewGeometry:
 
 @dataclass(frozen=True, eq=False)
 class MatchedPair:
-    """Two images and what matches between them.
+    """Two images and the matches between them.
 
     Attributes
     ----------
     image1, image2 : str
-        Names, in the order of the pose: never swapped.
+        Names of the images, in the order that the pose has.
     matches : ndarray, shape (M, 2), int
-        (key point in image 1, key point in image 2).
+        Each row is (key point in image 1, key point in image 2).
     geometry : TwoViewGeometry, optional
-        None: not verified.
+        None if the pair was not verified.
     """
 
     image1: str
@@ -85,19 +85,20 @@ class MatchGraph:
     Attributes
     ----------
     cameras : mapping of str to Camera
-        By name.
+        Cameras by name.
     images : mapping of str to MatchedImage
-        By name, in order.
+        Images by name; the order counts.
     pairs : tuple of MatchedPair
-        Each unordered pair of images at most once.
+        Matched pairs; two images are a pair only once, in either order.
     cam_from_rig : mapping of str to Pose
-        Where each camera sits on the rig; empty: no rig, every image is a frame of its own.
+        Pose of each camera on its rig, by the camera's name. If it is empty there is no rig, and
+        every image is a frame of its own.
 
     Raises
     ------
     ValueError
-        If a pair names an image that is not there, occurs twice, or has a match beyond its key
-        points, an image names an unknown camera, or a name is no text.
+        If a pair names an unknown image, is listed twice or matches a key point that does not
+        exist, an image names an unknown camera, or a name is empty or no text.
     """
 
     cameras: Mapping[str, Camera]
@@ -108,18 +109,16 @@ class MatchGraph:
     def __post_init__(self) -> None:
         """Check that the parts fit together."""
         for image in self.images.values():
-            check_image_name(image.name)
-            if image.camera is not None and image.camera not in self.cameras:
-                raise ValueError(f"image {image.name} has the unknown camera {image.camera!r}")
-        seen: set[frozenset[str]] = set()
+            check_image(image.name, image.camera, self.cameras)
+        listed: set[frozenset[str]] = set()
         for pair in self.pairs:
             names = frozenset((pair.image1, pair.image2))
             what = f"pair {pair.image1} {pair.image2}"
             if len(names) < 2:
                 raise ValueError(f"{what} must name two images")
-            if names in seen:
+            if names in listed:
                 raise ValueError(f"{what} is there twice")
-            seen.add(names)
+            listed.add(names)
             for column, name in enumerate((pair.image1, pair.image2)):
                 if name not in self.images:
                     raise ValueError(f"{what}: there is no image {name}")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """nerfstudio's transforms.json.
 
-``transform_matrix`` is camera to world with OpenGL axes: x right, y up, z backward; our camera
-axes are diag(1, -1, -1) of these. cx, cy are continuous pixels like ours: rays go through
-column + 0.5, row + 0.5. ``EQUIRECTANGULAR`` has theta = -pi (u - cx) / fl_x about the vertical and
-phi = pi (1/2 + (v - cy) / fl_y) from straight up, and the direction (-sin theta sin phi, cos phi,
--cos theta sin phi): with fl_x = cx = W / 2, fl_y = H, cy = H / 2 our formulas, and a part of a
-panorama has other numbers. ``applied_transform`` maps the original world to the saved one.
+``transform_matrix`` maps from the camera to the world, with OpenGL axes in the camera: x right, y
+up, z backward. cx and cy are continuous pixels like ours. An ``EQUIRECTANGULAR`` pixel has the
+angle theta = -pi (u - cx) / fl_x about the vertical, the angle phi = pi (1/2 + (v - cy) / fl_y)
+from straight up, and the direction (-sin theta sin phi, cos phi, -cos theta sin phi). A whole
+panorama has fl_x = cx = W / 2, fl_y = H and cy = H / 2. ``applied_transform`` maps the original
+world to the saved one.
 
 Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio's cameras.py and
 nerfstudio_dataparser.py.
@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt, Pinhole, UnifiedCamera
-from epi360.cameras.base import checked_size
+from epi360.cameras.base import FocalCamera, checked_size
 from epi360.cameras.calibration import fields
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.ply import read_ply_points, write_ply_points
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 
 WHAT = "a transforms.json of nerfstudio"
 POINTS_FILE = "sparse_pc.ply"
@@ -43,28 +43,28 @@ INTRINSICS = ("camera_model", *SIZE, *FOCUS, *DISTORTION, "p1", "p2")
 
 
 def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> Reconstruction:
-    """Cameras, poses and points of a ``transforms.json``.
+    """Return the cameras, poses and points of a ``transforms.json``.
 
     Parameters
     ----------
     path : path-like
         The file.
     images : str
-        Folder that the image names leave out, where every ``file_path`` lies below it.
+        Folder that is left out of the image names if every ``file_path`` begins with it.
 
     Returns
     -------
     reconstruction : Reconstruction
-        In the original world: an ``applied_transform`` is undone. Cameras are called "1", "2", ...
-        in the order in which frames use them.
+        Reconstruction in the original world: an ``applied_transform`` is undone. Cameras are called
+        "1", "2", ... in the order in which frames use them.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file, or no points where it says.
+        If the file, or the file of points that it names, does not exist.
     ValueError
-        If it is not such a file, a key is missing, a camera is of another model, or a matrix is not
-        finite or no rotation.
+        If it is not such a file, a key is missing, a camera has a model that epi360 lacks, or a
+        matrix is not finite or holds no rotation.
     """
     path = Path(path)
     document = checks.read_json(path, WHAT)
@@ -93,23 +93,23 @@ def write_nerfstudio(
     Parameters
     ----------
     path : path-like
-        File; replaced if it is there, and so is ``sparse_pc.ply`` in its folder if there are
-        points.
+        File to write or replace. If there are points, ``sparse_pc.ply`` in its folder is written or
+        replaced too.
     reconstruction : Reconstruction
-        Observations and time stamps have no place in these files. The world is not turned:
-        ``applied_transform`` is the identity, which nerfstudio would not assume where it finds a
-        COLMAP model beside the file.
+        What to write; observations and time stamps are left out. The world is not turned. The file
+        says so with the identity as ``applied_transform``, because nerfstudio would turn the world
+        if it found a COLMAP model beside the file.
     images : str
-        Folder of the images, relative to that of the file.
+        Folder of the images, relative to the folder of the file.
     masks : mapping of str to str, optional
-        Path of the mask of each image by the image's name, relative to the folder of the file.
-        nerfstudio wants pictures of one channel, black = ignore.
+        Path of the mask of each image, relative to the folder of the file, by the image's name.
+        nerfstudio reads pictures of one channel, in which black pixels are ignored.
 
     Raises
     ------
     ValueError
-        If an image has no camera or no pose, nerfstudio has no model for a camera, there are
-        panoramas beside other cameras, or some images have a mask and others none.
+        If an image has no camera or no pose, nerfstudio has no model for a camera or would need
+        several, or only some of the images have a mask.
     OSError
         If a file cannot be written.
     """
@@ -158,7 +158,7 @@ def _frames(
     for number, frame in enumerate(document["frames"]):
         try:
             fields.check_has(frame, ["transform_matrix"])
-            # As nerfstudio has it: what the file says of all frames goes first.
+            # What the file says of all frames goes first, as in nerfstudio.
             camera = _camera({key: frame[key] for key in INTRINSICS if key in frame} | shared)
             saved_from_opengl = checks.pose_of_matrix(frame["transform_matrix"], "transform_matrix")
         except ValueError as error:
@@ -171,7 +171,7 @@ def _frames(
 
 
 def _image_names(frames: list[Any], folder: str) -> list[str]:
-    """Paths of the images below their folder; as they are where one lies elsewhere."""
+    """Paths of the images below their folder; unchanged if one of them lies elsewhere."""
     paths = []
     for number, frame in enumerate(frames):
         value = checks.mapping(frame, f"frame {number}").get("file_path")
@@ -185,12 +185,12 @@ def _image_names(frames: list[Any], folder: str) -> list[str]:
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
-    model = entry.get("camera_model", "OPENCV")  # as nerfstudio takes it
+    model = entry.get("camera_model", "OPENCV")  # nerfstudio's default
     if model not in SUPPORTED:
         wanted = f"nerfstudio camera_model {fields.shortened(model)}"
         raise fields.unsupported(wanted, ", ".join(SUPPORTED))
     fields.check_has(entry, (*SIZE, *FOCUS))
-    # nerfstudio makes integers of what some writers give as 1920.0.
+    # Some writers give 1920.0, of which nerfstudio makes an integer.
     sizes = [fields.real_number(entry[name], name) for name in SIZE]
     width, height = (
         checked_size(int(size) if size.is_integer() else size, name)
@@ -216,7 +216,7 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
 def _panorama(
     width: int, height: int, fl_x: float, fl_y: float, cx: float, cy: float
 ) -> Equirectangular:
-    """Whole panorama or part: pi / fl_x radians a column, pi / fl_y a row."""
+    """Whole panorama or a part, with pi / fl_x radians per column and pi / fl_y per row."""
     for name, value in (("fl_x", fl_x), ("fl_y", fl_y)):
         if not value > 0:
             raise ValueError(f"{name} must be positive, got {value}")
@@ -280,18 +280,9 @@ def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
         cy = camera.height / 2 + camera.center_latitude_deg * fl_y / 180
         focus: tuple[float, ...] = (fl_x, fl_y, cx, cy)
         return {"camera_model": "EQUIRECTANGULAR", **entry, **dict(zip(FOCUS, focus, strict=True))}
-    lens: tuple[str, ...] = ()
-    if isinstance(camera, KannalaBrandt):
-        model, lens = "OPENCV_FISHEYE", DISTORTION
-    elif isinstance(camera, UnifiedCamera) and camera.xi == 0:
-        model, lens = "OPENCV", ("k1", "k2", "p1", "p2")
-    elif isinstance(camera, Pinhole):
-        model = "PINHOLE"
-    else:
-        raise ValueError(
-            f"camera {name}: nerfstudio has no {type(camera).__name__} model; it has panoramas, "
-            "pinholes with distortion (Pinhole, UnifiedCamera with xi = 0) and KannalaBrandt"
-        )
+    lens = checks.lens_coefficients(name, camera, "nerfstudio")
+    assert isinstance(camera, FocalCamera)  # all others have been refused
     focus = (camera.fx, camera.fy, camera.cx, camera.cy)
-    entry |= {"camera_model": model, **dict(zip(FOCUS, focus, strict=True))}
-    return entry | {key: getattr(camera, key) for key in lens}
+    model = {Pinhole: "PINHOLE", UnifiedCamera: "OPENCV", KannalaBrandt: "OPENCV_FISHEYE"}
+    entry |= {"camera_model": model[type(camera)], **dict(zip(FOCUS, focus, strict=True))}
+    return entry | lens

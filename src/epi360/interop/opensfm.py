@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """OpenSfM's reconstruction.json.
 
-A list of reconstructions, each with its cameras (as in camera_models.json), shots (axis times angle
-and translation of cam_from_world, axes x right, y down, z forward) and points. What tracks.csv
-holds, the observations, is not part of it. Source of the frames and models:
-https://opensfm.org/docs/geometry.html; of the keys: opensfm/io.py of mapillary/OpenSfM.
+It is a list of reconstructions, each with cameras (as in camera_models.json), shots and points. A
+shot holds cam_from_world as axis times angle and translation, with the axes x right, y down, z
+forward. The observations are not in this file but in tracks.csv. Frames and models are described in
+https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM.
 """
 
 from __future__ import annotations
@@ -20,39 +20,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular, KannalaBrandt, Pinhole, UnifiedCamera
+from epi360.cameras import Camera, Equirectangular, KannalaBrandt
+from epi360.cameras.base import FocalCamera
 from epi360.cameras.calibration import fields
 from epi360.cameras.calibration.opensfm import read as cameras_from_document
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
+from epi360.runs.whole_files import write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 
 
 def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
-    """Largest reconstruction of a ``reconstruction.json``.
+    """Return the largest reconstruction of a ``reconstruction.json``.
 
     Parameters
     ----------
     path : path-like
-        The file. Where it holds several reconstructions, which share no frame, the one with the
-        most shots is taken and a warning says how many shots are left out.
+        The file. If it holds several reconstructions, which have no common frame, the one with the
+        most shots is returned, and a warning says how many shots are left out.
 
     Returns
     -------
     reconstruction : Reconstruction
-        Image names are those of the shots, time stamps their ``capture_time`` (seconds), unless all
-        are 0: unknown. Without observations: OpenSfM keeps them in another file.
+        Images have the names of the shots. Their time stamps are ``capture_time`` in seconds, or
+        None if all of these are 0. There are no observations: OpenSfM keeps them in another file.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
-        If it is not such a file, a camera is of another model than `load_cameras` reads, or a
-        pose or point is incomplete or not finite.
+        If it is not such a file, a camera has a model that `load_cameras` does not read, or a pose
+        or point is incomplete or not finite.
     """
     path = Path(path)
     document = checks.read_json(path, WHAT)
@@ -60,7 +61,7 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
         chosen = _largest(document)
         cameras = cameras_from_document(chosen["cameras"])
         images = tuple(_image(name, shot) for name, shot in chosen["shots"].items())
-        if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 where it has none
+        if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 for an unknown time
             images = tuple(replace(image, timestamp_s=None) for image in images)
         points, colors = _points(checks.mapping(chosen.get("points", {}), "points"))
         reconstruction = Reconstruction(cameras, images, points, colors)
@@ -82,9 +83,9 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
     Parameters
     ----------
     path : path-like
-        File; replaced if it is there.
+        File to write or replace.
     reconstruction : Reconstruction
-        Observations have no place in this file.
+        What to write; observations are left out.
 
     Raises
     ------
@@ -95,8 +96,8 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
 
     Notes
     -----
-    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 ``brown``,
-    `KannalaBrandt` ``fisheye_opencv`` (a ``max_angle_deg`` has no place there).
+    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
+    ``brown``, and `KannalaBrandt` becomes ``fisheye_opencv``, which has no ``max_angle_deg``.
     """
     document = {
         "cameras": {
@@ -143,7 +144,7 @@ def _image(name: str, shot: Any) -> PosedImage:
 
 
 def _points(entries: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Coordinates (P, 3) and colors (P, 3); a file may hold millions, checked all at once."""
+    """Coordinates (P, 3) and colors (P, 3), checked together: there may be millions."""
     try:
         rows = [(*entry["coordinates"], *entry["color"]) for entry in entries.values()]
         table = np.array(rows, dtype=np.float64).reshape(-1, 6)
@@ -178,10 +179,10 @@ def _entry_of_image(image: PosedImage) -> dict[str, Any]:
 
 
 def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
-    """Entry that `load_cameras` reads back; numbers are in units of the larger side."""
+    """Entry that `load_cameras` reads back; its unit is the larger side of the image."""
     size = {"width": camera.width, "height": camera.height}
     if isinstance(camera, Equirectangular):
-        # OpenSfM takes the width for 360 degrees about +z and the pixels for square.
+        # In OpenSfM the width is 360 degrees about +z, and pixels are square.
         if camera != Equirectangular(
             **size, vertical_fov_deg=min(180, 360 * camera.height / camera.width)
         ):
@@ -190,24 +191,14 @@ def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
                 "pixels; paste the part into a whole one"
             )
         return {"projection_type": "spherical", **size}
-    lens = {"k1": 0.0, "k2": 0.0, "k3": 0.0}
-    if isinstance(camera, KannalaBrandt):
-        lens = {key: getattr(camera, key) for key in ("k1", "k2", "k3", "k4")}
-        projection = "fisheye_opencv"
-    elif isinstance(camera, UnifiedCamera) and camera.xi == 0:
-        lens |= {key: getattr(camera, key) for key in ("k1", "k2", "p1", "p2")}
-        projection = "brown"
-    elif isinstance(camera, Pinhole):
-        lens |= {"p1": 0.0, "p2": 0.0}
-        projection = "brown"
-    else:
-        raise ValueError(
-            f"camera {name}: OpenSfM has no {type(camera).__name__} model; it has panoramas, "
-            "pinholes with distortion (Pinhole, UnifiedCamera with xi = 0) and KannalaBrandt"
-        )
+    lens = checks.lens_coefficients(name, camera, "OpenSfM")
+    assert isinstance(camera, FocalCamera)  # all others have been refused
+    is_fisheye = isinstance(camera, KannalaBrandt)
+    if not is_fisheye:
+        lens = dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), 0.0) | lens
     side = max(camera.width, camera.height)
     return {
-        "projection_type": projection,
+        "projection_type": "fisheye_opencv" if is_fisheye else "brown",
         **size,
         "focal_x": camera.fx / side,
         "focal_y": camera.fy / side,

@@ -8,13 +8,13 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
-# A name may hold any character but these two: file names do hold other Unicode white space.
+# A name may hold any character but these two; file names do hold other Unicode white space.
 BLANK = re.compile(r"[ \t]+")
 PLAIN_NAME = re.compile(r'[^"# \t][^ \t]*')
 NAME = rf'"(.+?)"|({PLAIN_NAME.pattern})'
-LONGEST_LINE = 2**13  # characters, two of the longest paths; what is longer is another file
+LONGEST_LINE = 2**13  # characters, two of the longest paths; a longer line is no pair
 TWO_NAMES = re.compile(rf"(?:{NAME})[ \t]+(?:{NAME})")
 
 
@@ -24,39 +24,40 @@ def read_pairs_file(
     names: Collection[str] | None = None,
     both_orders: bool = False,
 ) -> list[tuple[str, str]]:
-    """Pairs of image names, in the order of the file.
+    """Return the pairs of image names in a file, in its order.
 
     Parameters
     ----------
     path : path-like
-        UTF-8 text. A line holds two names with blanks between them. A name that itself holds
-        blanks stands in double quotes, or a tab separates the two. Empty lines and those that
+        UTF-8 text. Each line holds two names with blanks between them. If a name has blanks in it,
+        it stands in double quotes, or a tab separates the two names. Empty lines and lines that
         begin with # are skipped.
     names : collection of str, optional
-        Images that there are: a line that can be split in one way only into two of these needs
-        neither quotes nor tab. Names that are not among them are not refused.
+        Names of the images. A line that can be split in only one way into two of these names needs
+        neither quotes nor a tab. Other names are accepted too.
     both_orders : bool, optional
-        Take a pair that is listed in both orders once, in the first of them, as hloc does: its
-        pairs by retrieval name most pairs from either side. Otherwise that is an error.
+        Whether a pair may be listed in both orders. It is then returned once, in the first order.
+        hloc writes such files, because its retrieval finds most pairs from either image.
 
     Returns
     -------
     pairs : list of (str, str)
+        Names of image 1 and image 2 of each pair.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
-        If it is no text, or a line does not hold two names, holds one name twice or repeats a
-        pair; the message has the number of the line.
+        If the file is no text, or a line does not hold two names, holds one name twice or repeats a
+        pair. The message has the number of the line.
     """
     path = Path(path)
-    known = None if names is None else frozenset(names)
+    image_names = None if names is None else frozenset(names)
     pairs: dict[tuple[str, str], int] = {}  # with the line
     for number, line in _lines(path):
         try:
-            pair = _two_names(line, known)
+            pair = _two_names(line, image_names)
             if both_orders and pair[::-1] in pairs and pair not in pairs:
                 continue
             _check_is_new(pair, pairs)
@@ -74,15 +75,14 @@ def write_pairs_file(path: str | os.PathLike[str], pairs: Iterable[tuple[str, st
     Parameters
     ----------
     path : path-like
-        Written or replaced.
+        File to write or replace.
     pairs : iterable of (str, str)
-        Names with blanks in them are put into double quotes.
+        Names of image 1 and image 2 of each pair. Names with blanks are put into double quotes.
 
     Raises
     ------
     ValueError
-        If a name cannot stand in such a file: it is empty, has a line break, or has double quotes
-        where it needs them around it.
+        If a name is empty, has a line break, or has both blanks and double quotes.
     OSError
         If the file cannot be written.
     """
@@ -91,7 +91,7 @@ def write_pairs_file(path: str | os.PathLike[str], pairs: Iterable[tuple[str, st
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Lines that say something, with their numbers from 1."""
+    """Lines that are neither empty nor comments, with their numbers from 1."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, stripped
 
 
-def _two_names(line: str, known: frozenset[str] | None) -> tuple[str, str]:
+def _two_names(line: str, image_names: frozenset[str] | None) -> tuple[str, str]:
     if len(line) > LONGEST_LINE:
         raise ValueError(f"expected two image names, got {len(line)} characters")
     marked = TWO_NAMES.fullmatch(line)
@@ -116,8 +116,8 @@ def _two_names(line: str, known: frozenset[str] | None) -> tuple[str, str]:
     if len(by_tab) == 2 and all(by_tab):
         return by_tab[0], by_tab[1]
     splits = [(line[: blank.start()], line[blank.end() :]) for blank in BLANK.finditer(line)]
-    if known is not None:
-        splits = [split for split in splits if known.issuperset(split)]
+    if image_names is not None:
+        splits = [split for split in splits if image_names.issuperset(split)]
     if len(splits) == 1:
         return splits[0]
     raise ValueError(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.files import write_file
+from epi360.runs.whole_files import write_file
 
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -24,26 +24,7 @@ LONGEST_HEADER = 2**16
 
 
 def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Vertices and their colors.
-
-    Parameters
-    ----------
-    path : Path
-        Text or binary PLY; the vertices come first, colors are of type uchar or missing.
-
-    Returns
-    -------
-    points : ndarray, shape (P, 3)
-    colors : ndarray, shape (P, 3), uint8
-        Black where the file has none.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no PLY file, is cut off, or its vertices are not finite or have no x, y, z.
-    """
+    """Return the vertices (P, 3) of a PLY file and their colors (P, 3), black if it has none."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
@@ -67,20 +48,7 @@ def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
 
 
 def write_ply_points(path: Path, points: NDArray[np.float64], colors: NDArray[np.uint8]) -> None:
-    """Write points as a binary PLY, positions in double precision.
-
-    Parameters
-    ----------
-    path : Path
-        File; replaced if it is there.
-    points : ndarray, shape (P, 3)
-    colors : ndarray, shape (P, 3), uint8
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
+    """Write points (P, 3) and colors (P, 3) as a binary PLY with positions in double precision."""
     kinds = [(name, "<f8") for name in POSITION] + [(name, "u1") for name in COLOR]
     vertices = np.empty(len(points), dtype=kinds)
     for index in range(3):

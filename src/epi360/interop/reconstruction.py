@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Cameras, poses and points: what every reconstruction and trajectory is read into."""
+"""Cameras, poses and points: every reconstruction and trajectory is read into these."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class PosedImage:
     Attributes
     ----------
     name : str
-        Path of the image below the folder of the images; of a trajectory: its time stamp as text.
+        Path of the image below the folder of the images, or the time stamp of a trajectory's row.
     camera : str or None
-        Key in the reconstruction's cameras; None where the file does not say.
+        Key in the reconstruction's cameras; None if the file does not say.
     cam_from_world : Pose
-        Camera axes x right, y down, z forward.
+        Pose of the camera, with the axes x right, y down, z forward.
     timestamp_s : float, optional
-        Seconds; None where the file does not say.
+        Time in seconds; None if the file does not say.
     frame : str or None
-        Images of a rig that share a frame were taken at one moment; None: a frame of its own.
+        Images of a rig that share a frame were taken at one moment; None is a frame of its own.
     """
 
     name: str
@@ -40,16 +40,16 @@ class PosedImage:
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Where the points are seen, one row an observation.
+    """Where the points are seen: row i of the three arrays is one observation.
 
     Attributes
     ----------
     points : ndarray, shape (K,), int
-        Row in the reconstruction's points.
+        Rows in the reconstruction's points.
     images : ndarray, shape (K,), int
-        Index in the reconstruction's images.
+        Indices in the reconstruction's images.
     pixels : ndarray, shape (K, 2)
-        Continuous pixels.
+        Continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
     """
 
     points: NDArray[np.int64]
@@ -59,28 +59,29 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Posed images, and points where there are any.
+    """Posed images, and points if there are any.
 
     Attributes
     ----------
     cameras : mapping of str to Camera
-        By name.
+        Cameras by name.
     images : tuple of PosedImage
-        In the order of the file.
+        Images in the order of the file.
     points : ndarray, shape (P, 3)
-        In the world.
+        Positions in the world, in the unit of the poses.
     colors : ndarray, shape (P, 3), uint8
-        RGB of the points.
+        RGB colors of the points.
     observations : Observations, optional
-        None where the file has none.
+        Where the points are seen; None if the file does not say.
     cam_from_rig : mapping of str to Pose
-        Where each camera sits on its rig; empty: no rig, every image is a frame of its own.
+        Pose of each camera on its rig, by the camera's name. If it is empty there is no rig, and
+        every image is a frame of its own.
 
     Raises
     ------
     ValueError
-        If an image is there twice or names an unknown camera, a name is no text, or there is not
-        one color a point.
+        If an image is listed twice or names an unknown camera, a name is empty or no text, or the
+        points do not have one color each.
     """
 
     cameras: Mapping[str, Camera]
@@ -94,12 +95,10 @@ class Reconstruction:
         """Check that the parts fit together."""
         names = set()
         for image in self.images:
-            check_image_name(image.name)
+            check_image(image.name, image.camera, self.cameras)
             if image.name in names:
                 raise ValueError(f"image {image.name} is there twice")
             names.add(image.name)
-            if image.camera is not None and image.camera not in self.cameras:
-                raise ValueError(f"image {image.name} has the unknown camera {image.camera!r}")
         if self.points.shape != (len(self.colors), 3):
             raise ValueError(
                 f"points must have shape ({len(self.colors)}, 3), one color each, "
@@ -107,14 +106,15 @@ class Reconstruction:
             )
 
 
-def check_image_name(name: str) -> None:
-    """Raise ``ValueError`` unless a file of another tool can hold the name.
+def check_image(name: str, camera: str | None, cameras: Mapping[str, Camera]) -> None:
+    """Raise ``ValueError`` unless the name is text, and the camera is one of these or None."""
+    check_image_name(name)
+    if camera is not None and camera not in cameras:
+        raise ValueError(f"image {name} has the unknown camera {camera!r}")
 
-    Parameters
-    ----------
-    name : str
-        Of an image; Linux lets names of files be bytes that are no text.
-    """
+
+def check_image_name(name: str) -> None:
+    """Raise ``ValueError`` for an empty name or bytes that are no text, which Linux allows."""
     try:
         name.encode("utf-8")
     except UnicodeEncodeError:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Trajectories as the TUM RGB-D benchmark writes them: ``timestamp tx ty tz qx qy qz qw``.
 
-A row is the pose of the camera in the world, world_from_cam, axes x right, y down, z forward, time
-in seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
+A row is the pose world_from_cam, with the camera's axes x right, y down, z forward, and the time in
+seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
 from __future__ import annotations
@@ -10,35 +10,35 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from epi360.datasets.tables import read_table
-from epi360.files import write_file
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
+from epi360.runs.whole_files import write_file
 
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
 def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
-    """Poses of a trajectory; each image is called by its time stamp.
+    """Return the poses of a trajectory; each image is named by its time stamp.
 
     Parameters
     ----------
     path : path-like
-        Text file with rows ``timestamp tx ty tz qx qy qz qw``; "#" starts a comment.
+        Text file with rows ``timestamp tx ty tz qx qy qz qw``; "#" begins a comment.
 
     Returns
     -------
     reconstruction : Reconstruction
-        Without cameras and points.
+        Posed images without cameras and points.
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If the file does not exist.
     ValueError
-        If a row does not hold eight finite numbers with a unit quaternion, or a time is there
-        twice.
+        If a row does not hold eight finite numbers with a unit quaternion, or two rows have the
+        same time.
     """
     path = Path(path)
     table = read_table(path, COLUMNS, None)
@@ -62,11 +62,10 @@ def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstru
     Parameters
     ----------
     path : path-like
-        File; replaced if it is there.
+        File to write or replace.
     reconstruction : Reconstruction
-        Cameras, points and image names have no place in this file. Where an image has no time
-        stamp, every row gets the index of its image instead, from 0: seconds and indices do not
-        mix.
+        What to write; cameras, points and image names are left out. If any image has no time stamp,
+        every row gets the index of its image, from 0, in place of the time.
 
     Raises
     ------
@@ -95,5 +94,5 @@ def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstru
 
 
 def _shortest(number: float | int | None) -> str:
-    """Fewest digits that read back to the same number; indices without a point."""
+    """Fewest digits that read back to the same number; an index has no decimal point."""
     return repr(number) if isinstance(number, int) else repr(float(number or 0.0))

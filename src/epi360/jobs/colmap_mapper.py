@@ -19,26 +19,14 @@ from epi360.progress import Progress, no_progress
 Mapper = Literal["incremental", "global"]
 STAGE = "mapping images"
 _SMALLEST_MODEL = 3  # images; COLMAP's 10 would drop a room of a tour
-# What a verified pair has at least. With COLMAP's 30, 3 of the 17 panoramas of a real tour are
-# placed, with 15 in four models 14 of them; where images are dense nothing changes.
+# A verified pair has at least so many inliers. With COLMAP's 30, 3 of the 17 panoramas of a real
+# tour get a pose; with 15, 14 of them do, in four models. Where images are dense nothing changes.
 _MIN_INLIERS = 15
 
 
 @dataclass(frozen=True)
 class MapperOptions:
-    """How COLMAP maps.
-
-    Attributes
-    ----------
-    mapper : "incremental" or "global"
-        One image after the other, or all at once.
-    refine_cameras : bool
-        Refine the focal length and distortion of fisheye and pinhole cameras.
-    num_threads : int
-        Of the mapper.
-    seed : int
-        Of its random choices.
-    """
+    """How COLMAP maps: images one by one or all at once, with refined cameras or given ones."""
 
     mapper: Mapper = "incremental"
     refine_cameras: bool = False
@@ -53,28 +41,11 @@ def run_mapper(
     colors: Mapping[str, NDArray[np.uint8]],
     progress: Progress = no_progress,
 ) -> list[Any]:
-    """Models that COLMAP finds, the one with the most images first.
+    """Models that COLMAP finds in a database with verified pairs, the one with most images first.
 
-    Parameters
-    ----------
-    database : path
-        COLMAP database with verified pairs.
-    options : MapperOptions
-    colors : mapping of str to ndarray, shape (N, 3), uint8
-        RGB of the key points of each image of the database, by the image's name.
-    progress : Progress
-        Told after each image of the incremental mapper; the global one says nothing before its end.
-
-    Returns
-    -------
-    models : list of pycolmap.Reconstruction
-        Those in which at least two images have a pose that are not all in a larger one; possibly
-        none.
-
-    Raises
-    ------
-    ImportError
-        If pycolmap is missing.
+    ``colors`` are the RGB values (N, 3) of the key points by the image's name. ``progress`` is told
+    after each image of the incremental mapper; the global one says nothing before its end. Each
+    model has at least two images that are not all in a larger one; there may be none.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
     num_images, placed = len(colors), 0
@@ -87,8 +58,8 @@ def run_mapper(
     progress(STAGE, 0, num_images)
     with _quiet(pycolmap), TemporaryDirectory() as scratch:
         pycolmap.set_random_seed(options.seed)
-        # In place of the images a folder without any: COLMAP would decode each for the colors of
-        # the points, and not turn those that have an orientation tag.
+        # COLMAP gets a folder without images: it would decode each of them for the colors of the
+        # points, and not turn those that have an orientation tag.
         paths = (str(database), scratch, scratch)
         if options.mapper == "global":
             found = pycolmap.global_mapping(*paths, _global_options(pycolmap, options))
@@ -124,16 +95,7 @@ def _color_points(model: Any, colors: Mapping[str, NDArray[np.uint8]]) -> None:
 
 
 def mapper_settings(options: MapperOptions) -> str:
-    """Every setting of the mapper as text: equal text and input give equal models.
-
-    Parameters
-    ----------
-    options : MapperOptions
-
-    Returns
-    -------
-    text : str
-    """
+    """Every setting of the mapper as text: equal text and input give equal models."""
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
     build = _global_options if options.mapper == "global" else _incremental_options
     return f"pycolmap {pycolmap.__version__}\n{build(pycolmap, options).summary()}"
@@ -149,8 +111,8 @@ def _incremental_options(pycolmap: Any, options: MapperOptions) -> Any:
     chosen.ba_refine_extra_params = options.refine_cameras
     chosen.ba_refine_sensor_from_rig = False
     chosen.mapper.abs_pose_min_num_inliers = _MIN_INLIERS
-    # Two images alone, and most of a tour, have no other points. On three sequences with known
-    # poses: 1.6 times the points, the same errors, a tenth to a third more time.
+    # Two images alone have no other points, nor has most of a tour. Three sequences with known
+    # poses get 1.6 times the points and the same errors, in a tenth to a third more time.
     chosen.triangulation.ignore_two_view_tracks = False
     chosen.mapper.abs_pose_refine_focal_length = options.refine_cameras
     chosen.mapper.abs_pose_refine_extra_params = options.refine_cameras

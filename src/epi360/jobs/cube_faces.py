@@ -33,23 +33,9 @@ _FACE_FROM_CAM: dict[FaceName, tuple[tuple[int, int, int], ...]] = {
 class CubemapOptions:
     """How panoramas are cut into faces.
 
-    Attributes
-    ----------
-    face_size : int, optional
-        Width and height of a face in pixels; by default what keeps the size of a panorama's
-        pixels: a quarter of its width at 90 degrees.
-    fov_deg : float
-        Field of view of a face; more than 90 makes neighbours overlap.
-    faces : tuple of str
-        Of front, right, back, left, up, down.
-    image_format : "jpg" or "png"
-    jpeg_quality : int
-        1 to 100.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or a face is unknown, there twice, or there is none.
+    ``face_size`` is the width and height of a face in pixels; by default it keeps the size of a
+    panorama's pixels: a quarter of its width at 90 degrees. If ``fov_deg`` is more than 90,
+    neighbours overlap.
     """
 
     face_size: int | None = None
@@ -75,33 +61,13 @@ class CubemapOptions:
 
 
 def face_from_cam(face: FaceName) -> Pose:
-    """Pose of a face in the frame of its camera: a rotation.
-
-    Parameters
-    ----------
-    face : str
-
-    Returns
-    -------
-    Pose
-    """
+    """Pose of a face in the frame of its camera: a rotation."""
     return Pose(np.array(_FACE_FROM_CAM[face], dtype=np.float64), np.zeros(3))
 
 
 def face_camera(camera: Camera, options: CubemapOptions) -> Pinhole:
-    """Pinhole camera of the faces of a camera.
-
-    Parameters
-    ----------
-    camera : Camera
-    options : CubemapOptions
-
-    Returns
-    -------
-    Pinhole
-        Square, its principal point in the middle.
-    """
-    tangent = round(math.tan(math.radians(options.fov_deg / 2)), 14)  # of 45 degrees: 1
+    """Square pinhole camera of the faces of a camera, its principal point in the middle."""
+    tangent = round(math.tan(math.radians(options.fov_deg / 2)), 14)  # exactly 1 for 45 degrees
     size = options.face_size
     if size is None:
         size = max(8, 2 * round(tangent * pixels_per_radian(camera) * math.pi / 4))
@@ -110,17 +76,7 @@ def face_camera(camera: Camera, options: CubemapOptions) -> Pinhole:
 
 
 def pixels_per_radian(camera: Camera) -> float:
-    """Resolution in the middle of the image, the mean of both directions.
-
-    Parameters
-    ----------
-    camera : Camera
-
-    Returns
-    -------
-    pixels_per_radian : float
-        Of a panorama, at the horizon.
-    """
+    """Resolution in the middle of the image, the mean of both directions; of a panorama, across."""
     middle = np.array([[camera.width / 2, camera.height / 2]])
     if isinstance(camera, Equirectangular):  # whose middle may be far from the horizon
         return camera.width / math.radians(camera.horizontal_fov_deg)
@@ -130,17 +86,8 @@ def pixels_per_radian(camera: Camera) -> float:
 def face_image_names(names: list[str], options: CubemapOptions) -> dict[tuple[str, FaceName], str]:
     """File names of the faces: ``sub/NAME_front.jpg`` of ``sub/NAME.png``.
 
-    Parameters
-    ----------
-    names : list of str
-        Of the panoramas, each once.
-    options : CubemapOptions
-
-    Returns
-    -------
-    names : dict of (panorama, face) to str
-        Different also where case does not count. Where two panoramas differ only in their ending,
-        it stays in the names of all.
+    The names differ also where case does not count. Where two panoramas differ only in their
+    ending, it stays in the names of all.
     """
     stems = {name: str(PurePosixPath(name).with_suffix("")) for name in names}
     if max(Counter(stem.casefold() for stem in stems.values()).values(), default=1) > 1:
@@ -155,25 +102,10 @@ def face_image_names(names: list[str], options: CubemapOptions) -> dict[tuple[st
 def cubemap_reconstruction(
     reconstruction: Reconstruction, options: CubemapOptions
 ) -> Reconstruction:
-    """Reconstruction whose images are the faces of another's.
+    """Reconstruction whose images are the faces of another's, as far as its cameras see them.
 
-    Parameters
-    ----------
-    reconstruction : Reconstruction
-        Each image with its camera.
-    options : CubemapOptions
-
-    Returns
-    -------
-    Reconstruction
-        One `Pinhole` camera for each size of a face. Of an image come the faces that its camera
-        sees something of. An observation goes to the face nearest to whose middle it lies; points
-        that no face sees are left out.
-
-    Raises
-    ------
-    ValueError
-        If an image has no camera.
+    There is one `Pinhole` camera for each size of a face. An observation goes to the face nearest
+    to whose middle it lies; points that no face sees are left out.
     """
     sources = reconstruction.cameras
     pinholes = {name: face_camera(camera, options) for name, camera in sources.items()}
@@ -197,18 +129,7 @@ def cubemap_reconstruction(
 
 
 def visible_faces(camera: Camera, options: CubemapOptions) -> tuple[FaceName, ...]:
-    """Faces of which a camera sees something.
-
-    Parameters
-    ----------
-    camera : Camera
-    options : CubemapOptions
-
-    Returns
-    -------
-    faces : tuple of str
-        In the order of the options.
-    """
+    """Faces of which a camera sees something, in the order of the options."""
     reach = math.tan(math.radians(options.fov_deg / 2)) * np.linspace(-0.98, 0.98, 33)
     x, y = (axis.ravel() for axis in np.meshgrid(reach, reach))
     rays = np.column_stack([x, y, np.ones(len(x))])

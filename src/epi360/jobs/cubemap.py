@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -13,13 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.features.images import nadir_mask, read_image, read_mask
-from epi360.files import write_file
+from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.nerfstudio import write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
@@ -33,6 +31,9 @@ from epi360.jobs.cube_faces import (
 )
 from epi360.jobs.face_sampler import FaceSampler
 from epi360.progress import Progress, no_progress
+from epi360.runs.inside import inside
+from epi360.runs.made_from import first_difference, read_record, write_record
+from epi360.runs.whole_files import whole_file
 
 RECORD_FILE = "cubemap.json"
 _STAGE = "cutting cube faces"
@@ -40,15 +41,7 @@ _STAGE = "cutting cube faces"
 
 @dataclass(frozen=True, eq=False)
 class Cubemap:
-    """Folder of an exported cubemap.
-
-    Attributes
-    ----------
-    reconstruction : Reconstruction
-        The faces as posed images, with the points.
-    num_written, num_kept : int
-        Panoramas cut now, and those whose faces were there already.
-    """
+    """The faces as posed images, with the points; how many panoramas were cut and how many kept."""
 
     reconstruction: Reconstruction
     num_written: int
@@ -67,27 +60,12 @@ def export_cubemap(
 ) -> Cubemap:
     """Write posed panoramas as posed pinhole images, for tools that know no other camera.
 
-    Parameters
-    ----------
-    folder : path
-        That the names of the images start from.
-    reconstruction : Reconstruction
-        Poses and cameras of the images, and their points; any camera with a wide view.
-    output : path
-        Gets ``images/``, ``sparse/0`` (a COLMAP model) and ``transforms.json`` (nerfstudio). Where
-        something is masked or a camera does not see all around, there is a mask for every face,
-        ``masks/NAME.jpg.png`` for ``images/NAME.jpg``, and ``transforms.json`` names them.
-    options : CubemapOptions, optional
-    masks : mapping of str to path, optional
-        Mask by the name of the image; white = use.
-    mask_nadir_deg : float
-        Masks this angle around straight down of the panorama as well.
-    progress : Progress
-        Told after each panorama.
-
-    Returns
-    -------
-    Cubemap
+    The names of the images start from ``folder``. ``output`` gets ``images/``, ``sparse/0`` (a
+    COLMAP model) and ``transforms.json`` (nerfstudio). Where something is masked or a camera does
+    not see all around, there is a mask for every face, ``masks/NAME.jpg.png`` for
+    ``images/NAME.jpg``, and ``transforms.json`` names them. ``masks`` are those of the images by
+    name, white = use; ``mask_nadir_deg`` around straight down is masked as well. A panorama is not
+    cut again while its faces are newer than itself and its mask.
 
     Raises
     ------
@@ -95,11 +73,8 @@ def export_cubemap(
         If an image or a mask is not there.
     ValueError
         If ``mask_nadir_deg`` is not in [0, 180), an image has another size than its camera,
-        ``output`` is ``folder`` or holds a cubemap with other options, or there is no image.
-
-    Notes
-    -----
-    A panorama is not cut again while its faces are newer than itself and its mask.
+        ``output`` is ``folder`` or holds a cubemap with other options, there is no image, or the
+        name of one leads out of ``output``.
     """
     options = options or CubemapOptions()
     if not 0 <= mask_nadir_deg < 180:
@@ -135,37 +110,22 @@ def export_cubemap(
 def check_cubemap_folder(
     output: Path, options: CubemapOptions, mask_nadir_deg: float
 ) -> dict[str, Any]:
-    """Raise where a cubemap could not be written into a folder, before hours of work.
+    """Record of the cubemap in a folder; ValueError where none could be written there.
 
-    Parameters
-    ----------
-    output, options, mask_nadir_deg
-        As `export_cubemap` takes them.
-
-    Returns
-    -------
-    record : dict
-        Of the cubemap that is there; empty where there is none.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds other files, or a cubemap with other options.
+    Asked before hours of work: the folder may hold other files, or a cubemap with other options.
     """
     if not output.is_dir():
         return {}
     before = _record_before(output / RECORD_FILE)
-    if before and before["options"] != _options_record(options, mask_nadir_deg):
+    if before and first_difference(before["options"], _options(options, mask_nadir_deg)):
         raise ValueError(f"{output} holds a cubemap with other options; delete it or name another")
     if not before and any(output.iterdir()):
         raise ValueError(f"{output} holds other files; name a new or empty folder")
     return before
 
 
-def _options_record(options: CubemapOptions, mask_nadir_deg: float) -> dict[str, Any]:
-    """Options as they come back from the record: lists for tuples."""
-    values = {**dataclasses.asdict(options), "mask_nadir_deg": mask_nadir_deg}
-    return dict(json.loads(json.dumps(values)))
+def _options(options: CubemapOptions, mask_nadir_deg: float) -> dict[str, Any]:
+    return {**dataclasses.asdict(options), "mask_nadir_deg": mask_nadir_deg}
 
 
 def _by_camera(reconstruction: Reconstruction) -> list[tuple[Camera, list[str]]]:
@@ -206,22 +166,22 @@ class _Cutter:
         """Make the output folder, or check it and remove faces that have another camera or mask."""
         if self.output.resolve() == self.folder.resolve():
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
+        for face in names.values():
+            self._face_file(face)  # ValueError, before anything is written or removed
         self.output.mkdir(parents=True, exist_ok=True)
         record = {
-            "options": _options_record(self.options, self.mask_nadir_deg),
+            "options": _options(self.options, self.mask_nadir_deg),
             "made_from": {
                 image.name: f"{reconstruction.cameras[str(image.camera)]}, "
                 f"{self._mask_words(image.name)}"
                 for image in reconstruction.images
             },
         }
-        record = json.loads(json.dumps(record))  # tuples become lists, as in the file
-        path = self.output / RECORD_FILE
         before = check_cubemap_folder(self.output, self.options, self.mask_nadir_deg)
         for face in self._stale(before.get("made_from", {}), record["made_from"], names):
-            (self.output / "images" / face).unlink(missing_ok=True)
+            self._face_file(face).unlink(missing_ok=True)
             self._mask_file(face).unlink(missing_ok=True)
-        write_file(path, json.dumps(record, indent=1, ensure_ascii=False).encode())
+        write_record(self.output / RECORD_FILE, record)
 
     def _stale(
         self,
@@ -243,7 +203,7 @@ class _Cutter:
         if not source.exists() or (mask is not None and not mask.exists()):
             return False  # cut() says so
         newest = max(path.stat().st_mtime_ns for path in (source, mask) if path is not None)
-        files = [self.output / "images" / face for face in faces]
+        files = [self._face_file(face) for face in faces]
         if self.masked:
             files += [self._mask_file(face) for face in faces]
         return all(path.exists() and path.stat().st_mtime_ns >= newest for path in files)
@@ -263,28 +223,27 @@ class _Cutter:
                 f"image {panorama} is {image.shape[1]}x{image.shape[0]} but its camera is "
                 f"{camera.width}x{camera.height}"
             )
-        bgr = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
         masks = self._masks_of_faces(panorama, camera, samplers) if self.masked else {}
 
         def write(face: FaceName) -> None:
             if face in masks:
                 _write(self._mask_file(faces[face]), masks[face])
-            quality = [cv2.IMWRITE_JPEG_QUALITY, self.options.jpeg_quality]
-            picture = samplers[face].picture(bgr)
-            file = self.output / "images" / faces[face]
-            _write(file, _encoded(file.suffix, picture, quality if file.suffix == ".jpg" else []))
+            file = self._face_file(faces[face])
+            picture = samplers[face].picture(image)
+            quality = self.options.jpeg_quality
+            _write(file, encode_picture(picture, file.suffix, jpeg_quality=quality))
 
         list(pool.map(write, faces))
 
     def _masks_of_faces(
         self, panorama: str, camera: Camera, samplers: Mapping[FaceName, FaceSampler]
     ) -> dict[FaceName, bytes]:
-        """Encoded masks; one mask for all panoramas is cut once: 8 s of a panorama 11008 wide."""
+        """Encoded masks; one mask of all panoramas is cut once: 8 s if they are 11008 wide."""
         file = self.masks.get(panorama)
         if self._face_masks is None or self._face_masks[:2] != (camera, file):
             mask = self._mask(panorama, camera)
             cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
-            pngs = {face: _encoded(".png", cut[face].astype(np.uint8) * 255, []) for face in cut}
+            pngs = {face: encode_picture(cut[face], ".png") for face in cut}
             self._face_masks = camera, file, pngs
         return self._face_masks[2]
 
@@ -300,30 +259,27 @@ class _Cutter:
     def _mask_words(self, panorama: str) -> str:
         return f"mask {self.masks.get(panorama)}" if self.masked else "no masks"
 
+    def _face_file(self, face: str) -> Path:
+        return inside(self.output / "images", face)
+
     def _mask_file(self, face: str) -> Path:
-        return self.output / "masks" / f"{face}.png"
+        return inside(self.output / "masks", f"{face}.png")
 
 
-_nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # 5 s of a panorama 11008 wide
+_nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # takes 5 s for a panorama 11008 wide
 
 
 def _record_before(path: Path) -> dict[str, Any]:
     """What an earlier run noted; empty where there was none."""
-    if not path.exists():
+    remedy = f"delete {path.parent}"
+    record = read_record(path, remedy=remedy)
+    if record is None:
         return {}
-    try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        record["options"], record["made_from"].get("")
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise ValueError(f"{path} is damaged; delete {path.parent}") from None
+    if not all(isinstance(record.get(name), dict) for name in ("options", "made_from")):
+        raise ValueError(f"{path} is damaged; {remedy}")
     return record
 
 
-def _encoded(suffix: str, picture: NDArray[Any], parameters: list[int]) -> bytes:
-    return cv2.imencode(suffix, picture, parameters)[1].tobytes()
-
-
 def _write(path: Path, data: bytes) -> None:
-    """Write a file; OpenCV's own writer fails on non-ASCII paths."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, data)
+    with whole_file(path, make_folder=True) as file:
+        file.write(data)

@@ -17,24 +17,13 @@ _MapPair = tuple[NDArray[np.float32], NDArray[np.float32]]
 class FaceSampler:
     """Cuts one face out of the pictures of one camera.
 
-    Parameters
-    ----------
-    camera : Camera
-        Of the pictures.
-    pinhole : Pinhole
-        Of the face.
-    face : str
-
-    Attributes
-    ----------
-    visible : ndarray, shape (size, size), bool
-        Pixels whose direction the camera sees.
+    ``visible`` (size, size) has the pixels whose direction the camera sees.
     """
 
     def __init__(self, camera: Camera, pinhole: Pinhole, face: FaceName) -> None:
         self._wraps = isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360
         self._size = pinhole.width
-        # A face pixel that covers several of the picture is the mean of as many samples a side.
+        # If a face pixel covers several of the picture, it is the mean of so many samples a side.
         self._samples = max(1, round(pixels_per_radian(camera) / pinhole.fx))
         self._map = self._build_map(camera, pinhole, face)
         seen = np.where(np.isfinite(self._map[0]), np.uint8(255), np.uint8(0))
@@ -43,32 +32,13 @@ class FaceSampler:
         self.visible: NDArray[np.bool_] = self._reduced(seen) == 255
 
     def picture(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Face of a picture; black where the camera sees nothing.
-
-        Parameters
-        ----------
-        image : ndarray, shape (H, W) or (H, W, C), uint8
-
-        Returns
-        -------
-        face : ndarray, shape (size, size) or (size, size, C), uint8
-        """
+        """Face of a picture (H, W) or (H, W, C); black where the camera sees nothing."""
         reduced = self._reduced(self._sampled(image, cv2.INTER_CUBIC))
         reduced[~self.visible] = 0
         return reduced
 
     def mask(self, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
-        """Pixels of the face to use: seen by the camera, and usable in the picture's mask.
-
-        Parameters
-        ----------
-        mask : ndarray, shape (H, W), bool, optional
-            True = use.
-
-        Returns
-        -------
-        mask : ndarray, shape (size, size), bool
-        """
+        """Pixels of the face that the camera sees and the picture's mask (H, W) lets through."""
         if mask is None:
             return self.visible
         white = np.where(mask, np.uint8(255), np.uint8(0))

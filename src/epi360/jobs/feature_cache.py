@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from hashlib import blake2b
 from pathlib import Path
 
 import cv2
@@ -13,10 +12,11 @@ import numpy as np
 from epi360.cameras import Camera, Equirectangular
 from epi360.features import read_image, require_panorama
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, SiftKeypoints, find_keypoints
-from epi360.files import write_file
-from epi360.jobs.array_files import Arrays, npz_bytes, read_arrays
-from epi360.jobs.file_digests import FileDigests
 from epi360.jobs.image_set import SourceImage
+from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
+from epi360.runs.file_digests import FileDigests
+from epi360.runs.made_from import fingerprint
+from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
 EXTRACTION_VERSION = 2
@@ -37,14 +37,8 @@ class UnreadableImageError(ValueError):
 class ExtractionOptions:
     """How key points are found.
 
-    Parameters
-    ----------
-    max_width : int
-        Wider images are searched at this width.
-    max_features : int
-        The strongest are kept.
-    mask_nadir_deg : float
-        Ignore this angle around straight down.
+    Wider images than ``max_width`` are searched at this width, the strongest ``max_features`` are
+    kept, and ``mask_nadir_deg`` around straight down is ignored.
     """
 
     max_width: int
@@ -58,15 +52,6 @@ class FeatureCache:
 
     SIFT's descriptors are whole numbers from 0 to 255, so that a byte holds each without a loss:
     147 bytes a key point in all.
-
-    Parameters
-    ----------
-    folder : Path
-        It exists.
-    options : ExtractionOptions
-        Of all its images.
-    digests : FileDigests
-        Of the image files and masks.
     """
 
     folder: Path
@@ -76,56 +61,24 @@ class FeatureCache:
     def key(self, image: SourceImage, camera: Camera) -> str:
         """Name of the key points of an image: a hash of all that they depend on.
 
-        Parameters
-        ----------
-        image : SourceImage
-            Its file and that of its mask are read, unless their hashes are known; its name does
-            not matter.
-        camera : Camera
-            Of the image.
-
-        Raises
-        ------
-        UnreadableImageError
-            If a file cannot be read.
+        The image file and its mask are read, unless their hashes are known; names do not matter.
         """
         rules = (EXTRACTION_VERSION, cv2.__version__, FAINT_CONTRAST_THRESHOLD)
-        digest = blake2b(repr((rules, self.options, camera)).encode(), digest_size=16)
         try:
-            for path in (image.path, image.mask):
-                digest.update(b"" if path is None else self.digests.of(path))
+            contents = [
+                b"" if path is None else self.digests.digest_of(path)
+                for path in (image.path, image.mask)
+            ]
         except OSError as error:
             raise UnreadableImageError(f"{error.filename}: {error.strerror}") from None
-        return digest.hexdigest()
+        return fingerprint((rules, self.options, camera), *contents)
 
     def has(self, key: str) -> bool:
         """Whether there is a whole file for a key."""
         return self._read(key) is not None
 
     def extract(self, key: str, image: SourceImage, camera: Camera) -> SiftKeypoints:
-        """Find the key points of an image and keep them.
-
-        Parameters
-        ----------
-        key : str
-            Of the image.
-        image : SourceImage
-            Its files are read.
-        camera : Camera
-            Of the image.
-
-        Returns
-        -------
-        keypoints : SiftKeypoints
-            As `load` will give them: strongest first, down to the fainter contrast threshold.
-
-        Raises
-        ------
-        UnreadableImageError
-            If the image or its mask cannot be used.
-        OSError
-            If the key points cannot be written.
-        """
+        """Find the key points of an image, strongest first, and keep them; as `load` gives them."""
         try:
             picture = read_image(image.path)
             if camera == Equirectangular(camera.width, camera.height):
@@ -147,13 +100,7 @@ class FeatureCache:
         return _as_found(arrays)
 
     def load(self, key: str) -> SiftKeypoints | None:
-        """Key points of a key, or None where the file is missing or damaged.
-
-        Parameters
-        ----------
-        key : str
-            Of the image.
-        """
+        """Key points of a key, or None where the file is missing or damaged."""
         arrays = self._read(key)
         return None if arrays is None else _as_found(arrays)
 

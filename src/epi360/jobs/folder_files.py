@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from epi360.datasets.image_folder import natural_order
+from epi360.image_folders import natural_order
 
 # Folders that match, map and the cubemap export wrote: their pictures are no input.
 OUTPUT_RECORDS = ("epi360-match.json", "mapping.json", "cubemap.json")
@@ -16,23 +16,7 @@ def files_below(folder: Path) -> Iterator[tuple[str, Path]]:
     """Name and path of each file: those of a folder first, then its sub-folders one by one.
 
     Hidden files and folders are left out, and so are sub-folders that this package wrote. Linked
-    folders are entered once.
-
-    Parameters
-    ----------
-    folder : Path
-        Existing folder.
-
-    Yields
-    ------
-    name : str
-        Path below the folder with "/" between its parts, spelt as on disk.
-    path : Path
-
-    Raises
-    ------
-    ValueError
-        If a folder cannot be read.
+    folders are entered once. Names have "/" between their parts and are spelt as on disk.
     """
     try:
         yield from _files(folder, "", set())

@@ -16,30 +16,14 @@ _POSE_KEYS = ("cam_from_rig", "T_cn_cnm1", "T_cam_imu", "T_imu_cam")
 
 @dataclass(frozen=True, eq=False)
 class GivenCameras:
-    """Cameras of a calibration file.
-
-    Attributes
-    ----------
-    source : str
-        As it was given.
-    cameras : mapping of str to Camera
-        By name; one where the source names it.
-    cam_from_rig : mapping of str to Pose
-        Where they sit on their rig; empty: one camera, or the file does not say.
-    """
+    """Cameras of a calibration file by name, and where they sit on a rig if it says so."""
 
     source: str
     cameras: Mapping[str, Camera]
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def only(self) -> Camera:
-        """Return the one camera.
-
-        Raises
-        ------
-        ValueError
-            If there are several.
-        """
+        """Return the one camera; ValueError where there are several."""
         if len(self.cameras) > 1:
             known = ", ".join(self.cameras)
             raise ValueError(f"{self.source} holds {known}; name one as {self.source}:NAME")
@@ -55,16 +39,7 @@ def camera_file(source: str) -> tuple[Path, str | None]:
 
 
 def read_given_cameras(source: str) -> GivenCameras:
-    """Cameras of ``FILE`` or ``FILE:NAME``.
-
-    Parameters
-    ----------
-    source : str
-        A file that `load_cameras` reads, and after a colon the name of one of its cameras.
-
-    Returns
-    -------
-    given : GivenCameras
+    """Cameras of ``FILE`` or ``FILE:NAME``, a file that `load_cameras` reads.
 
     Raises
     ------

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Protocol
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.datasets.image_folder import IMAGE_SUFFIXES, existing_folder
+from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
 from epi360.features.image_headers import read_image_header
-from epi360.interop.gpano import GPano, parse_gpano
+from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
 from epi360.jobs.folder_files import files_below
 from epi360.jobs.given_cameras import GivenCameras, read_given_cameras
 from epi360.jobs.masks import MaskSource
@@ -24,54 +24,26 @@ RAW_SUFFIXES = (".insp", ".dng")  # refused by the decoder, which says what to d
 
 @dataclass(frozen=True, eq=False)
 class SourceImage:
-    """An image file and what is known of it.
+    """An image file and what is known of it."""
 
-    Attributes
-    ----------
-    name : str
-        Path below the folder of the images with "/" between its parts, spelt as on disk: an
-        accent is one character or two as the file system has it.
-    path : Path
-        Where the file is.
-    camera : str
-        Key in the cameras of the set.
-    mask : Path or None
-        Its mask, of the same size, white = use; None: the whole image. Its content is checked when
-        it is read.
-    frame : str or None
-        Images of a rig that share it were taken at one moment; None: a frame of its own.
-    """
-
+    # Path below the folder of the images with "/" between its parts, spelt as on disk: an accent is
+    # one character or two as the file system has it.
     name: str
     path: Path
-    camera: str
-    mask: Path | None = None
-    frame: str | None = None
+    camera: str  # key in the cameras of the set
+    mask: Path | None = None  # white = use; its content is checked when it is read
+    frame: str | None = None  # images of a rig that share it were taken at one moment
 
 
 @dataclass(frozen=True, eq=False)
 class ImageSet:
-    """The images of a folder.
+    """The images of a folder, in natural order: its own first, then its sub-folders one by one."""
 
-    Attributes
-    ----------
-    folder : Path
-        That the names of the images start from.
-    cameras : dict of str to Camera
-        By name: those of the camera file, or one for each size of panorama.
-    images : tuple of SourceImage
-        In natural order: those of a folder first, then its sub-folders one by one; at least one.
-    cam_from_rig : dict of str to Pose
-        Where each camera sits on the rig; empty: no rig.
-    skipped : tuple of (str, str)
-        Name and reason of each file that looks like a picture and cannot be used.
-    """
-
-    folder: Path
-    cameras: dict[str, Camera]
-    images: tuple[SourceImage, ...]
-    cam_from_rig: dict[str, Pose] = field(default_factory=dict)
-    skipped: tuple[tuple[str, str], ...] = ()
+    folder: Path  # the names of the images start from it
+    cameras: dict[str, Camera]  # those of the camera file, or one for each size of panorama
+    images: tuple[SourceImage, ...]  # at least one
+    cam_from_rig: dict[str, Pose] = field(default_factory=dict)  # empty: no rig
+    skipped: tuple[tuple[str, str], ...] = ()  # name and reason of each picture of no use
 
 
 def find_images(
@@ -90,12 +62,8 @@ def find_images(
         same name below these folders were taken at one moment. Without a file, an image is a 2:1
         panorama, or the part of one that its GPano metadata describe.
     mask : Path, optional
-        Mask of all images, white = use; or a folder where the mask of ``a/b.jpg`` is ``a/b`` with
-        any suffix of an image, or ``a/b.jpg.png``. Images without one there are used whole.
-
-    Returns
-    -------
-    images : ImageSet
+        Mask of all images, white = use; or a folder of masks, see `MaskSource`. Images without one
+        there are used whole.
 
     Raises
     ------
@@ -163,7 +131,7 @@ class _PanoramaCameras:
 
     def of(self, name: str, size: tuple[int, int], gpano: GPano | None) -> tuple[str, str | None]:
         try:
-            camera = (gpano or GPano()).camera(*size)
+            camera = panorama_camera(*size, gpano)
         except ValueError as error:
             if gpano is None or gpano.part is None:
                 raise _Unusable(
@@ -217,7 +185,7 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
         raise _Unusable("has a name that is not valid Unicode; rename it")
     size, gpano = _size_and_gpano(path)
     camera, frame = chosen.of(name, size, gpano)
-    mask = masks.of(name)
+    mask = masks.mask_of(name)
     mask_size = None if mask is None else masks.size_of(mask)
     if mask_size is not None and mask_size != size:
         raise _Unusable(

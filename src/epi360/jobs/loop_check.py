@@ -20,8 +20,8 @@ from epi360.jobs.match_store import Verdict
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# A triangle is open beyond this. Right triangles of a real tour miss by up to 2.5 degrees, which is
-# six times their sigma, where the inliers cover a small part of the sphere.
+# A triangle that misses by more is open. Right triangles of a real tour miss by up to 2.5 degrees,
+# six times their sigma, if the inliers cover a small part of the sphere.
 _SIGMAS = 4.0
 _FLOOR_DEG = 1.0
 _BLOCK = 1 << 18  # triangles at a time: 100 MB
@@ -31,14 +31,9 @@ _BLOCK = 1 << 18  # triangles at a time: 100 MB
 class LoopVerdict:
     """What the triangles of a pair say about it.
 
-    Attributes
-    ----------
-    num_triangles : int
-        With two other accepted pairs that are not contradicted themselves.
-    num_contradicted : int
-        Those of them that do not close.
-    contradicted : bool
-        The pair is wrong: it is the worst of those that could be to blame.
+    ``num_triangles`` are those with two other accepted pairs that are not contradicted themselves,
+    ``num_contradicted`` those of them that do not close. If the pair is the worst of those that
+    could be to blame, it is ``contradicted``: it is wrong.
     """
 
     num_triangles: int = 0
@@ -56,26 +51,10 @@ def check_loops(
 ) -> tuple[LoopVerdict, ...]:
     """Look for accepted pairs whose poses other accepted pairs contradict.
 
-    Parameters
-    ----------
-    pairs : sequence of (str, str)
-        Names of both images, each two images at most once.
-    verdicts : sequence of Verdict
-        On each pair.
+    ``pairs`` are the names of both images, each two images at most once. Nothing is said about
+    pairs that are not accepted, or that are in no triangle. Neither the order of the pairs matters
+    nor that of the images in a pair.
 
-    Returns
-    -------
-    loops : tuple of LoopVerdict
-        One a pair; nothing is said about pairs that are not accepted, or that are in no triangle.
-        Neither the order of the pairs matters nor that of the images in a pair.
-
-    Raises
-    ------
-    ValueError
-        If the lengths differ, or a pair is there twice or has one image only.
-
-    Notes
-    -----
     A triangle closes within four sigma of its poses and one degree. For a pair with c triangles
     that close and o that are open, (o + 1) / (o + c + 2) is the chance that the next one is open,
     by the rule of succession. A pair is contradicted if o > c, no other pair has a greater chance

@@ -22,17 +22,7 @@ TRANSFORMS = "transforms.json"
 
 @dataclass(frozen=True, eq=False)
 class MappedModel:
-    """One connected model.
-
-    Attributes
-    ----------
-    folder : Path
-        COLMAP's files.
-    reconstruction : Reconstruction
-        Its content.
-    mean_error_px : float
-        Mean reprojection error over the observations, pixels of the images.
-    """
+    """One connected model: COLMAP's folder, its content, and the mean reprojection error."""
 
     folder: Path
     reconstruction: Reconstruction
@@ -48,21 +38,7 @@ class MappedModel:
 def read_models(
     folder: Path, mean_errors_px: Sequence[float], graph: MatchGraph
 ) -> tuple[MappedModel, ...]:
-    """Models of a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        With the models ``0``, ``1``, ...
-    mean_errors_px : sequence of float
-        Of each model.
-    graph : MatchGraph
-        That they were mapped from.
-
-    Returns
-    -------
-    models : tuple of MappedModel
-    """
+    """Models ``0``, ``1``, ... of a folder, which were mapped from a graph."""
     return tuple(
         MappedModel(
             folder / str(number),
@@ -94,20 +70,7 @@ def write_transforms(
 ) -> tuple[str, ...]:
     """Write ``transforms.json`` of the first model; sentences about what it has no place for.
 
-    Parameters
-    ----------
-    images : ImageSet
-        With the masks.
-    output : Path
-        Folder that gets the file; paths in it are relative to this folder.
-    models : tuple of MappedModel
-        Of these images; none: nothing is written.
-    mask_nadir_deg : float
-        What the file cannot say: it takes masks, and those of all images or of none.
-
-    Returns
-    -------
-    remarks : tuple of str
+    Paths in the file are relative to its folder. It takes masks of all images or of none.
     """
     if not models:
         return ()

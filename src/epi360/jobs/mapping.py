@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import shutil
 import time
@@ -14,48 +12,31 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from epi360.extras import extra_library
-from epi360.files import write_file
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings, run_mapper
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
-from epi360.jobs.match_result import load_colors
-from epi360.jobs.matching import MatchOptions, MatchRun, load_matches, match_images
+from epi360.jobs.match_result import Colors, load_matches_and_colors
+from epi360.jobs.matching import MatchOptions, MatchRun, match_images
 from epi360.progress import Progress, no_progress
+from epi360.runs.made_from import fingerprint, read_record, write_record
+from epi360.runs.whole_files import whole_folder
 
 DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
 
 
 @dataclass(frozen=True)
 class MapOptions:
-    """How a folder is mapped.
+    """How a folder is mapped."""
 
-    Attributes
-    ----------
-    match : MatchOptions
-        How pairs are found; its seed is also the mapper's.
-    mapper : "incremental" or "global"
-        COLMAP's mapper: one image after the other, or all at once.
-    refine_cameras : bool
-        Refine the focal length and distortion of fisheye and pinhole cameras; panoramas have none.
-    mapper_threads : int
-        More than one is faster where there are many images, but the last digits of the result
-        change from run to run.
-
-    Raises
-    ------
-    ValueError
-        If the mapper is unknown or there is less than one thread.
-    """
-
-    match: MatchOptions = field(default_factory=MatchOptions)
-    mapper: Mapper = "incremental"
-    refine_cameras: bool = False
+    match: MatchOptions = field(default_factory=MatchOptions)  # its seed is also the mapper's
+    mapper: Mapper = "incremental"  # one image after the other; "global": all at once
+    refine_cameras: bool = False  # focal length and distortion; panoramas have none
+    # More than one is faster where there are many images, but the last digits of the result change
+    # from run to run.
     mapper_threads: int = 1
 
     def __post_init__(self) -> None:
@@ -68,33 +49,15 @@ class MapOptions:
 
 @dataclass(frozen=True, eq=False)
 class MapRun:
-    """What `map_images` found.
-
-    Attributes
-    ----------
-    matched : MatchRun
-        The pairs and their verdicts.
-    models : tuple of MappedModel
-        The one with the most images first; each has a world and a scale of its own.
-    unregistered : mapping of str to str
-        Image without a pose in the first model, and the reason.
-    num_images : int
-        Images of the folder.
-    seconds : mapping of str to float
-        Wall time of the "matching" of this run and of the "mapping".
-    remarks : tuple of str
-        Sentences about what could not be written.
-    was_mapped : bool
-        An earlier run mapped the same pairs: its models and its time.
-    """
+    """What `map_images` found."""
 
     matched: MatchRun
-    models: tuple[MappedModel, ...]
-    unregistered: Mapping[str, str]
+    models: tuple[MappedModel, ...]  # the largest first; each has its own world and scale
+    unregistered: Mapping[str, str]  # image without a pose in the first model, and the reason
     num_images: int
-    seconds: Mapping[str, float]
-    remarks: tuple[str, ...]
-    was_mapped: bool = False
+    seconds: Mapping[str, float]  # wall time of the "matching" of this run and of the "mapping"
+    remarks: tuple[str, ...]  # sentences about what could not be written
+    was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
 
 
 def map_images(
@@ -107,22 +70,16 @@ def map_images(
 ) -> MapRun:
     """Match the images of a folder and map them with COLMAP.
 
-    Parameters
-    ----------
-    images : ImageSet
-        What `find_images` gives.
-    output : path
-        Gets what `match_images` writes, ``database.db``, the models ``sparse/0``, ``sparse/1``, ...
-        and ``transforms.json`` of the first, its paths relative to the images.
-    options : MapOptions, optional
-    restart : bool
-        Throw away pairs in the output that were matched with other options, instead of refusing.
-    progress : Progress
-        Told about features, pairs and mapped images.
+    ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
+    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
+    ``restart``, pairs that were matched with other options are thrown away instead of refusing
+    them.
 
-    Returns
-    -------
-    MapRun
+    Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
+    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
+    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
+    was matched is not matched again, and what was mapped from the same matches with the same
+    options is not mapped again.
 
     Raises
     ------
@@ -133,14 +90,6 @@ def map_images(
         If it cannot be written.
     ImportError
         If pycolmap is missing.
-
-    Notes
-    -----
-    Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
-    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
-    was matched is not matched again, and what was mapped from the same matches with the same
-    options is not mapped again.
     """
     options = options or MapOptions()
     extra_library("pycolmap", extra="colmap", purpose="maps")  # before hours of matching
@@ -150,17 +99,19 @@ def map_images(
     record = _read_record(output)
     start = time.perf_counter()
     matched = match_images(images, output, options.match, restart=restart, progress=progress)
-    graph = _without_contradicted(load_matches(output), matched)
+    graph, colors = load_matches_and_colors(output)
+    graph = _without_contradicted(graph, matched)
     matching_s = time.perf_counter() - start
     mapper = MapperOptions(
         options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
     )
-    fingerprint = _fingerprint(graph, mapper)
-    was_mapped = record.get("fingerprint") == fingerprint and _has_models(output, record)
+    made_from = _fingerprint(graph, mapper)
+    was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
     if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
     else:
-        record = _map(graph, output, mapper, fingerprint, progress)
+        record = {"fingerprint": made_from, **_map(graph, colors, output, mapper, progress)}
+        write_record(output / RECORD, record)
     models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     return MapRun(
@@ -175,8 +126,8 @@ def map_images(
 
 
 def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
-    # One triangle is not enough: of a pose that is 10 degrees off most inliers can be right
-    # matches, and where pairs are few, a map falls apart without them.
+    # One triangle is not enough: even if a pose is 10 degrees off, most of its inliers can be
+    # right matches, and where pairs are few, a map falls apart without them.
     dropped = {
         (pair.image1, pair.image2)
         for pair in matched.verdicts
@@ -188,12 +139,8 @@ def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
 
 def _read_record(output: Path) -> dict[str, Any]:
     """Record of an earlier run; ValueError where its files are somebody else's."""
-    path = output / RECORD
-    if path.exists():
-        try:
-            record: dict[str, Any] = {**json.loads(path.read_text(encoding="utf-8"))}
-        except (ValueError, TypeError):
-            raise ValueError(f"{path} is damaged; delete it with {DATABASE} and {MODELS}") from None
+    record = read_record(output / RECORD, remedy=f"delete it with {DATABASE} and {MODELS}")
+    if record is not None:
         return record
     for name in (DATABASE, MODELS):
         if (output / name).exists():
@@ -212,51 +159,43 @@ def _has_models(output: Path, record: Mapping[str, Any]) -> bool:
 
 def _fingerprint(graph: MatchGraph, options: MapperOptions) -> str:
     """Hash of everything that the models depend on."""
-    digest = hashlib.sha256(f"{mapper_settings(options)} {graph.cameras}".encode())
+    pieces: list[object] = [(mapper_settings(options), graph.cameras)]
     for camera, pose in graph.cam_from_rig.items():
-        digest.update(camera.encode() + pose.matrix().tobytes())
+        pieces += [camera, pose.matrix()]
     for image in graph.images.values():
-        digest.update(f"{image.name} {image.camera} {image.frame}".encode())
-        digest.update(np.ascontiguousarray(image.keypoints).tobytes())
+        pieces += [(image.name, image.camera, image.frame), image.keypoints]
     for pair in graph.pairs:
-        digest.update(f"{pair.image1} {pair.image2}".encode())
+        pieces.append((pair.image1, pair.image2))
         if pair.geometry is not None:
-            digest.update(pair.geometry.status.encode() + pair.geometry.inliers.tobytes())
-            digest.update(pair.geometry.cam2_from_cam1.matrix().tobytes())
-    return digest.hexdigest()
+            pieces += [pair.geometry.status, pair.geometry.inliers]
+            pieces.append(pair.geometry.cam2_from_cam1.matrix())
+    return fingerprint(*pieces)
 
 
 def _map(
     graph: MatchGraph,
+    colors: Colors,
     output: Path,
     options: MapperOptions,
-    fingerprint: str,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Write database and models, and the record that says from what."""
+    """Write database and models; returns what the record says of them."""
     start = time.perf_counter()
-    write_file(output / RECORD, b"{}")  # from here on database and models are ours
+    write_record(output / RECORD, {})  # from here on database and models are ours
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
     write_colmap_database(output / DATABASE, graph)
-    found = run_mapper(output / DATABASE, options, colors=load_colors(output), progress=progress)
-    temporary = output / f".{MODELS}.{os.getpid()}.tmp"
-    try:
-        for number, model in enumerate(found):
-            (temporary / str(number)).mkdir(parents=True)
-            model.write_binary(temporary / str(number))
-        shutil.rmtree(output / MODELS, ignore_errors=True)
-        if found:
-            os.replace(temporary, output / MODELS)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-    record = {
-        "fingerprint": fingerprint,
+    found = run_mapper(output / DATABASE, options, colors=colors, progress=progress)
+    shutil.rmtree(output / MODELS, ignore_errors=True)
+    if found:
+        with whole_folder(output / MODELS) as temporary:
+            for number, model in enumerate(found):
+                (temporary / str(number)).mkdir()
+                model.write_binary(temporary / str(number))
+    return {
         "seconds": time.perf_counter() - start,
         "mean_error_px": [model.compute_mean_reprojection_error() for model in found],
     }
-    write_file(output / RECORD, json.dumps(record, indent=1).encode())
-    return record
 
 
 def _reasons(

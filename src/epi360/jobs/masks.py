@@ -6,24 +6,16 @@ from __future__ import annotations
 import unicodedata
 from pathlib import Path
 
-from epi360.datasets.image_folder import IMAGE_SUFFIXES
 from epi360.features.image_headers import read_image_header
+from epi360.image_folders import IMAGE_SUFFIXES
 from epi360.jobs.folder_files import files_below
 
 
 class MaskSource:
     """One mask for all images, or a folder with a file per image.
 
-    Parameters
-    ----------
-    path : Path or None
-        A mask file; or a folder where the mask of ``a/b.jpg`` is ``a/b`` with any suffix of an
-        image, or ``a/b.jpg.png`` as COLMAP has it. None: no masks.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file or folder.
+    In a folder the mask of ``a/b.jpg`` is ``a/b`` with any suffix of an image, or ``a/b.jpg.png``
+    as COLMAP has it. Without a path there are no masks.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -38,7 +30,7 @@ class MaskSource:
                 if mask.suffix.lower() in IMAGE_SUFFIXES:
                     self._masks.setdefault(_key(_without_suffix(name)), mask)
 
-    def of(self, name: str) -> Path | None:
+    def mask_of(self, name: str) -> Path | None:
         """Mask of an image by its name; None: it has none."""
         if self._masks is None:
             return self._path
@@ -50,7 +42,7 @@ class MaskSource:
         if mask not in self._sizes:
             try:
                 self._sizes[mask] = read_image_header(mask).size
-            except OSError:  # said when it is read
+            except OSError:  # whoever reads the mask says why
                 self._sizes[mask] = None
         return self._sizes[mask]
 

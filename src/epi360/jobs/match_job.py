@@ -25,7 +25,8 @@ from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.jobs.match_store import Keys, Verdict, VerifiedPair, read_parts, write_part
 from epi360.jobs.pair_selection import Pair
 from epi360.progress import Progress
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, SETTLED, replaces, smallest_pixel_deg
+from epi360.second_look import is_settled, later_is_better
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _PAIRS_PER_THREAD = 16  # in a part: a few seconds of work, what a kill may cost
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
@@ -36,20 +37,8 @@ Result = TypeVar("Result")
 class MatchJob:
     """State of a run: keys of the images, and which images turned out to be unreadable.
 
-    Parameters
-    ----------
-    images : ImageSet
-        All images.
-    output : Path
-        Folder that `open_output` made.
-    cache : FeatureCache
-        Of the output.
-    seed : int
-        Of the sampling.
-    num_threads : int, optional
-        By default one per core.
-    progress : callable
-        Stages "images", "features" and "pairs".
+    ``output`` is a folder that `open_output` made; ``progress`` is told of the stages "images",
+    "features" and "pairs".
     """
 
     def __init__(
@@ -75,13 +64,7 @@ class MatchJob:
         self._features_of = lru_cache(_IMAGES_IN_MEMORY)(self._load_features)
 
     def find_features(self, wanted: Sequence[int]) -> None:
-        """Find the key points of images, where they are not known.
-
-        Parameters
-        ----------
-        wanted : sequence of int
-            Images.
-        """
+        """Find the key points of images, where they are not known."""
 
         def find_key(index: int) -> None:
             self.keys[index] = self.cache.key(self.images[index], self.cameras[index])
@@ -93,13 +76,7 @@ class MatchJob:
         self._for_each_image(missing, self._extract, "features", len(contents) - len(missing))
 
     def verify(self, pairs: Sequence[Pair]) -> tuple[dict[Keys, Verdict], int]:
-        """Verdicts of the pairs by their keys, and how many of them were there.
-
-        Parameters
-        ----------
-        pairs : sequence of (int, int)
-            Images.
-        """
+        """Verdicts of the pairs by their keys, and how many of them were there."""
         wanted = {self.keys_of(pair): pair for pair in pairs if self.is_readable(pair)}
         finished = {
             pair.keys: pair.verdict for pair in read_parts(self.output) if pair.keys in wanted
@@ -124,15 +101,13 @@ class MatchJob:
     def _verified(self, pairs: Sequence[Pair]) -> list[VerifiedPair]:
         """Finished pairs; those of images that turned out to be unreadable are missing."""
         found = self._look(pairs, strong=True)
-        # A warning too asks for a closer look: of 55 real pairs one or two that succeed with one
-        # are 3 degrees off, and right when all key points are matched.
         unsettled = [
             pair
             for pair, each in found.items()
-            if each.verdict.status not in SETTLED or each.verdict.warnings
+            if not is_settled(each.verdict.status, each.verdict.warnings)
         ]
         for pair, each in self._look(unsettled, strong=False).items():
-            if replaces(each.verdict.status, found[pair].verdict.status):
+            if later_is_better(found[pair].verdict.status, each.verdict.status):
                 found[pair] = each
         return [found[pair] for pair in pairs if pair in found and self.is_readable(pair)]
 
@@ -212,23 +187,11 @@ class MatchJob:
         return self.cache.extract(self.keys[index], self.images[index], self.cameras[index])
 
     def is_readable(self, pair: Pair) -> bool:
-        """Whether both images could be used so far.
-
-        Parameters
-        ----------
-        pair : (int, int)
-            Images.
-        """
+        """Whether both images could be used so far."""
         return not any(self.images[index].name in self.unreadable for index in pair)
 
     def keys_of(self, pair: Pair) -> Keys:
-        """Keys of the key points of both images.
-
-        Parameters
-        ----------
-        pair : (int, int)
-            Readable images.
-        """
+        """Keys of the key points of two readable images."""
         return self.keys[pair[0]], self.keys[pair[1]]
 
     def _for_each_image(

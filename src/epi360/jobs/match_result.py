@@ -7,15 +7,12 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import load_cameras
-from epi360.files import write_file
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
-from epi360.jobs.array_files import Arrays, read_arrays
 from epi360.jobs.feature_cache import COLORS
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.match_store import (
@@ -23,10 +20,13 @@ from epi360.jobs.match_store import (
     FEATURES,
     IMAGES,
     VerifiedPair,
-    json_bytes,
     read_parts,
 )
 from epi360.poses import Pose
+from epi360.runs.arrays import Arrays, read_arrays
+from epi360.runs.made_from import write_record
+
+Colors = dict[str, NDArray[np.uint8]]
 
 
 def write_index(
@@ -34,21 +34,8 @@ def write_index(
 ) -> None:
     """Say which images and pairs are the result: a run is complete.
 
-    Parameters
-    ----------
-    folder : Path
-        The output.
-    images : ImageSet
-        All images of the run.
-    keys : mapping of str to str
-        Key of the key points of each readable image, by its name.
-    pairs : iterable of (str, str)
-        Names of the images of each finished pair, in order.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
+    ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
+    the images of each finished pair, in order.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
@@ -61,23 +48,15 @@ def write_index(
     ]
     rig = {name: pose.matrix().tolist() for name, pose in images.cam_from_rig.items()}
     (folder / IMAGES).unlink(missing_ok=True)  # the old one does not go with the new cameras
-    write_file(folder / CAMERAS, json_bytes({"cameras": cameras}))
+    write_record(folder / CAMERAS, {"cameras": cameras})
     index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
-    write_file(folder / IMAGES, json_bytes(index))
+    write_record(folder / IMAGES, index)
 
 
 def load_matches(folder: Path) -> MatchGraph:
     """Images, key points and verified pairs that `match_images` left in a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Its output.
-
-    Returns
-    -------
-    graph : MatchGraph
-        Every pair has a geometry: look at its status.
+    Every pair has a geometry: look at its status.
 
     Raises
     ------
@@ -86,6 +65,11 @@ def load_matches(folder: Path) -> MatchGraph:
     ValueError
         If a file is damaged.
     """
+    return load_matches_and_colors(folder)[0]
+
+
+def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
+    """What `load_matches` gives, and the RGB of the key points of each image by its name."""
     folder = Path(folder)
     if not (folder / IMAGES).is_file():
         raise FileNotFoundError(
@@ -97,45 +81,28 @@ def load_matches(folder: Path) -> MatchGraph:
         keys = {image["name"]: image["key"] for image in index["images"]}
         wanted = [((name1, name2), (keys[name1], keys[name2])) for name1, name2 in index["pairs"]]
         rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
-        listed = [(image, image["camera"], image["frame"]) for image in index["images"]]
+        listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
-    images = {
-        image["name"]: MatchedImage(
-            image["name"], camera, _arrays_of(folder, image)["pixels"].astype(float), frame=frame
-        )
-        for image, camera, frame in listed
-    }
+    images: dict[str, MatchedImage] = {}
+    colors: Colors = {}
+    for name, camera, frame in listed:
+        arrays = _arrays_of(folder, name, keys[name])
+        images[name] = MatchedImage(name, camera, arrays["pixels"].astype(float), frame=frame)
+        colors[name] = arrays[COLORS]
     needed = {keys_of_pair for _, keys_of_pair in wanted}
     finished = {pair.keys: pair for pair in read_parts(folder) if pair.keys in needed}
     pairs = tuple(_matched_pair(names, finished.get(each)) for names, each in wanted)
-    return MatchGraph(cameras, images, pairs, rig)
-
-
-def load_colors(folder: Path) -> dict[str, NDArray[np.uint8]]:
-    """RGB of the key points of each image of `load_matches`, by the image's name.
-
-    Parameters
-    ----------
-    folder : Path
-        Output of `match_images`.
-
-    Raises
-    ------
-    ValueError
-        If a file is damaged.
-    """
-    images = json.loads((folder / IMAGES).read_bytes())["images"]
-    return {image["name"]: _arrays_of(folder, image)[COLORS] for image in images}
+    return MatchGraph(cameras, images, pairs, rig), colors
 
 
 _AGAIN = "run epi360 match with this --output again, it redoes what is missing"
 
 
-def _arrays_of(folder: Path, image: Mapping[str, Any]) -> Arrays:
-    arrays = read_arrays(folder / FEATURES / f"{image['key']}.npz")
+def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
+    arrays = read_arrays(folder / FEATURES / f"{key}.npz")
     if arrays is None:
-        raise ValueError(f"the key points of {image['name']} are missing or damaged; {_AGAIN}")
+        raise ValueError(f"the key points of {name} are missing or damaged; {_AGAIN}")
     return arrays
 
 

@@ -16,11 +16,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import package_version
-from epi360.files import write_file
-from epi360.jobs.array_files import npz_bytes, read_arrays
 from epi360.poses import Pose
+from epi360.runs.arrays import npz_bytes, read_arrays
+from epi360.runs.made_from import fingerprint, first_difference, read_record, write_record
+from epi360.runs.whole_files import write_file
 
 FORMAT = 1
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
@@ -40,31 +39,15 @@ Keys = tuple[str, str]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Verdict:
-    """What became of a pair, without its matches.
+    """What became of a pair, without its matches; most values are those of `RelativePoseResult`."""
 
-    Attributes
-    ----------
-    status : str
-        Of `RelativePoseResult`, or "unreadable_image".
-    warnings : tuple of str
-        Of `RelativePoseResult`.
-    num_matches, num_inliers : int
-        Matches, and those that agree with the pose.
-    noise_deg, parallax_deg : float
-        Of `RelativePoseResult`.
-    rotation_sigma_deg, translation_sigma_deg : float
-        One-sigma errors to expect, over all axes.
-    cam2_from_cam1 : Pose
-        |t| = 1; NaN where the pair does not determine it.
-    """
-
-    status: str
+    status: str  # also "unreadable_image"
     warnings: tuple[str, ...] = ()
     num_matches: int = 0
     num_inliers: int = 0
     noise_deg: float = np.nan
     parallax_deg: float = np.nan
-    rotation_sigma_deg: float = np.nan
+    rotation_sigma_deg: float = np.nan  # one-sigma errors to expect, over all axes
     translation_sigma_deg: float = np.nan
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
 
@@ -76,19 +59,7 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class VerifiedPair:
-    """A finished pair.
-
-    Attributes
-    ----------
-    keys : (str, str)
-        Of the key points of both images.
-    verdict : Verdict
-        On the pair.
-    matches : ndarray, shape (M, 2), int
-        (key point in image 1, key point in image 2).
-    inlier_mask : ndarray, shape (M,), bool
-        Which of them agree with the pose.
-    """
+    """A finished pair: keys of both images, verdict, matches (M, 2) and their inlier mask (M,)."""
 
     keys: Keys
     verdict: Verdict
@@ -97,23 +68,9 @@ class VerifiedPair:
 
 
 def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> None:
-    """Make the folder, or check that it goes with the options.
+    """Make the output folder, or check that its pairs were made with these options.
 
-    Parameters
-    ----------
-    folder : Path
-        The output.
-    options : mapping
-        Plain values that all pairs of a folder share.
-    restart : bool
-        Throw pairs away that were made with other options, instead of refusing.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds something else, or pairs made with other options.
-    OSError
-        If it cannot be written.
+    With ``restart``, pairs that were made with others are thrown away instead of refusing them.
     """
     wanted = {"format": FORMAT, "epi360_version": package_version(), "options": dict(options)}
     found = _marker(folder)
@@ -124,8 +81,8 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
-    # Before all else: a folder with more is not ours.
-    write_file(folder / MARKER, json_bytes(wanted))
+    # The marker comes first: a folder with other files and without it is not ours.
+    write_record(folder / MARKER, wanted)
     for part in (FEATURES, PAIRS):
         (folder / part).mkdir(exist_ok=True)
 
@@ -136,45 +93,31 @@ def _marker(folder: Path) -> dict[str, Any] | None:
         raise ValueError(f"output must be a folder, {folder} is a file")
     if not folder.exists() or all(path.name.startswith(".") for path in folder.iterdir()):
         return None
-    try:
-        found = json.loads((folder / MARKER).read_bytes())
-    except FileNotFoundError:
+    remedy = "choose another output"
+    found = read_record(folder / MARKER, remedy=remedy)
+    if found is None:
         raise ValueError(
             f"output {folder} is not empty and was not made by epi360 match; choose another"
-        ) from None
-    except ValueError:
-        found = None
-    if not isinstance(found, dict) or not isinstance(found.get("options"), dict):
-        raise ValueError(f"{folder / MARKER} is damaged; choose another output")
+        )
+    if not isinstance(found.get("options"), dict):
+        raise ValueError(f"{folder / MARKER} is damaged; {remedy}")
     return found
 
 
 def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    before = {**found, **found["options"]}
-    now = {**wanted, **wanted["options"]}
-    for name in now:
-        if name != "options" and before.get(name) != now[name]:
-            raise ValueError(
-                f"{folder} was made with {name} {before.get(name)}, now it is {now[name]}: choose "
-                "another --output, or --restart to match again (features that still fit are kept)"
-            )
+    flat = [{**record, **record["options"]} for record in (found, wanted)]
+    del flat[1]["options"]
+    different = first_difference(*flat)
+    if different is not None:
+        raise ValueError(
+            f"{folder} was made with {different.name} {different.before}, now it is "
+            f"{different.now}: choose another --output, or --restart to match again (features that "
+            "still fit are kept)"
+        )
 
 
 def write_part(folder: Path, pairs: Sequence[VerifiedPair]) -> None:
-    """Keep finished pairs.
-
-    Parameters
-    ----------
-    folder : Path
-        The output.
-    pairs : sequence of VerifiedPair
-        At least one.
-
-    Raises
-    ------
-    OSError
-        If the part cannot be written.
-    """
+    """Keep finished pairs, at least one, in a file of their own."""
     verdicts = [pair.verdict for pair in pairs]
     matches = np.concatenate([pair.matches for pair in pairs])
     arrays = {
@@ -187,22 +130,13 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair]) -> None:
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
     }
     content = npz_bytes(arrays)
-    digest = blake2b(content, digest_size=12).hexdigest()
-    write_file(folder / PAIRS / f"part-{digest}.npz", content)
+    write_file(folder / PAIRS / f"part-{fingerprint(content)}.npz", content)
 
 
 def read_parts(folder: Path) -> Iterable[VerifiedPair]:
-    """Pairs that are finished; a damaged part counts as not done.
+    """Pairs that are finished, in no order; one may come twice, the same each time.
 
-    Parameters
-    ----------
-    folder : Path
-        The output.
-
-    Yields
-    ------
-    pair : VerifiedPair
-        In no order; a pair may come twice, the same each time.
+    A damaged part counts as not done.
     """
     for path in sorted((folder / PAIRS).glob("part-*.npz")):
         arrays = read_arrays(path)
@@ -241,8 +175,3 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
             cam2_from_cam1=Pose(np.reshape(pose[:9], (3, 3)), np.array(pose[9:])),
         )
         yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)
-
-
-def json_bytes(record: Mapping[str, Any]) -> bytes:
-    """Content of a JSON file."""
-    return (json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from epi360.features.detection import check_options
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
-from epi360.jobs.file_digests import FileDigests
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.loop_check import check_loops
 from epi360.jobs.match_job import MatchJob
@@ -17,49 +16,27 @@ from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
 from epi360.jobs.pair_selection import Pair, select_pairs
 from epi360.progress import Progress, no_progress
+from epi360.runs.file_digests import FileDigests
 
 __all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_images"]
 
 
 @dataclass(frozen=True)
 class MatchOptions:
-    """How images are matched.
+    """How images are matched."""
 
-    Parameters
-    ----------
-    pairs : str or Path
-        "auto", "sequential", "exhaustive" or the path of a pairs file, see `select_pairs`.
-    overlap : int
-        Sequential: neighbours that follow an image.
-    max_width : int
-        Wider images are searched at this width; key points are in pixels of the originals. At
-        2048, real pairs 2688 wide have errors as small as at their full width, in half the time.
-    max_features : int
-        The strongest of each image are kept.
-    mask_nadir_deg : float
-        Ignore this angle around straight down.
-    seed : int
-        Of the sampling.
-    num_threads : int, optional
-        By default one per core; the results do not depend on it.
-    """
-
-    pairs: str | Path = "auto"
-    overlap: int = 10
+    pairs: str | Path = "auto"  # see `select_pairs`
+    overlap: int = 10  # in a sequence: neighbours that follow an image
+    # Wider images are searched at this width; key points are in pixels of the originals. At 2048,
+    # real pairs 2688 wide have errors as small as at their full width, in half the time.
     max_width: int = 2048
-    max_features: int = 10000
-    mask_nadir_deg: float = 0.0
+    max_features: int = 10000  # the strongest of each image are kept
+    mask_nadir_deg: float = 0.0  # ignored around straight down
     seed: int = 0
-    num_threads: int | None = None
+    num_threads: int | None = None  # one per core; the results do not depend on it
 
     def __post_init__(self) -> None:
-        """Check all options.
-
-        Raises
-        ------
-        ValueError
-            If one is out of its range.
-        """
+        """Check all options."""
         check_options(self.max_width, self.mask_nadir_deg)
         for name in ("overlap", "max_features", "num_threads"):
             value = getattr(self, name)
@@ -71,12 +48,7 @@ class MatchOptions:
 class PairVerdict(Verdict):
     """What became of a pair of images.
 
-    Attributes
-    ----------
-    image1, image2 : str
-        Names.
-    num_triangles, num_contradicted, contradicted
-        Of `LoopVerdict`.
+    The last three attributes are those of `LoopVerdict`.
     """
 
     image1: str
@@ -93,30 +65,14 @@ class PairVerdict(Verdict):
 
 @dataclass(frozen=True, eq=False)
 class MatchRun:
-    """What a run of `match_images` found.
+    """What a run of `match_images` found."""
 
-    Attributes
-    ----------
-    folder : Path
-        Output: what `load_matches` takes.
-    how : str
-        How the pairs were chosen, in words.
-    images : tuple of str
-        Names of all images.
-    verdicts : tuple of PairVerdict
-        In the order of the pairs.
-    unreadable : mapping of str to str
-        Image to the reason why it could not be used.
-    num_found : int
-        Pairs that an earlier run had finished.
-    """
-
-    folder: Path
-    how: str
-    images: tuple[str, ...]
-    verdicts: tuple[PairVerdict, ...]
-    unreadable: Mapping[str, str]
-    num_found: int
+    folder: Path  # what `load_matches` takes
+    how: str  # how the pairs were chosen, in words
+    images: tuple[str, ...]  # names of all images
+    verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
+    unreadable: Mapping[str, str]  # image to the reason why it could not be used
+    num_found: int  # pairs that an earlier run had finished
 
 
 def match_images(
@@ -129,24 +85,14 @@ def match_images(
 ) -> MatchRun:
     """Verified poses of pairs of images; what an earlier run has finished is used.
 
-    Parameters
-    ----------
-    images : ImageSet
-        Of `find_images`.
-    output : Path
-        Folder that keeps key points and pairs, made where it is missing.
-    options : MatchOptions
-        Which pairs, and how.
-    restart : bool
-        Throw away pairs in the output that were made with other options, instead of refusing;
-        features that still fit are kept.
-    progress : callable
-        Stages "images", "features" and "pairs".
+    ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
+    options are thrown away instead of refusing them; features that still fit are kept.
+    ``progress`` is told of the stages "images", "features" and "pairs".
 
-    Returns
-    -------
-    run : MatchRun
-        A verdict on each pair.
+    Every image has one list of key points, strongest first. A pair is matched with the stronger
+    ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
+    warning. An image that cannot be read costs its pairs, not the run. In the end the pairs are
+    held against each other, see `check_loops`.
 
     Raises
     ------
@@ -155,14 +101,6 @@ def match_images(
         something else.
     OSError
         If the output cannot be written.
-
-    Notes
-    -----
-    Every image has one list of key points, strongest first. A pair is matched with the stronger
-    ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
-    warning.
-    An image that cannot be read costs its pairs, not the run.
-    In the end the pairs are held against each other, see `check_loops`.
     """
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
     extraction = ExtractionOptions(

@@ -10,12 +10,12 @@ from pathlib import Path
 from epi360.interop.pairs_file import read_pairs_file
 from epi360.jobs.image_set import SourceImage
 
-# All pairs of so many panoramas take a minute or two on two cores.
+# Two cores match all pairs of so many panoramas in a minute or two.
 MAX_EXHAUSTIVE = 30
-# Beside its neighbours each image is matched with a few farther ahead, up to so many times as far:
-# where the camera came back or a neighbour failed, the sequence holds together.
+# Beside its neighbours each image is matched with a few that are up to so many times as far ahead:
+# they hold the sequence together where the camera came back or a neighbour failed.
 FARTHEST = 8
-# Cameras of a rig look to different sides: what one sees the other saw a moment ago, or not at all.
+# The cameras of a rig look to different sides: what one sees, another saw a moment ago or never.
 CROSS_CAMERA_FRAMES = 1
 
 Pair = tuple[int, int]
@@ -26,34 +26,16 @@ def select_pairs(
 ) -> tuple[str, list[Pair]]:
     """Pairs to match, and in words how they were chosen.
 
-    Parameters
-    ----------
-    images : sequence of SourceImage
-        In order.
-    pairs : str or Path
-        "sequential", "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
-        path of a pairs file.
-    overlap : int
-        Sequential: each image with so many after it, and with those 2, 4 and 8 times as far ahead.
-
-    Returns
-    -------
-    how : str
-        Such as "exhaustive".
-    chosen : list of (int, int)
-        Indices of images, each unordered pair once.
+    ``pairs`` is "sequential" (each image with ``overlap`` after it, and with those 2, 4 and 8 times
+    as far ahead), "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
+    path of a pairs file. Each unordered pair of indices comes once. A sequence is all images in
+    their order, across sub-folders; of a rig, it is each camera's images by frame, and images of
+    different cameras at most one frame apart.
 
     Raises
     ------
     ValueError
         If the pairs file names an image that is not there, or cannot be read.
-    FileNotFoundError
-        If it does not exist.
-
-    Notes
-    -----
-    Sequences: all images in their order, across sub-folders. Of a rig: each camera's images by
-    frame, and images of different cameras at most one frame apart.
     """
     if pairs == "auto":
         pairs = "exhaustive" if len(images) <= MAX_EXHAUSTIVE else "sequential"
@@ -72,7 +54,9 @@ def _sequential(images: Sequence[SourceImage], overlap: int) -> list[Pair]:
     if len(moments) == len(images):
         return [(a, b) for a in range(len(images)) for b in _ahead(a, len(images), overlap)]
     steps = [(a, b) for a in range(len(moments)) for b in [a, *_ahead(a, len(moments), overlap)]]
-    return [pair for a, b in steps for pair in _of_rig(images, moments[a], moments[b], b - a)]
+    return [
+        pair for a, b in steps for pair in _pairs_of_moments(images, moments[a], moments[b], b - a)
+    ]
 
 
 def _ahead(index: int, count: int, overlap: int) -> list[int]:
@@ -81,16 +65,16 @@ def _ahead(index: int, count: int, overlap: int) -> list[int]:
     return [index + step for step in steps if index + step < count]
 
 
-def _of_rig(
-    images: Sequence[SourceImage], moment1: list[int], moment2: list[int], apart: int
+def _pairs_of_moments(
+    images: Sequence[SourceImage], moment1: list[int], moment2: list[int], num_frames: int
 ) -> Iterable[Pair]:
     """Pairs between two moments of a rig, or within one."""
-    if apart == 0:
+    if num_frames == 0:
         yield from combinations(moment1, 2)
         return
     for first in moment1:
         for second in moment2:
-            if apart <= CROSS_CAMERA_FRAMES or images[first].camera == images[second].camera:
+            if num_frames <= CROSS_CAMERA_FRAMES or images[first].camera == images[second].camera:
                 yield first, second
 
 

@@ -4,10 +4,10 @@
 `epi360.report.figure` is imported on its own: it needs matplotlib, which is slow to import.
 """
 
-from epi360.files import write_file
 from epi360.report.files import check_writable
 from epi360.report.records import pair_record, pose_record, write_json
 from epi360.report.text import describe_pair, describe_status
+from epi360.runs.whole_files import write_file
 
 __all__ = [
     "check_writable",

@@ -23,26 +23,10 @@ def epipolar_curve(
     start: NDArray[np.float64],
     num_samples: int = CURVE_SAMPLES,
 ) -> NDArray[np.float64]:
-    """Great circle with a given plane normal as a polyline in an image.
+    """Great circle with a plane normal (``E b1`` in view 2, ``E^T b2`` in view 1) as a polyline.
 
-    Parameters
-    ----------
-    camera : Camera
-        Model of the image.
-    normal : ndarray, shape (3,)
-        Of the epipolar plane, in the camera's frame, any length: ``E b1`` in view 2 and
-        ``E^T b2`` in view 1.
-    start : ndarray, shape (3,)
-        Direction near the circle: the sample nearest to it is exact, so that the curve passes
-        through the match however coarse the sampling.
-    num_samples : int
-        Steps of the full circle.
-
-    Returns
-    -------
-    curve : ndarray, shape (K, 2)
-        Continuous pixels. Rows of NaN where the circle leaves the field of view and where it
-        jumps across the seam, so that a plotted line breaks there.
+    The sample nearest to ``start`` is exact, so that the curve passes through its match. Rows of
+    NaN break the line where the circle leaves the field of view or jumps across the seam.
     """
     normal = normal / np.linalg.norm(normal)
     first = start - (start @ normal) * normal
@@ -66,20 +50,10 @@ def epipolar_curve(
 def match_residuals_deg(
     bearings1: NDArray[np.float64], bearings2: NDArray[np.float64], result: RelativePoseResult
 ) -> NDArray[np.float64]:
-    """Angle by which each match misses the pose, per axis and view.
+    """Angle by which each match misses the pose, per axis and view: the Sampson distance.
 
-    Parameters
-    ----------
-    bearings1, bearings2 : ndarray, shape (M, 3)
-        Unit bearings; row i of both is one match.
-    result : RelativePoseResult
-        Its ``E`` or, after a pure rotation, its rotation is used.
-
-    Returns
-    -------
-    residuals_deg : ndarray, shape (M,)
-        Sampson distance on the sphere; after a pure rotation the angle between ``R b1`` and b2
-        over sqrt 2, which is the same unit. NaN without a pose.
+    After a pure rotation it is the angle between ``R b1`` and b2 over sqrt 2, which is the same
+    unit. Without a pose it is NaN.
     """
     if result.status == "pure_rotation":
         turned = bearings1 @ result.cam2_from_cam1.rotation.T
@@ -95,23 +69,9 @@ def spread_matches(
     inlier_mask: NDArray[np.bool_],
     count: int,
 ) -> NDArray[np.intp]:
-    """Inliers that show the geometry well: far apart and with planes far apart.
+    """At most ``count`` inliers that are far apart and whose epipolar planes are far apart.
 
-    Parameters
-    ----------
-    bearings : ndarray, shape (M, 3)
-        Unit bearings of one view.
-    normals : ndarray, shape (M, 3)
-        ``E^T b2`` in view 1: normals of the epipolar planes; NaN where there is no translation.
-    inlier_mask : ndarray, shape (M,), bool
-        Which matches to choose from.
-    count : int
-        How many at most.
-
-    Returns
-    -------
-    indices : ndarray, shape (K,), int
-        K <= count rows, by farthest-point sampling; deterministic.
+    They are found by farthest-point sampling; normals of NaN (no translation) do not count.
     """
     candidates = np.flatnonzero(inlier_mask & np.isfinite(bearings).all(axis=1))
     if not len(candidates):
@@ -133,5 +93,5 @@ def spread_matches(
 
 
 def _jumps(pixels: NDArray[np.float64], width: int) -> NDArray[np.intp]:
-    """Where a polyline jumps: steps that are longer than half the image is wide."""
+    """Where a polyline jumps: steps longer than half the image's width."""
     return np.flatnonzero(np.linalg.norm(np.diff(pixels, axis=0), axis=1) > width / 2.0)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import io
 import os
 import textwrap
 from collections.abc import Sequence
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult
-from epi360.files import write_file
+from epi360.features.picture_writing import encode_figure
 from epi360.report.curves import (
     epipolar_curve,
     match_residuals_deg,
@@ -39,6 +38,7 @@ from epi360.report.text import (
     pose_sigmas_deg,
     rotation_axis_angle,
 )
+from epi360.runs.whole_files import write_file
 
 MAX_IMAGE_WIDTH = 2048
 MAX_DRAWN_MATCHES = 4000  # of each kind: more only cover each other and slow the drawing
@@ -336,8 +336,6 @@ def _thinned(indices: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _encoded(figure: Figure, suffix: str) -> bytes:
-    buffer = io.BytesIO()
     # Level 1 instead of 6 halves the time of a PNG for a tenth more bytes.
     options: dict[str, Any] = {"pil_kwargs": {"compress_level": 1}} if suffix == "png" else {}
-    figure.savefig(buffer, format=suffix, dpi=DPI, **options)
-    return buffer.getvalue()
+    return encode_figure(figure, suffix, dpi=DPI, **options)

@@ -39,18 +39,7 @@ def check_writable(path: str | os.PathLike[str], *, name: str = "path") -> None:
 
 
 def check_distinct(outputs: Mapping[str, Path], inputs: Mapping[str, Path]) -> None:
-    """Raise if an output would replace an input or another output.
-
-    Parameters
-    ----------
-    outputs, inputs : mapping of str to path
-        By the name that a message calls them.
-
-    Raises
-    ------
-    ValueError
-        If two of them are one file, also by way of a link.
-    """
+    """Raise ``ValueError`` if an output is an input or another output, also by way of a link."""
     taken = {os.path.realpath(path): name for name, path in inputs.items()}
     for name, path in outputs.items():
         other = taken.setdefault(os.path.realpath(path), name)
@@ -59,20 +48,7 @@ def check_distinct(outputs: Mapping[str, Path], inputs: Mapping[str, Path]) -> N
 
 
 def check_figure_name(path: str | os.PathLike[str], *, name: str = "path") -> None:
-    """Raise if the extension names no format that figures are written in.
-
-    Parameters
-    ----------
-    path : str or path
-        File that will be written.
-    name : str
-        What the message calls it.
-
-    Raises
-    ------
-    ValueError
-        If the extension is unknown; the message lists those that are not.
-    """
+    """Raise ``ValueError`` if the extension names no format that figures are written in."""
     if Path(path).suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         known = ", ".join(f".{suffix}" for suffix in FIGURE_FORMATS)
         raise ValueError(f"{name} must end in one of {known}, got {os.fspath(path)!r}")

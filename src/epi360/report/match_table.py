@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import csv
 import io
-import textwrap
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
 from epi360.jobs.matching import MatchRun, PairVerdict
-from epi360.report.text import LABEL_WIDTH, LINE_WIDTH, STATUS_SENTENCES
+from epi360.report.text import STATUS_SENTENCES, wrapped
 
 COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
@@ -24,20 +23,10 @@ _MAX_LISTED = 10
 
 
 def pairs_csv(run: MatchRun) -> bytes:
-    """Table of all pairs, UTF-8: one row a pair, in order.
+    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
-    Parameters
-    ----------
-    run : MatchRun
-        What was found.
-
-    Returns
-    -------
-    table : bytes
-        With a header. ``qw`` to ``tz`` are cam2_from_cam1, quaternion and unit translation; what is
-        not determined is empty. ``num_triangles`` counts those with two other accepted pairs,
-        ``num_contradicted`` those of them that do not close. The same on every machine that finds
-        the same.
+    ``qw`` to ``tz`` are cam2_from_cam1. ``num_triangles`` counts those with two other accepted
+    pairs, ``num_contradicted`` those of them that do not close.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -65,20 +54,7 @@ def pairs_csv(run: MatchRun) -> bytes:
 
 
 def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> str:
-    """Lines that tell a person how many pairs have a pose, and why others have none.
-
-    Parameters
-    ----------
-    run : MatchRun
-        What was found.
-    skipped : sequence of (str, str)
-        Images that were not in the run and why, of `ImageSet`.
-
-    Returns
-    -------
-    text : str
-        Without a trailing newline.
-    """
+    """Lines that say how many pairs have a pose, and why other pairs and images have none."""
     accepted = [verdict for verdict in run.verdicts if verdict.accepted]
     there = f", {run.num_found} were there" if run.num_found else ""
     rows = [
@@ -99,11 +75,11 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
     rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used])
     paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
     rows += _listed("No pair", [name for name in run.images if name not in paired])
-    return "\n".join(_wrapped(label, value) for label, value in rows)
+    return "\n".join(wrapped(label, value) for label, value in rows)
 
 
 def _reason(verdict: PairVerdict, run: MatchRun) -> str:
-    """Why a pair is accepted or not; of an image that cannot be read, why."""
+    """Why a pair is accepted or not; if an image cannot be read, why."""
     if verdict.contradicted:
         return CONTRADICTED
     if verdict.status in STATUS_SENTENCES:
@@ -113,19 +89,11 @@ def _reason(verdict: PairVerdict, run: MatchRun) -> str:
 
 
 def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:
-    """One row each, the first few."""
+    """The first few lines, one row each."""
     rows = [(label, line) for line in lines[:_MAX_LISTED]]
     if len(lines) > _MAX_LISTED:
         rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))
     return rows
-
-
-def _wrapped(label: str, value: str) -> str:
-    indent = " " * LABEL_WIDTH
-    first = f"{label:<{LABEL_WIDTH}}"
-    return textwrap.fill(
-        value, LINE_WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False
-    )
 
 
 def _number(value: float) -> str:

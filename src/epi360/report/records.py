@@ -13,9 +13,9 @@ import numpy as np
 
 from epi360.estimation.result import ImagePairResult, RelativePoseResult
 from epi360.extras import package_version
-from epi360.files import write_file
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
+from epi360.runs.whole_files import write_file
 
 PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5, 0.5)"
 
@@ -26,7 +26,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
     Parameters
     ----------
     result : RelativePoseResult
-        Any status. Of an `ImagePairResult` the key points are included.
+        Any status. The key points of an `ImagePairResult` are included.
 
     Returns
     -------
@@ -87,18 +87,7 @@ def pose_record(pose: Pose) -> dict[str, Any]:
 
 
 def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
-    """Errors of an estimate beside the true pose, as plain values.
-
-    Parameters
-    ----------
-    pose, truth : Pose
-        Estimate and truth of ``cam2_from_cam1``.
-
-    Returns
-    -------
-    record : dict
-        Keys of `pose_record` and ``rotation_error_deg``, ``translation_error_deg``; NaN is None.
-    """
+    """Errors of an estimate beside the true pose, as plain values; NaN is None."""
     return {
         **pose_record(truth),
         "rotation_error_deg": _plain(rotation_error_deg(pose, truth)),
@@ -114,7 +103,7 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
     path : str or path
         Written or replaced.
     record : mapping
-        Of plain values, such as `pair_record` returns.
+        Plain values, such as `pair_record` returns.
 
     Raises
     ------

@@ -65,7 +65,7 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     rows += [*_pose_rows(result), *_evidence_rows(result)]
     for pose in result.alternatives:
         rows.append(("Also fits", f"{_rotation_text(pose)}; t = {_vector_text(pose.translation)}"))
-    lines = [_wrapped(label, value) for label, value in rows]
+    lines = [wrapped(label, value) for label, value in rows]
     if truth is not None:
         lines += ["", *_truth_lines(result.cam2_from_cam1, truth)]
     return "\n".join(lines)
@@ -77,7 +77,7 @@ def describe_status(status: Status) -> str:
     Parameters
     ----------
     status : str
-        Of a `RelativePoseResult`.
+        Status of a `RelativePoseResult`.
 
     Returns
     -------
@@ -88,18 +88,7 @@ def describe_status(status: Status) -> str:
 
 
 def describe_direction(direction: NDArray[np.float64]) -> str:
-    """Azimuth and elevation of a direction in a camera frame, with words for the signs.
-
-    Parameters
-    ----------
-    direction : ndarray, shape (3,)
-        Of any length; x right, y down, z forward.
-
-    Returns
-    -------
-    words : str
-        Such as "azimuth +34.2 deg (right), elevation -2.1 deg (down)"; "not determined" for NaN.
-    """
+    """Azimuth and elevation of a direction, such as "azimuth +34.2 deg (right), elevation ..."."""
     if not np.isfinite(direction).all():
         return UNKNOWN
     azimuth, elevation = azimuth_elevation_deg(direction)
@@ -111,40 +100,15 @@ def describe_direction(direction: NDArray[np.float64]) -> str:
 
 
 def azimuth_elevation_deg(direction: NDArray[np.float64]) -> tuple[float, float]:
-    """Azimuth and elevation of a direction in a camera frame.
-
-    Parameters
-    ----------
-    direction : ndarray, shape (3,)
-        Of any length; x right, y down, z forward.
-
-    Returns
-    -------
-    azimuth_deg, elevation_deg : float
-        In [-180, 180], positive to the right; in [-90, 90], positive up.
-    """
+    """Azimuth (positive to the right) and elevation (positive up) of a direction."""
     x, y, z = direction
     return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(-y, np.hypot(x, z))))
 
 
 def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Axis and angle of a rotation matrix.
+    """Axis and angle in degrees; the axis is NaN if the angle is too small for one.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (3, 3)
-        Rotation matrix; NaN gives NaN.
-
-    Returns
-    -------
-    axis : ndarray, shape (3,)
-        Unit vector; NaN where the angle is so small that the axis means nothing.
-    angle_deg : float
-        In [0, 180].
-
-    Notes
-    -----
-    By the quaternion, which keeps the axis near 180 degrees.
+    They are found by the quaternion, which keeps the axis near 180 degrees.
     """
     w, *xyz = Pose(rotation, np.zeros(3)).quaternion_wxyz
     vector = np.array(xyz)
@@ -157,17 +121,8 @@ def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
     """One-sigma errors to expect of the rotation and of the translation's direction.
 
-    Parameters
-    ----------
-    result : RelativePoseResult
-        Its ``covariance`` is used.
-
-    Returns
-    -------
-    rotation_sigma_deg, translation_sigma_deg : float
-        Root mean square of the error angle over all axes, the square root of the trace of the
-        (3, 3) and of the (2, 2) block; comparable with `rotation_error_deg` and
-        `translation_error_deg`. NaN where the covariance is.
+    Each is the root of the trace of its block of the covariance: the root mean square of what
+    `rotation_error_deg` and `translation_error_deg` measure.
     """
     variances = np.diag(result.covariance)
     rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
@@ -225,7 +180,7 @@ def _rotation_text(pose: Pose) -> str:
 
 
 def _heading_text(rotation: NDArray[np.float64]) -> str:
-    """Where camera 2 looks, in the frame of camera 1, and how it leans about that direction."""
+    """Where camera 2 looks, seen from camera 1, and how it leans about that direction."""
     if not np.isfinite(rotation).all():
         return UNKNOWN
     cam1_from_cam2 = rotation.T
@@ -247,7 +202,7 @@ def _side(azimuth_deg: float) -> str:
 
 
 def _signed(angle_deg: float) -> str:
-    """One decimal with its sign, zero without."""
+    """One decimal with its sign; zero has none."""
     rounded = round(angle_deg, 1)
     return f"{rounded:+.1f}" if rounded else "0.0"
 
@@ -258,11 +213,11 @@ def _vector_text(vector: NDArray[np.float64]) -> str:
     return "(" + ", ".join(f"{value + 0.0:.4f}" for value in np.round(vector, 4)) + ")"
 
 
-def _wrapped(label: str, value: str) -> str:
-    """Label and value, long values continued under their own beginning."""
-    indent = " " * LABEL_WIDTH
+def wrapped(label: str, value: str) -> str:
+    """Label and value; lines that continue a long value are indented as far as it is."""
+    first, indent = f"{label:<{LABEL_WIDTH}}", " " * LABEL_WIDTH
     return textwrap.fill(
-        value, LINE_WIDTH, initial_indent=f"{label:<{LABEL_WIDTH}}", subsequent_indent=indent
+        value, LINE_WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False
     )
 
 
@@ -271,18 +226,5 @@ def _sigma_text(sigma_deg: float) -> str:
 
 
 def number_text(value: float, template: str) -> str:
-    """Write a number for people, or "not determined" where it is not finite.
-
-    Parameters
-    ----------
-    value : float
-        Any number.
-    template : str
-        Format string with one field, such as ``"{:.3f} deg"``.
-
-    Returns
-    -------
-    text : str
-        For people.
-    """
+    """A number in a format such as ``"{:.3f} deg"``, or "not determined" if it is not finite."""
     return template.format(value) if np.isfinite(value) else UNKNOWN

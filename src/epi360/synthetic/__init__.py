@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Scenes with known truth: landmarks with noise and outliers, and rooms rendered with depth."""
+"""Matches with known truth: landmarks seen from two views, with noise and outliers."""
 
 from epi360.synthetic.depth_landmarks import landmarks_from_depth
 from epi360.synthetic.disturbances import add_metric_noise, replace_with_outliers
@@ -9,9 +9,6 @@ from epi360.synthetic.landmarks import (
     scene_from_points,
     two_view_scene,
 )
-from epi360.synthetic.paths import handheld_path
-from epi360.synthetic.rendering import Rendering
-from epi360.synthetic.room import SCENES, RenderedPair, Room, demo_pair, furnished_room, scene
 from epi360.synthetic.von_mises_fisher import (
     kappa_from_mean_angle_deg,
     mean_angle_deg_from_kappa,
@@ -20,15 +17,8 @@ from epi360.synthetic.von_mises_fisher import (
 )
 
 __all__ = [
-    "SCENES",
-    "RenderedPair",
-    "Rendering",
-    "Room",
     "TwoViewScene",
     "add_metric_noise",
-    "demo_pair",
-    "furnished_room",
-    "handheld_path",
     "kappa_from_mean_angle_deg",
     "landmarks_from_depth",
     "mean_angle_deg_from_kappa",
@@ -36,7 +26,6 @@ __all__ = [
     "replace_with_outliers",
     "sample_relative_pose",
     "sample_von_mises_fisher",
-    "scene",
     "scene_from_points",
     "two_view_scene",
 ]

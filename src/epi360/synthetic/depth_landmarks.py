@@ -26,7 +26,7 @@ def landmarks_from_depth(
     depth : array_like, shape (H, W)
         Range along the ray of each pixel's centre in metres; 0, NaN or infinite: none.
     camera : Camera
-        Of the depth image.
+        Camera of the depth image.
     num : int
         Number of landmarks, of different pixels.
     rng : numpy.random.Generator

@@ -6,35 +6,14 @@ from numpy.typing import NDArray
 
 
 def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows of an array, each divided by its length; NaN rows where that is zero.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (N, 3)
-
-    Returns
-    -------
-    units : ndarray, shape (N, 3)
-    """
+    """Rows of an array, each divided by its length; NaN rows where that is zero."""
     with np.errstate(invalid="ignore"):
         units: NDArray[np.float64] = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return units
 
 
-def tangents(
-    directions: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two unit vectors that make an orthonormal frame with each direction.
-
-    Parameters
-    ----------
-    directions : ndarray, shape (N, 3)
-        Unit vectors.
-
-    Returns
-    -------
-    tangent1, tangent2 : ndarray, shape (N, 3)
-    """
+def tangents(directions: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Two unit vectors that make an orthonormal frame with each direction."""
     # The cross product with the axis of the smallest coordinate is never near zero.
     axis = np.eye(3)[np.argmin(np.abs(directions), axis=1)]
     tangent1 = unit(np.cross(directions, axis))
@@ -42,20 +21,7 @@ def tangents(
 
 
 def cap_directions(rng: np.random.Generator, num: int, half_angle: float) -> NDArray[np.float64]:
-    """Unit vectors uniform over the spherical cap of a half angle about +z.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    num : int
-        Number N of vectors.
-    half_angle : float
-        Radians; pi is the whole sphere.
-
-    Returns
-    -------
-    directions : ndarray, shape (N, 3)
-    """
+    """Unit vectors uniform over the spherical cap of a half angle about +z."""
     z = 1.0 - rng.random(num) * (1.0 - np.cos(half_angle))
     azimuth = rng.uniform(0.0, 2.0 * np.pi, num)
     radius = np.sqrt(np.maximum(0.0, 1.0 - z * z))

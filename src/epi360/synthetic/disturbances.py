@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Wrong matches by a stated model, and the noise in metres of the paper's authors."""
+"""Wrong matches by a stated model, and noise in metres as in the code of the paper's authors."""
 
 from collections.abc import Callable
 from typing import Literal, get_args
@@ -33,8 +33,8 @@ def add_metric_noise(
     sigma_m : float, optional
         Standard deviation of Gaussian noise.
     kappa : float, optional
-        Instead: a scalar von Mises variable of this concentration, its radians taken for metres,
-        as in the authors' code. Very nearly Gaussian of ``1 / sqrt(kappa)`` m: 4.5 cm for 500.
+        Concentration of a scalar von Mises variable whose radians are taken for metres, as in the
+        authors' code; nearly Gaussian of ``1 / sqrt(kappa)`` m, 4.5 cm for 500.
 
     Returns
     -------
@@ -74,14 +74,14 @@ def replace_with_outliers(
     ratio : float
         Nominal share of outliers in [0, 1].
     model : {"uniform", "shuffled", "authors"}
-        "uniform": exactly ``round(ratio N)`` rows become uniform random directions. "shuffled": so
-        many rows exchange their bearings, as wrong matches between true key points do. "authors":
-        as the published code does it: that many rows are drawn *with* replacement, and each
-        becomes the bearing of a random row or its antipode: a nominal 50 % is 39 %, as
-        1 - exp(-ratio) of the rows are drawn at all.
+        "uniform": exactly ``round(ratio N)`` rows become uniform random directions. "shuffled":
+        that many rows exchange their bearings, as wrong matches between true key points do.
+        "authors": as in the published code, that many rows are drawn *with* replacement, and each
+        becomes the bearing of a random row or its antipode. A nominal 50 % is then 39 %, because
+        only 1 - exp(-ratio) of the rows are drawn.
     uniform_directions : callable, optional
-        Instead of the whole sphere: makes the directions (count, 3) of "uniform" from the
-        generator and their number.
+        Makes the directions (count, 3) of "uniform" from the generator and their number; by
+        default they cover the whole sphere.
 
     Returns
     -------
@@ -114,13 +114,7 @@ def replace_with_outliers(
 
 
 def check_outliers(ratio: float, model: str) -> None:
-    """Raise ``ValueError`` if a share or a model of outliers is none.
-
-    Parameters
-    ----------
-    ratio : float
-    model : str
-    """
+    """Raise ``ValueError`` for an unknown model of outliers or a share outside [0, 1]."""
     if not 0.0 <= ratio <= 1.0:
         raise ValueError(f"outlier_ratio must be in [0, 1], got {ratio}; 0.2 is 20 %")
     if model not in get_args(OutlierModel):
@@ -133,7 +127,7 @@ def _all_around(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
 
 
 def _other_rows(rng: np.random.Generator, rows: NDArray[np.intp], num: int) -> NDArray[np.intp]:
-    """Row whose bearing each of these (in random order) takes over, never its own."""
+    """For each of these rows, in random order, another row whose bearing it takes."""
     if len(rows) != 1:
         return np.roll(rows, 1)
     if num == 1:

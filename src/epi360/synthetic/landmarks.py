@@ -212,17 +212,7 @@ def sample_relative_pose(
 
 
 def rotation_from_euler(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrix Rz Ry Rx of three angles about the fixed axes x, y, z.
-
-    Parameters
-    ----------
-    angles_rad : ndarray, shape (3,)
-        Angles about x, y and z in radians; x is applied first.
-
-    Returns
-    -------
-    rotation : ndarray, shape (3, 3)
-    """
+    """Rotation matrix Rz Ry Rx of three angles about the fixed axes x, y, z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles_rad), np.sin(angles_rad)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -232,18 +222,7 @@ def rotation_from_euler(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def rotation_from_heading(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World-from-camera rotation of a camera that is tilted first and then turned to a heading.
-
-    Parameters
-    ----------
-    angles_rad : ndarray, shape (3,)
-        Pitch (about x) and roll (about z) of the camera with its heading (about y, the vertical)
-        between them, in radians.
-
-    Returns
-    -------
-    rotation : ndarray, shape (3, 3)
-    """
+    """World-from-camera rotation of a camera that is tilted first and then turned to a heading."""
     pitch, heading, roll = angles_rad
     tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
     rotation: NDArray[np.float64] = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt

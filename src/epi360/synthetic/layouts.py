@@ -14,7 +14,7 @@ Layout = Literal["room", "sphere", "cone", "plane", "behind"]
 
 # No landmark is closer than this to either camera, so that every bearing is well defined.
 MIN_RANGE_M = 0.3
-# Ranges of the layouts without walls: log-uniform between these, an indoor scene's spread.
+# In layouts without walls, ranges are log-uniform between these, as in an indoor scene.
 NEAREST_M, FARTHEST_M = 1.0, 10.0
 # Half extents of the room of the layout "room"; it grows where camera 2 stands outside.
 ROOM_HALF_M = (3.5, 1.6, 2.5)
@@ -26,30 +26,7 @@ Sampler = Callable[[np.random.Generator, int], NDArray[np.float64]]
 def sample_points(
     rng: np.random.Generator, num: int, layout: Layout, half_angle: float, pose: Pose
 ) -> NDArray[np.float64]:
-    """Landmarks of a layout that keep their distance from both cameras, by rejection.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    num : int
-        Number N of landmarks.
-    layout : {"room", "sphere", "cone", "plane", "behind"}
-        See `two_view_scene`.
-    half_angle : float
-        Of the cone, in radians.
-    pose : Pose
-        ``cam2_from_cam1``, metric.
-
-    Returns
-    -------
-    points : ndarray, shape (N, 3)
-        In the frame of camera 1, in metres.
-
-    Raises
-    ------
-    ValueError
-        If the two cameras do not see the layout together.
-    """
+    """Landmarks of a layout that keep their distance from both cameras, by rejection."""
     center2 = pose.inverse().translation
     samplers: dict[str, Sampler] = {
         "room": lambda rng, num: _room_points(rng, num, center2),

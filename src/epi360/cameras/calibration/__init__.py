@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Calibration files to cameras; the format is found from the content."""
+"""Calibration files to cameras; the content of a file says which format it is."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ __all__ = ["KalibrCamera", "load_camera", "load_cameras", "load_kalibr_rig"]
 
 Format = tuple[Callable[[Any], bool], Callable[[Any], dict[str, Camera]]]
 FORMATS: tuple[Format, ...] = tuple(
-    (module.fits, module.read) for module in (own, kalibr, basalt, colmap, colmap_rig, opensfm)
+    (module.recognizes, module.read)
+    for module in (own, kalibr, basalt, colmap, colmap_rig, opensfm)
 )
 
 
 def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
-    """Read the cameras of a calibration file; the format is found from the content.
+    """Return the cameras of a calibration file; its content says which format it is.
 
     Parameters
     ----------
@@ -40,13 +41,14 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
         - OpenSfM's ``camera_models.json``: perspective, radial, brown without k3, fisheye,
           fisheye_opencv, spherical.
 
-        Principal points of Kalibr and basalt get the 0.5 of our pixel convention.
+        Principal points of Kalibr and basalt are moved by 0.5 px to our pixel convention.
 
     Returns
     -------
     cameras : dict of str to Camera
-        In the order of the file. A single unnamed camera is called "camera"; COLMAP's are called
-        by their id, in a rig by the folder of their images, basalt's "cam0", "cam1" and so on.
+        Cameras by name, in the order of the file. A single unnamed camera is called "camera";
+        COLMAP's cameras are named by their id, or in a rig by the folder of their images; basalt's
+        are called "cam0", "cam1" and so on.
 
     Raises
     ------
@@ -58,12 +60,10 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
     """
     path = Path(path)
     document = read_document(path)
-    for fits, read in FORMATS:
-        if fits(document):
-            try:
+    for recognizes, read in FORMATS:
+        if recognizes(document):
+            with fields.naming_file(path):
                 return read(document)
-            except ValueError as error:
-                raise fields.in_file(path, error) from None
     raise ValueError(
         f"calibration file {path} has no cameras that epi360 can read; it reads mappings with "
         "'model' or 'cameras', Kalibr camchains, basalt's JSON, COLMAP's cameras.txt and "
@@ -72,7 +72,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Read the one camera of a calibration file.
+    """Return the one camera of a calibration file.
 
     Parameters
     ----------
@@ -81,7 +81,8 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
 
     Returns
     -------
-    Camera
+    camera : Camera
+        The only one in the file.
 
     Raises
     ------

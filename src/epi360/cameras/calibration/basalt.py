@@ -15,7 +15,7 @@ from epi360.cameras.pinhole import Pinhole
 from epi360.cameras.unified import UnifiedCamera
 from epi360.poses import Pose
 
-# camera_type: our model and the names of its parameters after fx, fy, cx, cy.
+# By camera_type: our model, and basalt's names of the parameters after fx, fy, cx, cy.
 MODELS: dict[str, tuple[fields.Model, tuple[str, ...]]] = {
     "pinhole": (Pinhole, ()),
     "kb4": (KannalaBrandt, ("k1", "k2", "k3", "k4")),
@@ -25,15 +25,15 @@ MODELS: dict[str, tuple[fields.Model, tuple[str, ...]]] = {
 }
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is a calibration of basalt."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is a calibration of basalt."""
     if not isinstance(document, Mapping) or not isinstance(document.get("value0"), Mapping):
         return False
     return "intrinsics" in document["value0"]
 
 
 def read(document: Mapping[str, Any]) -> dict[str, Camera]:
-    """Cameras "cam0", "cam1", ... in the order of the file."""
+    """Return the cameras "cam0", "cam1", ... in the order of the file."""
     calibration = document["value0"]
     fields.check_has(calibration, ["resolution"])
     entries, sizes = calibration["intrinsics"], calibration["resolution"]
@@ -51,7 +51,7 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
 
 
 def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
-    """Poses of the cameras on the IMU: T_imu_cam maps from the camera to the IMU."""
+    """Return the poses from the IMU; T_imu_cam maps from the camera to the IMU."""
     calibration = document["value0"]
     fields.check_has(calibration, ["T_imu_cam"])
     entries, count = calibration["T_imu_cam"], len(calibration["intrinsics"])
@@ -93,10 +93,7 @@ def _camera(sized: Mapping[str, Any]) -> Camera:
 
 
 def _mei(fx: float, fy: float, alpha: float) -> tuple[float, float, list[float]]:
-    """Focal lengths and xi of Mei's form: alpha = xi / (1 + xi), and f is divided by 1 + xi.
-
-    Usenko, Demmel & Cremers, 3DV 2018, section II.B.
-    """
+    """Focal lengths and xi of Mei's form (Usenko, Demmel & Cremers, 3DV 2018, section II.B)."""
     if not 0 <= alpha < 1:
         raise ValueError(f"alpha of ucm must be in [0, 1), got {alpha}")
     return fx / (1 - alpha), fy / (1 - alpha), [alpha / (1 - alpha)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""COLMAP's camera models, and its cameras.txt: one line a camera.
+"""COLMAP's camera models, and its cameras.txt with one camera in each line.
 
 Models and the order of their parameters: https://colmap.github.io/cameras.html. Principal points
 are in continuous pixels already.
@@ -22,12 +22,12 @@ from epi360.cameras.unified import UnifiedCamera
 
 @dataclass(frozen=True)
 class _Lens:
-    """A model with f or fx, fy, then cx, cy, then the first coefficients of ours."""
+    """A model with the parameters f or fx, fy, then cx, cy, then our model's first coefficients."""
 
     ours: fields.Model
     num_focal_lengths: int
     num_coefficients: int
-    left_out: tuple[float, ...] = ()  # what ours has between cy and the coefficients
+    left_out: tuple[float, ...] = ()  # parameters that only our model has, after cy
 
 
 PANORAMA = "EQUIRECTANGULAR"
@@ -46,7 +46,7 @@ LENSES = {  # the simplest first
     "EUCM": _Lens(ExtendedUnified, 2, 2),
 }
 SUPPORTED = ", ".join((PANORAMA, *FORKS_PANORAMAS, *LENSES))
-MODELS_BY_NUMBER = (  # what databases and binary models call them
+MODELS_BY_NUMBER = (  # the index is the number of the model in databases and binary files
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
     "FULL_OPENCV", "FOV", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE",
     "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE",
@@ -54,14 +54,14 @@ MODELS_BY_NUMBER = (  # what databases and binary models call them
 )  # fmt: skip
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is the lines of a cameras.txt."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is the lines of a cameras.txt."""
     first = next(iter(document), None) if isinstance(document, list) else None
     return isinstance(first, str) and bool(COLMAP_LINE.match(first))
 
 
 def read(document: list[str]) -> dict[str, Camera]:
-    """Cameras by their id."""
+    """Return the cameras by their id."""
     cameras: dict[str, Camera] = {}
     for line in document:
         if not COLMAP_LINE.match(line):
@@ -80,26 +80,7 @@ def read(document: list[str]) -> dict[str, Camera]:
 
 
 def camera_of_model(model: str, width: Any, height: Any, parameters: list[Any]) -> Camera:
-    """Camera of one of COLMAP's models.
-
-    Parameters
-    ----------
-    model : str
-        COLMAP's name of it, or a fork's name of the panorama.
-    width, height : int
-        Size of the image in pixels.
-    parameters : list
-        In COLMAP's order.
-
-    Returns
-    -------
-    Camera
-
-    Raises
-    ------
-    ValueError
-        If there is no such camera here, or the numbers are not those of the model.
-    """
+    """Return the camera of one of COLMAP's models, or of a fork's panorama, with its parameters."""
     width, height = checked_size(width, "width"), checked_size(height, "height")
     if model == PANORAMA or model in FORKS_PANORAMAS:
         return _panorama(model, width, height, parameters)
@@ -111,30 +92,13 @@ def camera_of_model(model: str, width: Any, height: Any, parameters: list[Any]) 
 
 
 def model_of_number(number: int) -> str:
-    """COLMAP's name of the model that its databases and binary files call by a number.
-
-    Parameters
-    ----------
-    number : int
-        Those that COLMAP does not have get a name that no model has.
-    """
-    known = 0 <= number < len(MODELS_BY_NUMBER)
-    return MODELS_BY_NUMBER[number] if known else f"number {number}"
+    """Return COLMAP's name of a model's number; an unknown number gets a name of no model."""
+    is_known = 0 <= number < len(MODELS_BY_NUMBER)
+    return MODELS_BY_NUMBER[number] if is_known else f"number {number}"
 
 
 def num_parameters(model: str) -> int:
-    """Number of parameters of one of COLMAP's models.
-
-    Parameters
-    ----------
-    model : str
-        COLMAP's name of it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such camera here.
-    """
+    """Return the number of parameters of one of COLMAP's models."""
     if model == PANORAMA:
         return 2
     lens = LENSES.get(model)
@@ -144,24 +108,7 @@ def num_parameters(model: str) -> int:
 
 
 def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
-    """Simplest of COLMAP's models that is this camera, and its parameters.
-
-    Parameters
-    ----------
-    camera : Camera
-        COLMAP has no place for ``max_angle_deg`` of a fisheye, which is left out.
-
-    Returns
-    -------
-    model : str
-    parameters : list of float
-        In COLMAP's order.
-
-    Raises
-    ------
-    ValueError
-        If COLMAP has no such model.
-    """
+    """Return the simplest of COLMAP's models that is this camera, and its parameters."""
     if camera == Equirectangular(camera.width, camera.height):
         return PANORAMA, [float(camera.width), float(camera.height)]
     plain = _plain(camera)
@@ -181,7 +128,7 @@ def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
 
 
 def _plain(camera: Camera) -> Camera:
-    """Camera of the simplest class that has the same rays."""
+    """Camera of the simplest class with the same rays; COLMAP has no largest angle."""
     if isinstance(camera, KannalaBrandt):
         return replace(camera, max_angle_deg=None)
     if isinstance(camera, UnifiedCamera) and not any(astuple(camera)[6:]):
@@ -197,7 +144,7 @@ def _what_it_lacks(camera: Camera) -> str:
 
 
 def _panorama(model: str, width: int, height: int, parameters: list[Any]) -> Camera:
-    """Camera of COLMAP 4.2 (w, h), or of forks that call it spherical (w, h or f, cx, cy)."""
+    """Camera of COLMAP 4.2 with (w, h), or of a fork's panorama with (w, h) or (f, cx, cy)."""
     if model != PANORAMA and len(parameters) == 3:
         center = parameters[1:]
         if center != [width / 2, height / 2]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""COLMAP's rig_config.json: where the cameras of a rig sit, and what they are where it says so.
+"""COLMAP's rig_config.json: where the cameras of a rig sit, and which models they have.
 
 Layout: https://colmap.github.io/rigs.html. COLMAP takes the size of the images from its database;
 here "width" and "height" stand beside "camera_params", and COLMAP ignores them.
@@ -18,20 +18,20 @@ from epi360.cameras.calibration.colmap import PANORAMA, camera_of_model
 from epi360.poses import Pose
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is a list of rigs."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is a list of rigs."""
     return isinstance(document, list) and any(
         isinstance(rig, Mapping) and "cameras" in rig for rig in document
     )
 
 
 def read(document: list[Any]) -> dict[str, Camera]:
-    """Cameras by their image_prefix, the folder of their images."""
+    """Return the cameras by their image_prefix, the folder of their images."""
     return fields.each(_entries(document), _camera)
 
 
 def poses(document: list[Any]) -> dict[str, Pose]:
-    """Poses of the cameras in the frame of the reference camera."""
+    """Return the poses of the cameras in the frame of the reference camera."""
     return fields.each(_entries(document), _cam_from_rig)
 
 

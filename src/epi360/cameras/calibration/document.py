@@ -10,19 +10,19 @@ from typing import Any
 
 COLMAP_LINE = re.compile(r"\d+\s+[A-Z][A-Z0-9_]*\s+\d+\s+\d+(\s|$)")
 
-LARGEST_FILE = 2**25  # bytes; a cameras.txt with a line for each of 300,000 images
-LONGEST_YAML = 2**18  # characters, read in half a second; a rig has a thousandth of it
+LARGEST_FILE = 2**25  # bytes, enough for a cameras.txt with a camera for each of 300,000 images
+LONGEST_YAML = 2**18  # characters, which take half a second; a rig needs a thousandth of it
 
 
 def read_document(path: Path) -> Any:
-    """Content of a file: the lines of a COLMAP file, else what YAML or JSON make of it."""
+    """Return the lines of a COLMAP file, or the content of a YAML or JSON file."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE + 1)
         text = content.decode("utf-8-sig")
     except FileNotFoundError:
         raise FileNotFoundError(f"calibration file {path} does not exist") from None
-    except UnicodeDecodeError:  # a picture, for example; also where it was cut
+    except UnicodeDecodeError:  # for example a picture
         raise ValueError(f"calibration file {path} must be text, got binary data") from None
     except OSError:
         raise ValueError(f"calibration file {path} is a folder or may not be read") from None

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,7 +25,7 @@ Model = Callable[..., Camera]  # a camera class, called with what the file says
 
 
 def each(entries: Any, read: Callable[[Mapping[str, Any]], T]) -> dict[str, T]:
-    """What ``read`` makes of each entry of a mapping; its errors name the camera."""
+    """Return what ``read`` makes of each entry of a mapping; its errors name the camera."""
     if not isinstance(entries, Mapping) or not entries:
         raise ValueError("cameras must be a mapping of names to cameras, with one at least")
     cameras: dict[str, T] = {}
@@ -46,19 +47,26 @@ def check_has(entry: Mapping[str, Any], needed: Iterable[str]) -> None:
 
 
 def numbers(values: Any, count: int, name: str) -> list[Any]:
-    """``count`` numbers of a list; what is no number is left for the camera to refuse."""
+    """Return ``count`` values of a list; the camera refuses those that are no numbers."""
     if not isinstance(values, list) or len(values) != count:
         raise ValueError(f"{name} must be {count} numbers, got {shortened(values)}")
     return [number(value) for value in values]
 
 
 def real_numbers(values: Any, count: int, name: str) -> list[float]:
-    """``count`` numbers of a list to calculate with."""
+    """Return ``count`` values of a list as floats."""
     return [real_number(value, name) for value in numbers(values, count, name)]
 
 
+def square_matrix(rows: Any, size: int, name: str) -> list[list[float]]:
+    """Return a matrix that is given as a list of rows."""
+    if not isinstance(rows, list) or len(rows) != size:
+        raise ValueError(f"{name} must be {size} rows of {size} numbers, got {shortened(rows)}")
+    return [real_numbers(row, size, f"a row of {name}") for row in rows]
+
+
 def real_number(value: Any, name: str) -> float:
-    """Value as a number to calculate with."""
+    """Return a value as a float."""
     converted = number(value)
     if isinstance(converted, bool) or not isinstance(converted, int | float):
         raise ValueError(f"{name} must be a number, got {shortened(value)}")
@@ -69,17 +77,17 @@ def real_number(value: Any, name: str) -> float:
 
 
 def number(value: Any) -> Any:
-    """Value with numbers in it read: YAML takes 1e-3 for text, having no point."""
+    """Return a number that stands as text: YAML takes 1e-3 for text, as it has no point."""
     if not isinstance(value, str):
         return value
     try:
         return int(value) if value.isdecimal() else float(value)
     except ValueError:
-        return value  # the camera names the parameter when it refuses this
+        return value  # the camera refuses it and names the parameter
 
 
 def pose_of_numbers(wxyz: list[float], translation: list[float], name: str) -> Pose:
-    """Pose of a unit quaternion of limited precision and a translation."""
+    """Return the pose of a unit quaternion with few digits and a translation."""
     quaternion = np.array(wxyz)
     length = float(np.linalg.norm(quaternion))
     if not abs(length - 1) < QUATERNION_TOLERANCE:
@@ -87,16 +95,20 @@ def pose_of_numbers(wxyz: list[float], translation: list[float], name: str) -> P
     return pose_from_quaternion(np.array(translation), quaternion / length)
 
 
-def in_file(path: Path, error: ValueError) -> ValueError:
-    """Error that names the file, in one line whatever names the file has."""
-    return ValueError(" ".join(f"calibration file {path}: {error}".split()))
+@contextmanager
+def naming_file(path: Path) -> Iterator[None]:
+    """Name the file in a ``ValueError``, in one line whatever names the file has."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(" ".join(f"calibration file {path}: {error}".split())) from None
 
 
 def unsupported(what: str, supported: str) -> ValueError:
-    """Error for a model that no camera of ours is equal to."""
+    """Return the error for a model that no camera of ours is equal to."""
     return ValueError(f"{what} is not supported; supported: {supported}")
 
 
 def shortened(value: Any) -> str:
-    """Text of a value that fits an error message, however large the value is."""
+    """Return a short text of a value for an error message, however large the value is."""
     return SHORT.repr(value)

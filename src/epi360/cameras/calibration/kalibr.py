@@ -24,8 +24,8 @@ from epi360.cameras.pinhole import Pinhole
 from epi360.cameras.unified import UnifiedCamera
 from epi360.poses import Pose
 
-# camera_model, distortion_model: our model and its parameters that Kalibr leaves out. The rest of
-# the parameters are in Kalibr's order once the focal lengths and the centre come first.
+# By camera_model and distortion_model: our model, and its parameters that Kalibr leaves out. The
+# other parameters are in Kalibr's order, after the focal lengths and the centre.
 MODELS: dict[tuple[str, str], tuple[fields.Model, tuple[float, ...]]] = {
     ("pinhole", "none"): (Pinhole, ()),
     ("pinhole", "radtan"): (UnifiedCamera, (0.0,)),
@@ -46,9 +46,10 @@ class KalibrCamera(NamedTuple):
     Parameters
     ----------
     camera : Camera
+        Model of the camera.
     cam_from_imu : Pose or None
-        Kalibr's ``T_cam_imu``, which maps points from the IMU to the camera; metres. None where
-        the file does not say.
+        Kalibr's ``T_cam_imu`` in metres, which maps points from the IMU to the camera; None if the
+        file does not say.
     """
 
     camera: Camera
@@ -56,7 +57,7 @@ class KalibrCamera(NamedTuple):
 
 
 def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
-    """Read the cameras of a Kalibr camchain with their poses on the IMU.
+    """Return the cameras of a Kalibr camchain and their poses on the IMU.
 
     Parameters
     ----------
@@ -66,8 +67,8 @@ def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
     Returns
     -------
     rig : dict of str to KalibrCamera
-        By name, in the order of the file. ``cam_from_imu`` is ``T_cam_imu``; without it, the
-        camera before and ``T_cn_cnm1``; without that, None.
+        Cameras by name, in the order of the file. ``cam_from_imu`` is ``T_cam_imu`` if the camera
+        has one; else it follows from ``T_cn_cnm1`` and the camera before, or is None.
 
     Raises
     ------
@@ -79,19 +80,17 @@ def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
     """
     path = Path(path)
     document = read_document(path)
-    if not fits(document):
+    if not recognizes(document):
         raise ValueError(
             f"calibration file {path} must be a Kalibr camchain: cameras with 'camera_model', "
             "'intrinsics' and 'resolution'"
         )
-    try:
-        return _placed(fields.each(_entries(document), _camera_and_poses))
-    except ValueError as error:
-        raise fields.in_file(path, error) from None
+    with fields.naming_file(path):
+        return _on_imu(fields.each(_entries(document), _camera_and_poses))
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is a camchain."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is a camchain."""
     return isinstance(document, Mapping) and any(
         isinstance(entry, Mapping) and "camera_model" in entry
         for entry in (document, *document.values())
@@ -99,27 +98,27 @@ def fits(document: Any) -> bool:
 
 
 def read(document: Mapping[str, Any]) -> dict[str, Camera]:
-    """Cameras of a camchain."""
+    """Return the cameras of a camchain."""
     return fields.each(_entries(document), _camera)
 
 
 def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
-    """Poses of the cameras in the frame of the first: along the chain, else by way of the IMU."""
+    """Return the poses from the first camera: along the chain, else by way of the IMU."""
     cameras = fields.each(_entries(document), _camera_and_poses)
     first, *others = cameras
-    first_on_imu = cameras[first][1]
-    found = {first: Pose(np.eye(3), np.zeros(3))}
-    before = found[first]
+    first_from_imu = cameras[first][1]
+    cam_from_first = {first: Pose(np.eye(3), np.zeros(3))}
+    previous_from_first = cam_from_first[first]
     for name in others:
-        _, cam_from_imu, cam_from_before = cameras[name]
-        if cam_from_before is not None:
-            before = cam_from_before @ before
-        elif cam_from_imu is not None and first_on_imu is not None:
-            before = cam_from_imu @ first_on_imu.inverse()
+        _, cam_from_imu, cam_from_previous = cameras[name]
+        if cam_from_previous is not None:
+            previous_from_first = cam_from_previous @ previous_from_first
+        elif cam_from_imu is not None and first_from_imu is not None:
+            previous_from_first = cam_from_imu @ first_from_imu.inverse()
         else:
             raise ValueError(f"camera {name} has neither T_cn_cnm1 nor a T_cam_imu like {first}")
-        found[name] = before
-    return found
+        cam_from_first[name] = previous_from_first
+    return cam_from_first
 
 
 def _entries(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,38 +167,30 @@ def _coefficients(entry: Mapping[str, Any], distortion_model: str) -> list[Any]:
     return []
 
 
-def _camera_and_poses(
-    entry: Mapping[str, Any],
-) -> tuple[Camera, Pose | None, Pose | None]:
-    """Camera, its pose on the IMU, and from the camera before."""
+def _camera_and_poses(entry: Mapping[str, Any]) -> tuple[Camera, Pose | None, Pose | None]:
+    """Camera, its pose from the IMU, and its pose from the previous camera."""
     return _camera(entry), _pose(entry, "T_cam_imu"), _pose(entry, "T_cn_cnm1")
 
 
-def _placed(
+def _on_imu(
     cameras: Mapping[str, tuple[Camera, Pose | None, Pose | None]],
 ) -> dict[str, KalibrCamera]:
     rig: dict[str, KalibrCamera] = {}
-    cam_from_imu: Pose | None = None  # of the camera before
-    for name, (camera, own_cam_from_imu, cam_from_before) in cameras.items():
-        if own_cam_from_imu is not None:
-            cam_from_imu = own_cam_from_imu
-        elif cam_from_before is None or cam_from_imu is None:
-            cam_from_imu = None
-        else:
-            cam_from_imu = cam_from_before @ cam_from_imu
+    previous_from_imu: Pose | None = None
+    for name, (camera, cam_from_imu, cam_from_previous) in cameras.items():
+        if cam_from_imu is None and cam_from_previous is not None and previous_from_imu is not None:
+            cam_from_imu = cam_from_previous @ previous_from_imu
         rig[name] = KalibrCamera(camera, cam_from_imu)
+        previous_from_imu = cam_from_imu
     return rig
 
 
 def _pose(entry: Mapping[str, Any], key: str) -> Pose | None:
     if entry.get(key) is None:
         return None
-    rows = entry[key]
-    if not isinstance(rows, list) or len(rows) != 4:
-        raise ValueError(f"{key} must be 4 rows of 4 numbers, got {fields.shortened(rows)}")
-    matrix = [fields.real_numbers(row, 4, f"a row of {key}") for row in rows]
+    matrix = fields.square_matrix(entry[key], 4, key)
     try:
-        with np.errstate(over="ignore", invalid="ignore"):  # numbers far beyond a rotation's
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers may be huge
             return Pose.from_matrix(matrix)
     except ValueError as error:
         raise ValueError(f"{key} must be a rigid transform: {error}") from None

@@ -18,8 +18,8 @@ from epi360.cameras.equirectangular import Equirectangular
 from epi360.cameras.kannala_brandt import KannalaBrandt
 from epi360.cameras.unified import UnifiedCamera
 
-# projection_type: our model, its parameters that OpenSfM leaves out, the names of the coefficients
-# (0 where the file does not have them), and whether there are two focal lengths and a centre.
+# By projection_type: our model, its parameters that OpenSfM leaves out, the names of the
+# coefficients (0 if the file lacks them), and whether there are two focal lengths and a centre.
 Row = tuple[fields.Model, tuple[float, ...], tuple[str, ...], bool]
 MODELS: dict[str, Row] = {
     "perspective": (UnifiedCamera, (0.0,), ("k1", "k2"), False),
@@ -31,24 +31,24 @@ MODELS: dict[str, Row] = {
 }
 PANORAMAS = ("spherical", "equirectangular")
 SUPPORTED = ", ".join((*MODELS, *PANORAMAS))
-# Coefficients for which we have no place: they must be zero.
+# Coefficients that our models lack: they must be zero.
 WITHOUT_PLACE = {"brown": ("k3",), "fisheye_opencv": ("p1", "p2")}
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is a mapping of names to OpenSfM's cameras."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is a mapping of names to OpenSfM's cameras."""
     return isinstance(document, Mapping) and any(
         isinstance(entry, Mapping) and "projection_type" in entry for entry in document.values()
     )
 
 
 def read(document: Mapping[str, Any]) -> dict[str, Camera]:
-    """Cameras by OpenSfM's names, "v2 maker model 5376 2688 spherical 0" and the like."""
+    """Return the cameras by their names, such as "v2 maker model 5376 2688 spherical 0"."""
     return fields.each(document, _camera)
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
-    projection_type = entry.get("projection_type", "perspective")  # as OpenSfM takes it
+    projection_type = entry.get("projection_type", "perspective")  # OpenSfM's default
     if projection_type in PANORAMAS:
         return _panorama(entry)
     if not isinstance(projection_type, str) or projection_type not in MODELS:
@@ -83,7 +83,7 @@ def _size(entry: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def _panorama(entry: Mapping[str, Any]) -> Camera:
-    # OpenSfM takes the width for 360 degrees and the pixels for square, whatever the height.
+    # In OpenSfM the width is 360 degrees and pixels are square, whatever the height is.
     width, height = _size(entry)
     if 2 * height > width:
         raise ValueError(f"a spherical camera must be 2:1 or flatter, got {width}x{height}")

@@ -25,25 +25,20 @@ from epi360.poses import Pose
 MODELS: dict[str, type[Camera]] = {
     model.__name__: model
     for model in (
-        Equirectangular,
-        Pinhole,
-        KannalaBrandt,
-        UnifiedCamera,
-        ExtendedUnified,
-        DoubleSphere,
+        Equirectangular, Pinhole, KannalaBrandt, UnifiedCamera, ExtendedUnified, DoubleSphere,
     )
-}
+}  # fmt: skip
 
 POSE_KEYS = ({"rotation", "translation"}, {"quaternion_wxyz", "translation"})
 
 
-def fits(document: Any) -> bool:
-    """Whether the content is a mapping of ours."""
+def recognizes(document: Any) -> bool:
+    """Return whether the content is a mapping of ours."""
     return isinstance(document, Mapping) and ("model" in document or "cameras" in document)
 
 
 def read(document: Mapping[str, Any]) -> dict[str, Camera]:
-    """Cameras of such a mapping; a single one is called "camera"."""
+    """Return the cameras of such a mapping; a single one is called "camera"."""
     if "model" in document:
         return {"camera": _camera(document)}
     unknown = [str(key) for key in document if key != "cameras"]
@@ -53,7 +48,7 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
 
 
 def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
-    """Poses on the rig, of which the first camera may be the frame."""
+    """Return the poses on the rig; a first camera without one is the frame."""
     entries = document["cameras"] if "cameras" in document else {"camera": document}
     if not any("cam_from_rig" in entry for entry in entries.values()):
         raise ValueError("no camera has a cam_from_rig: the file does not say where they sit")
@@ -78,11 +73,8 @@ def _cam_from_rig(entry: Mapping[str, Any]) -> Pose | None:
     if "quaternion_wxyz" in pose:
         wxyz = fields.real_numbers(pose["quaternion_wxyz"], 4, "quaternion_wxyz")
         return fields.pose_of_numbers(wxyz, translation, "quaternion_wxyz")
-    rows = pose["rotation"]
-    if not isinstance(rows, list) or len(rows) != 3:
-        raise ValueError(f"rotation must be 3 rows of 3 numbers, got {fields.shortened(rows)}")
-    matrix = [fields.real_numbers(row, 3, "a row of rotation") for row in rows]
-    return Pose(np.array(matrix), np.array(translation))
+    rotation = fields.square_matrix(pose["rotation"], 3, "rotation")
+    return Pose(np.array(rotation), np.array(translation))
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
@@ -90,11 +82,11 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
     if not isinstance(name, str) or name not in MODELS:
         raise fields.unsupported(f"model {fields.shortened(name)}", ", ".join(MODELS))
     parameters = {field.name: field for field in dataclasses.fields(MODELS[name])}
-    ours = {key: value for key, value in entry.items() if key not in ("model", "cam_from_rig")}
-    unknown = [str(key) for key in ours if key not in parameters]
+    values = {key: value for key, value in entry.items() if key not in ("model", "cam_from_rig")}
+    unknown = [str(key) for key in values if key not in parameters]
     if unknown:
-        known = ", ".join(parameters)
-        raise ValueError(f"unknown keys for {name}: {', '.join(unknown)}; it has {known}")
+        names = ", ".join(parameters)
+        raise ValueError(f"unknown keys for {name}: {', '.join(unknown)}; it has {names}")
     needed = [key for key, field in parameters.items() if field.default is dataclasses.MISSING]
     fields.check_has(entry, needed)
-    return MODELS[name](**{key: fields.number(value) for key, value in ours.items()})
+    return MODELS[name](**{key: fields.number(value) for key, value in values.items()})

@@ -16,35 +16,24 @@ from epi360.interop.colmap_database import (
 )
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.match_graph import TwoViewGeometry
-from epi360.jobs.batch import storage
 from epi360.jobs.batch.job import BatchJob
 from epi360.jobs.batch.parts import read_part
 from epi360.jobs.batch.pose_rows import INLIERS
 from epi360.poses import Pose
+from epi360.runs import storage
 
 
 def write_database_copy(job: BatchJob, path: str, num_parts: int) -> None:
-    """Copy the database of a batch and write the geometries of its pairs into the copy.
+    """Copy the database of a batch to a new file and write the geometries of its pairs into it.
 
-    Parameters
-    ----------
-    job : BatchJob
-        Of a COLMAP database, with all parts there. The database itself stays as it is.
-    path : str
-        A file that is not there yet; it appears whole or not at all. Geometries that the database
-        has of these pairs are replaced.
-    num_parts : int
-        Of the job.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+    All parts must be there. The copy appears whole or not at all; geometries that the database has
+    of these pairs are replaced.
     """
-    storage.remove_leftovers(path)
-    target = storage.local_path(path)
     try:
-        with whole_database(target) as temporary, ColmapPairs(job.source.path) as pairs:
+        with (
+            whole_database(storage.local_path(path)) as temporary,
+            ColmapPairs(job.source.path) as pairs,
+        ):
             _copy(pairs.path, temporary)
             _write_geometries(job, pairs, temporary, num_parts)
     except (OSError, RuntimeError, ValueError) as error:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from epi360.cameras import load_cameras
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.hloc_pairs import HlocPairs
-from epi360.jobs.batch.sources import MatchSource, PairMatches, camera_of, fingerprint, parts_of
+from epi360.jobs.batch.sources import MatchSource, PairMatches, named_camera, parts_of
+from epi360.runs.storage import fingerprint_of_file
 
 Array = NDArray[np.float64]
 
@@ -22,97 +23,45 @@ _CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few image
 
 @contextmanager
 def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
-    """Open a COLMAP database; it knows the cameras.
-
-    Parameters
-    ----------
-    source : MatchSource
-        Of the kind "colmap".
-
-    Yields
-    ------
-    matches : FileMatches
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it cannot be used.
-    """
+    """Open a COLMAP database, which knows its cameras."""
     with ColmapPairs(source.path) as database:
 
         def bearings(image: str) -> Array:
             return database.camera(image).bearings_from_pixels(database.keypoints(image))
 
         counts = (
-            f"{table} {list(database.rows(f'SELECT {key}, rows FROM {table} ORDER BY {key}'))}"
+            (table, list(database.rows(f"SELECT {key}, rows FROM {table} ORDER BY {key}")))
             for table, key in (("keypoints", "image_id"), ("matches", "pair_id"))
         )
-        yield FileMatches(
-            database.names,
-            bearings,
-            database.matches,
-            source,
-            (fingerprint(source.path, _bytes(counts, repr(database.cameras)))),
-        )
+        fingerprint = fingerprint_of_file(source.path, [*counts, database.cameras])
+        yield FileMatches(database.names, bearings, database.matches, source, fingerprint)
 
 
 @contextmanager
 def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
-    """Open hloc's features and matches.
-
-    Parameters
-    ----------
-    source : MatchSource
-        Of the kind "hloc".
-
-    Yields
-    ------
-    matches : FileMatches
-
-    Raises
-    ------
-    FileNotFoundError
-        If a file is missing.
-    ValueError
-        If a file cannot be used, or an image is no panorama and has no camera.
-    """
+    """Open hloc's features and matches; an image that is no panorama needs a camera."""
     if source.features is None:
         raise ValueError(f"{source.path}: hloc's matches need the key points; give --features FILE")
     cameras = load_cameras(source.camera) if source.camera else {}
     with HlocPairs(source.features, source.path, pairs=source.pairs) as files:
 
         def bearings(image: str) -> Array:
-            camera = camera_of(image, files.image_size(image), cameras)
+            camera = named_camera(image, files.image_size(image), cameras)
             return camera.bearings_from_pixels(files.keypoints(image))
 
         pairs = files.pairs()
-        extra = _bytes([fingerprint(source.features), repr(pairs)], repr(cameras))
+        extra = (fingerprint_of_file(source.features), pairs, cameras)
+        fingerprint = fingerprint_of_file(source.path, extra)
         yield FileMatches(
-            pairs,
-            bearings,
-            lambda index: files.matches(*pairs[index]),
-            source,
-            fingerprint(source.path, extra),
+            pairs, bearings, lambda index: files.matches(*pairs[index]), source, fingerprint
         )
 
 
 class FileMatches:
     """Matches in an open file that keeps key points per image; see `OpenMatches`.
 
-    Parameters
-    ----------
-    pairs : sequence of (str, str)
-        Names of the images of each pair.
-    bearings : callable
-        Bearings (N, 3) of the key points of an image, by its name.
-    matches : callable
-        Matches (M, 2) of a pair, by its number.
-    source : MatchSource
-        What was opened.
-    fingerprint : str
-        Of the files.
+    ``bearings`` gives those (N, 3) of the key points of an image by its name, ``matches`` the
+    indices (M, 2) of a pair by its number.
     """
 
     def __init__(
@@ -136,7 +85,7 @@ class FileMatches:
 
     @property
     def part_groups(self) -> list[int]:
-        """All in one: whoever opens the file must read the list of all pairs."""
+        """One group for all: whoever opens the file must read the list of all pairs."""
         return [0] * len(self._parts)
 
     def names(self) -> Iterator[tuple[Sequence[str], Sequence[str]]]:
@@ -146,13 +95,7 @@ class FileMatches:
             yield image1, image2
 
     def read(self, parts: Sequence[int]) -> Iterator[PairMatches]:
-        """Pairs of these parts, one part at a time.
-
-        Parameters
-        ----------
-        parts : sequence of int
-            In any order.
-        """
+        """Pairs of these parts, in any order, one part at a time."""
         for part in parts:
             rows = self._parts[part]
             names = [self._pairs[row] for row in rows]
@@ -166,7 +109,3 @@ class FileMatches:
             ]
             image1, image2 = ([pair[view] for pair in names] for view in range(2))
             yield PairMatches(rows.start, image1, image2, *views)
-
-
-def _bytes(lines: Iterable[str], *more: str) -> list[bytes]:
-    return [line.encode() for line in (*lines, *more)]

@@ -12,30 +12,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 from epi360.extras import package_version
-from epi360.jobs.batch import storage
+from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.parts import Identity, merge_part_files, part_is_there, write_part
 from epi360.jobs.batch.pose_rows import estimate_rows
-from epi360.jobs.batch.sources import MatchSource, PairMatches, open_matches
+from epi360.jobs.batch.sources import MatchSource, PairMatches
+from epi360.runs import storage
 from epi360.two_view import IMAGE_OPTIONS
 
 
 @dataclass(frozen=True)
 class BatchJob:
-    """What is read, what is written and the seed; plain values that another machine understands.
-
-    Attributes
-    ----------
-    source : MatchSource
-        Where the matches are.
-    output : str
-        Parquet file of the poses: path, or URL that fsspec understands.
-    seed : int
-        A pair's seed is a hash of this one and the names of its images.
-    """
+    """What is read, what is written and the seed; plain values that another machine understands."""
 
     source: MatchSource
-    output: str
-    seed: int = 0
+    output: str  # Parquet file of the poses: path, or URL that fsspec understands
+    seed: int = 0  # a pair's seed is a hash of this one and the names of its images
 
     @property
     def parts_folder(self) -> str:
@@ -43,23 +34,11 @@ class BatchJob:
         return f"{self.output}.parts"
 
     def part_path(self, index: int) -> str:
-        """Path of a part's file.
-
-        Parameters
-        ----------
-        index : int
-            Of the part, from 0.
-        """
+        """Path of a part's file."""
         return f"{self.parts_folder}/part-{index:06d}.parquet"
 
     def identity(self, input_fingerprint: str) -> Identity:
-        """What determines the poses, as it is written into the files.
-
-        Parameters
-        ----------
-        input_fingerprint : str
-            Of the opened input.
-        """
+        """What determines the poses, as it is written into the files."""
         return {
             "input": input_fingerprint,
             "seed": str(self.seed),
@@ -68,39 +47,16 @@ class BatchJob:
         }
 
     def part_identity(self, input_fingerprint: str) -> Identity:
-        """What determines the poses in a part and which pairs are in it.
-
-        Parameters
-        ----------
-        input_fingerprint : str
-            Of the opened input.
-        """
+        """What determines the poses in a part and which pairs are in it."""
         pairs_per_part = str(self.source.pairs_per_part)
         return {**self.identity(input_fingerprint), "pairs_per_part": pairs_per_part}
 
 
 def check_parts(job: BatchJob, parts: Sequence[int]) -> Iterator[int]:
-    """Read pairs and check that their matches can be used.
+    """Read parts, given in rising order, and check their matches; yields the pairs of each.
 
-    Reading takes a fiftieth of the time of the estimates. A wrong row found in their midst would
-    cost all of them: once it is corrected, the parts that are finished are of another input.
-
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
-    parts : sequence of int
-        Which, from 0, in rising order.
-
-    Yields
-    ------
-    num_pairs : int
-        Of each part, once it is checked.
-
-    Raises
-    ------
-    ValueError
-        If a row cannot be used; the message names it.
+    Reading takes a fiftieth of the time of the estimates. If a wrong row came to light in the midst
+    of them, all would be lost: with the row corrected, the finished parts are of another input.
     """
     with open_matches(job.source) as matches:
         for pairs in matches.read(parts):
@@ -108,24 +64,7 @@ def check_parts(job: BatchJob, parts: Sequence[int]) -> Iterator[int]:
 
 
 def estimate_parts(job: BatchJob, parts: Sequence[int], *, num_threads: int = 1) -> None:
-    """Read the pairs of parts, estimate their poses and write a file for each that has none.
-
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
-    parts : sequence of int
-        Which, from 0, in rising order.
-    num_threads : int
-        Native threads; the poses do not depend on it.
-
-    Raises
-    ------
-    ValueError
-        If a row cannot be used; the message names it. If a file is there of another job.
-    OSError
-        If a file cannot be written; then there is none.
-    """
+    """Estimate the parts that have no file yet, given in rising order, and write their files."""
     with open_matches(job.source) as matches:
         identity, sizes = job.part_identity(matches.fingerprint), matches.part_sizes
         missing = [
@@ -146,32 +85,13 @@ def write_poses(
     *,
     num_threads: int | None,
 ) -> None:
-    """Estimate the poses of pairs that are read already and write the part's file.
-
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
-    index : int
-        Of the part, from 0.
-    pairs : PairMatches
-        Of this part.
-    identity : Identity
-        Of the job's parts.
-    num_threads : int, optional
-        Native threads; by default one per core.
-    """
+    """Estimate the poses of a part whose pairs are read already, and write its file."""
     rows = estimate_rows(pairs, seed=job.seed, num_threads=num_threads)
     write_part(job.part_path(index), rows, identity)
 
 
 def missing_parts(job: BatchJob) -> list[int]:
     """Parts that are not there yet, or damaged, in order.
-
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
 
     Raises
     ------
@@ -192,18 +112,7 @@ def missing_parts(job: BatchJob) -> list[int]:
 
 
 def merge_parts(job: BatchJob) -> None:
-    """Join the parts, which must all be there, into the output, in the order of the input.
-
-    Parameters
-    ----------
-    job : BatchJob
-        The batch. Its parts stay.
-
-    Raises
-    ------
-    OSError
-        If a part is missing or the output cannot be written; then there is none.
-    """
+    """Join the parts, which must all be there and stay, into the output, in the input's order."""
     with open_matches(job.source) as matches:
         identity = job.identity(matches.fingerprint)
         paths = [job.part_path(index) for index in range(len(matches.part_sizes))]

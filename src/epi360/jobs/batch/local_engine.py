@@ -7,9 +7,10 @@ from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import accumulate
 
+from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.job import BatchJob, check_parts, write_poses
 from epi360.jobs.batch.parts import Identity
-from epi360.jobs.batch.sources import PairMatches, open_matches
+from epi360.jobs.batch.sources import PairMatches
 from epi360.progress import Progress
 
 
@@ -19,35 +20,18 @@ def estimate_parts_locally(
     *,
     num_threads: int | None,
     progress: Progress,
-    there: int,
+    num_done: int,
     total: int,
 ) -> None:
-    """Check all parts, then estimate one after the other; at most two are in memory.
+    """Check all missing parts, then estimate one after the other; at most two are in memory.
 
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
-    parts : sequence of int
-        Which are missing, in rising order.
-    num_threads : int, optional
-        Native threads; by default one per core.
-    progress : callable
-        Gets ("checked pairs", done, all of these parts), then ("pairs", done, total), after each
-        part.
-    there, total : int
-        Pairs that are done already, and in all.
-
-    Raises
-    ------
-    ValueError
-        If a row cannot be used; then nothing is estimated.
-    OSError
-        If a file cannot be read or written. Finished parts stay.
+    ``progress`` gets ("checked pairs", done, all of these parts), then ("pairs", done, total),
+    after each part; ``num_done`` pairs are done already. If a row cannot be used, nothing is
+    estimated.
     """
     for checked in accumulate(check_parts(job, parts), initial=0):
-        progress("checked pairs", checked, total - there)
-    progress("pairs", there, total)
+        progress("checked pairs", checked, total - num_done)
+    progress("pairs", num_done, total)
     coming = _read(job, parts)
     # One thread does all the reading: SQLite allows no other.
     with ThreadPoolExecutor(1) as reader:
@@ -57,8 +41,8 @@ def estimate_parts_locally(
                 ahead = reader.submit(next, coming, None)
                 index, pairs, identity = part
                 write_poses(job, index, pairs, identity, num_threads=num_threads)
-                there += len(pairs)
-                progress("pairs", there, total)
+                num_done += len(pairs)
+                progress("pairs", num_done, total)
         finally:
             reader.submit(coming.close)
 

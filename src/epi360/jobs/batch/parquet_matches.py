@@ -14,15 +14,14 @@ from numpy.typing import NDArray
 
 from epi360.cameras import load_cameras
 from epi360.extras import extra_library
-from epi360.jobs.batch import storage
 from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
-    camera_of,
     check_rows,
-    fingerprint,
+    named_camera,
     parts_of,
 )
+from epi360.runs import storage
 
 Array = NDArray[np.float64]
 
@@ -33,24 +32,7 @@ _STREAMING = {"pre_buffer": False, "buffer_size": 1 << 22}
 
 @contextmanager
 def open_parquet(source: MatchSource) -> Iterator[ParquetMatches]:
-    """Open a Parquet file of matches and check its columns.
-
-    Parameters
-    ----------
-    source : MatchSource
-        Of the kind "parquet".
-
-    Yields
-    ------
-    matches : ParquetMatches
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no whole Parquet file, or lacks a column or has one of a wrong type.
-    """
+    """Open a Parquet file of matches and check its columns."""
     with storage.open_read(source.path) as file:
         yield ParquetMatches(source, file)
 
@@ -58,13 +40,8 @@ def open_parquet(source: MatchSource) -> Iterator[ParquetMatches]:
 class ParquetMatches:
     """A Parquet file of matches that is open; see `OpenMatches`.
 
-    Parameters
-    ----------
-    source : MatchSource
-        With a camera file the columns are ``pixels1`` and ``pixels2``, without ``bearings1`` and
-        ``bearings2``.
-    file : binary file
-        The open file.
+    With a camera file the columns are ``pixels1`` and ``pixels2``, without one ``bearings1`` and
+    ``bearings2``.
     """
 
     def __init__(self, source: MatchSource, file: IO[bytes]) -> None:
@@ -88,12 +65,12 @@ class ParquetMatches:
 
     @property
     def fingerprint(self) -> str:
-        """Of the file's size, its footer with all statistics, some blocks, and the cameras."""
+        """Hash of the footer with all statistics, some blocks, and the cameras."""
         size = storage.file_size(self._path)
         (end,) = storage.read_ranges(self._path, [(size - 8, size)])
         footer = int.from_bytes(end[:4], "little")
         extra = storage.read_ranges(self._path, [(max(size - 8 - footer, 0), size)])
-        return fingerprint(self._path, [*extra, repr(self._cameras).encode()])
+        return storage.fingerprint_of_file(self._path, [*extra, self._cameras])
 
     @property
     def part_sizes(self) -> list[int]:
@@ -116,10 +93,7 @@ class ParquetMatches:
     def read(self, parts: Sequence[int]) -> Iterator[PairMatches]:
         """Pairs of these parts, given in rising order, one part at a time.
 
-        Parameters
-        ----------
-        parts : sequence of int
-            Within a row group the slices before the wanted ones are decoded and dropped.
+        In a row group the slices before those that are wanted are decoded and dropped.
         """
         wanted = [self._parts[part] for part in parts]
         for group, slices in groupby(wanted, key=lambda part: part[0]):
@@ -153,7 +127,7 @@ class ParquetMatches:
         )
 
     def _bearings(self, image: str, pixels: Array) -> Array:
-        return camera_of(image, None, self._cameras).bearings_from_pixels(pixels)
+        return named_camera(image, None, self._cameras).bearings_from_pixels(pixels)
 
     def _batch_names(self, batch: Any, first_row: int) -> tuple[list[str], list[str]]:
         names = []
@@ -224,7 +198,7 @@ class ParquetMatches:
 def _numpy(array: Any, missing: float = 0) -> NDArray[Any]:
     """NumPy array of numbers, read-only.
 
-    Not by pyarrow's to_numpy, which imports pandas where there is one: half a second and 30 MB.
+    The method to_numpy of pyarrow would import pandas if there is one: half a second and 30 MB.
     """
     return np.from_dlpack(array.fill_null(missing) if array.null_count else array)
 

@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from typing import IO, Any
 
 from epi360.extras import extra_library
-from epi360.jobs.batch import storage
 from epi360.jobs.batch.pose_rows import output_columns, part_schema
+from epi360.runs import storage
+from epi360.runs.made_from import first_difference
 
 Identity = dict[str, str]
 """What determines the poses: fingerprint of the input, seed, options, version."""
@@ -25,44 +26,14 @@ _PREFIX = "epi360."
 
 
 def write_part(path: str, rows: Any, identity: Identity) -> None:
-    """Write the poses of a part, whole or not at all.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL; a part that is there is replaced.
-    rows : pyarrow.Table
-        What `estimate_rows` returns.
-    identity : dict
-        Of the job.
-    """
+    """Write the poses of a part, the table of `estimate_rows`, whole or not at all."""
     with storage.write_whole(path) as file:
         rows = rows.replace_schema_metadata(_metadata(identity))
         _parquet().write_table(rows, file, write_page_checksum=True)
 
 
 def part_is_there(path: str, identity: Identity, num_pairs: int) -> bool:
-    """Whether a part's file is whole and belongs to the job.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL of a file that exists.
-    identity : dict
-        Of the job.
-    num_pairs : int
-        That the part must have.
-
-    Returns
-    -------
-    is_there : bool
-        False where the file is damaged: it is estimated again.
-
-    Raises
-    ------
-    ValueError
-        If it belongs to another job.
-    """
+    """Whether a part's file is whole; ValueError where it belongs to another job."""
     with storage.open_read(path) as file:
         try:
             # Parts are small: reading all of it finds damage anywhere.
@@ -77,37 +48,13 @@ def part_is_there(path: str, identity: Identity, num_pairs: int) -> bool:
 
 
 def read_part(path: str) -> Any:
-    """Poses of a part, as `estimate_rows` has returned them.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such part.
-    """
+    """Poses of a part, as `estimate_rows` has returned them."""
     with storage.open_read(path) as file:
         return _read_checked(file)
 
 
 def output_is_there(path: str, identity: Identity) -> bool:
-    """Whether the output exists; then it belongs to the job.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL.
-    identity : dict
-        Of the job.
-
-    Raises
-    ------
-    ValueError
-        If it exists and is something else.
-    """
+    """Whether the output exists; ValueError where it is something else than that of the job."""
     if not storage.exists(path):
         return False
     with _poses(path) as poses:
@@ -118,57 +65,24 @@ def output_is_there(path: str, identity: Identity) -> bool:
 def check_identity(
     metadata: Mapping[bytes, bytes] | None, identity: Identity, path: str, remedy: str
 ) -> None:
-    """Check that a file belongs to a job.
-
-    Parameters
-    ----------
-    metadata : mapping of bytes to bytes, optional
-        Of the file's schema.
-    identity : dict
-        Of the job.
-    path : str
-        Of the file or its folder, for the message.
-    remedy : str
-        What to do with it, for the message.
-
-    Raises
-    ------
-    ValueError
-        If it does not.
-    """
-    for key, mine in identity.items():
-        theirs = (metadata or {}).get(f"{_PREFIX}{key}".encode())
-        if theirs is None:
-            raise ValueError(
-                f"{path} was not written by epi360 batch; give another --output or {remedy}"
-            )
-        if theirs.decode() != mine:
-            raise ValueError(
-                f"{path} holds poses of another job ({key.replace('_', ' ')} {theirs.decode()}, "
-                f"now {mine}); give another --output or {remedy}"
-            )
+    """Raise where the metadata of a file do not belong to a job, saying what to do with it."""
+    known = {name.decode(errors="replace"): value for name, value in (metadata or {}).items()}
+    theirs = {key: known[_PREFIX + key].decode() for key in identity if _PREFIX + key in known}
+    different = first_difference(theirs, identity)
+    if different is None:
+        return
+    if different.before is None:
+        raise ValueError(
+            f"{path} was not written by epi360 batch; give another --output or {remedy}"
+        )
+    raise ValueError(
+        f"{path} holds poses of another job ({different.name.replace('_', ' ')} "
+        f"{different.before}, now {different.now}); give another --output or {remedy}"
+    )
 
 
 def merge_part_files(paths: Sequence[str], output: str, identity: Identity) -> None:
-    """Join parts to the output, one part in memory at a time.
-
-    Parameters
-    ----------
-    paths : sequence of str
-        Of all parts, in order.
-    output : str
-        Path or URL.
-    identity : dict
-        Of the job.
-
-    Raises
-    ------
-    ValueError
-        If a part belongs to another job.
-    OSError
-        If a part is missing or the output cannot be written.
-    """
-    storage.remove_leftovers(output)
+    """Join all parts, given in order, to the output; one part is in memory at a time."""
     columns = output_columns()
     schema = _arrow().schema([part_schema().field(name) for name in columns])
     schema = schema.with_metadata(_metadata(identity))
@@ -181,13 +95,7 @@ def merge_part_files(paths: Sequence[str], output: str, identity: Identity) -> N
 
 
 def count_statuses(output: str) -> dict[str, int]:
-    """Pairs by status, the most frequent first.
-
-    Parameters
-    ----------
-    output : str
-        Path or URL of the merged file.
-    """
+    """Pairs of the merged file by status, the most frequent first."""
     counts: Counter[str] = Counter()
     with _poses(output) as poses:
         for batch in poses.iter_batches(columns=["status"]):

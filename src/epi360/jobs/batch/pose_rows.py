@@ -13,7 +13,7 @@ from epi360.extras import extra_library
 from epi360.jobs.batch.sources import PairMatches, pair_seed
 from epi360.two_view import IMAGE_OPTIONS
 
-# Inliers are needed to write a database; packed bits are small, so every part has them.
+# A database needs the inliers. Packed bits are small, so that every part has them.
 INLIERS = "inlier_bits"
 
 
@@ -25,7 +25,8 @@ def output_columns() -> list[str]:
 def part_schema() -> Any:
     """Arrow schema of a part: the columns of the output and the inliers as packed bits.
 
-    Plain lists, not lists of fixed size: Parquet knows no other, so all readers see the same.
+    The lists are plain ones and not of fixed size, which Parquet does not know: all readers see the
+    same.
     """
     arrow = extra_library("pyarrow", extra="batch", purpose="Parquet files")
     number, numbers = arrow.float64(), arrow.list_(arrow.float64())
@@ -48,22 +49,10 @@ def part_schema() -> Any:
 
 
 def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> Any:
-    """Table of the poses of pairs, one row a pair.
+    """Poses of at least one pair as a pyarrow table, one row a pair, with `part_schema`.
 
-    Parameters
-    ----------
-    pairs : PairMatches
-        At least one pair.
-    seed : int
-        Of the job.
-    num_threads : int, optional
-        Native threads; by default one per core. The poses do not depend on it.
-
-    Returns
-    -------
-    rows : pyarrow.Table
-        With `part_schema`; what the matches do not determine is NaN. ``seconds`` is the wall time
-        of the pair's estimate on its thread, without reading and writing.
+    What the matches do not determine is NaN. ``seconds`` is the wall time of the pair's estimate on
+    its thread, without reading and writing.
     """
     names = list(zip(pairs.image1, pairs.image2, strict=True))
     results, seconds = estimate_timed_poses(
@@ -94,8 +83,8 @@ def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> 
 def _table(columns: Mapping[str, Any]) -> Any:
     """Table of bytes, numbers and arrays of numbers, with `part_schema`.
 
-    From buffers: to look at a list or a NumPy array pyarrow imports pandas, where there is one, and
-    that takes as long as all else that the command imports.
+    It is made from buffers: to look at a list or a NumPy array, pyarrow imports pandas if there is
+    one, and that takes as long as all else that the command imports.
     """
     arrow = extra_library("pyarrow", extra="batch", purpose="Parquet files")
     types = extra_library("pyarrow.types", extra="batch", purpose="Parquet files")

@@ -21,18 +21,18 @@ from itertools import groupby, islice
 from typing import Any
 
 from epi360.extras import extra_library
-from epi360.jobs.batch import storage
+from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.job import BatchJob, check_parts, estimate_parts
-from epi360.jobs.batch.sources import open_matches
 from epi360.progress import Progress
+from epi360.runs import storage
 
-# Also what Ray takes by default: a machine may vanish thrice before the part itself is suspected.
+# This is also Ray's default: a machine may vanish three times before the part is suspected.
 _MAX_RETRIES = 3
 # Nothing of ours goes through the object store; 75 MiB is the least that Ray accepts.
 _OBJECT_STORE_BYTES = 80 * 2**20
 _SECONDS_TO_ANSWER = 10.0
-# What the user has set stays. Ray prints deaths of workers on stdout, in the middle of our results;
-# it drops lines that match an expression, and this one matches all.
+# What the user has set stays. Ray prints on stdout, in the middle of our results, that a worker has
+# died; it drops lines that match this expression, which are all.
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
@@ -45,38 +45,19 @@ def estimate_parts_on_ray(
     *,
     address: str | None,
     progress: Progress,
-    there: int,
+    num_done: int,
     total: int,
 ) -> None:
     """Check all parts, then estimate them, in Ray tasks of one CPU; the workers write the files.
 
-    Parameters
-    ----------
-    job : BatchJob
-        The batch. On a cluster all machines must see its input and its output, and have this
-        version of epi360.
-    parts : sequence of int
-        Which are missing.
-    address : str, optional
-        Of a cluster, as `ray.init` takes it. By default that of the environment's RAY_ADDRESS,
-        and without it Ray is started on this machine and stopped at the end. A session that the
-        process has open already is used instead and stays open.
-    progress : callable
-        Gets ("checked pairs", done, all of these parts), then ("pairs", done, total), after each
-        task.
-    there, total : int
-        Pairs that are done already, and in all.
+    On a cluster all machines must see the input and the output of the job, and have this version of
+    epi360. ``address`` is that of a cluster, as `ray.init` takes it; by default that of the
+    environment's RAY_ADDRESS, and without it Ray is started on this machine and stopped at the end.
+    A session that the process has open already is used instead and stays open. ``progress`` gets
+    ("checked pairs", done, all of these parts), then ("pairs", done, total), after each task.
 
-    Raises
-    ------
-    ValueError
-        If a row cannot be used, then nothing is estimated, or a worker has another version of
-        epi360.
-    OSError
-        If a file cannot be read or written, the cluster does not answer, or a worker dies again
-        and again. Finished parts stay.
-    ImportError
-        If Ray is missing here, or epi360 on a worker.
+    If a row cannot be used, nothing is estimated. Finished parts stay where a file cannot be read
+    or written, the cluster does not answer, or a worker dies again and again (OSError).
     """
     for name, value in _QUIET.items():  # read when Ray is imported
         os.environ.setdefault(name, value)
@@ -86,16 +67,16 @@ def estimate_parts_on_ray(
     job = _with_absolute_paths(job)
     with _session(ray, address):
         tasks = _tasks(parts, groups, _num_cpus(ray))
-        checked, missing = 0, total - there
+        checked, missing = 0, total - num_done
         progress("checked pairs", checked, missing)
         for finished in _finished_tasks(ray, _check, job, tasks):
             checked += sum(sizes[part] for part in finished)
             progress("checked pairs", checked, missing)
-        progress("pairs", there, total)
+        progress("pairs", num_done, total)
         for finished in _finished_tasks(ray, _estimate, job, tasks):
             _find_files(job, finished)
-            there += sum(sizes[part] for part in finished)
-            progress("pairs", there, total)
+            num_done += sum(sizes[part] for part in finished)
+            progress("pairs", num_done, total)
 
 
 @contextmanager
@@ -133,9 +114,9 @@ def _check_answers(address: str) -> None:
 def _tasks(parts: Sequence[int], groups: Sequence[int], num_cpus: int) -> list[list[int]]:
     """Parts of each task, neighbours in one group.
 
-    A task passes over the parts of its group that come before its own. A group of n parts is passed
-    over n / 2 times if each is a task, and half the root of n times if tasks are of as many parts;
-    but each CPU should get two tasks.
+    A task reads over the parts of its group that come before its own. If each of n parts is a task,
+    the group is read n / 2 times; if a task has as many parts as the square root of n, it is read
+    half that root times. But each CPU should get two tasks.
     """
     tasks, sizes = [], Counter(groups)
     for group, members in groupby(parts, key=lambda part: groups[part]):
@@ -157,8 +138,8 @@ def _finished_tasks(
     waiting, identity = iter(tasks), job.identity("")
     running: dict[Any, list[int]] = {}
     while True:
-        # Two a CPU of the moment: none waits for us, and an autoscaler sees that more is wanted.
-        # Bounded, as every task in flight costs the driver memory.
+        # Each CPU that there is now gets two tasks: none waits for us, and an autoscaler sees that
+        # more are wanted. Not more than two, as every task in flight costs the driver memory.
         for parts in islice(waiting, max(0, 2 * _num_cpus(ray) - len(running))):
             running[remote.remote(job, parts, identity)] = parts
         if not running:
@@ -235,15 +216,9 @@ def _raise_failure(ray: Any, finished: Any, parts: Sequence[int]) -> None:
 
 def _with_absolute_paths(job: BatchJob) -> BatchJob:
     """Job as a worker understands it, whose current folder is another one."""
-    source = job.source
-    absolute = replace(
-        source,
-        path=_absolute(source.path),
-        camera=_absolute(source.camera) if source.camera else None,
-        features=_absolute(source.features) if source.features else None,
-        pairs=_absolute(source.pairs) if source.pairs else None,
-    )
-    return replace(job, source=absolute, output=_absolute(job.output))
+    names = [name for name in ("path", "camera", "features", "pairs") if getattr(job.source, name)]
+    paths: dict[str, Any] = {name: _absolute(getattr(job.source, name)) for name in names}
+    return replace(job, source=replace(job.source, **paths), output=_absolute(job.output))
 
 
 def _absolute(path: str) -> str:

@@ -5,44 +5,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, get_args
 
-from epi360.jobs.batch import storage
+from epi360.jobs.batch.inputs import check_names, open_matches
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
 from epi360.jobs.batch.local_engine import estimate_parts_locally
-from epi360.jobs.batch.lock import only_run
 from epi360.jobs.batch.parts import count_statuses, output_is_there
-from epi360.jobs.batch.sources import check_names, open_matches
 from epi360.progress import Progress, no_progress
+from epi360.runs import storage
+from epi360.runs.lock import only_run
 
 Engine = Literal["local", "ray"]
 
 
 @dataclass(frozen=True)
 class BatchSummary:
-    """What a batch has done.
+    """What a batch has done."""
 
-    Attributes
-    ----------
-    num_pairs : int
-        In the output.
-    num_estimated : int
-        Of these, estimated by this run and not by one before.
-    seconds : float
-        Wall time of estimating them.
-    statuses : mapping of str to int
-        Pairs by status, over the whole output.
-    files : tuple of str
-        What this run has written; empty where all was there.
-    """
-
-    num_pairs: int
-    num_estimated: int
-    seconds: float
-    statuses: Mapping[str, int]
-    files: tuple[str, ...]
+    num_pairs: int  # in the output
+    num_estimated: int  # those of them that this run has estimated, and not one before
+    seconds: float  # wall time of estimating them
+    statuses: Mapping[str, int]  # pairs by status, over the whole output
+    files: tuple[str, ...]  # what this run has written; empty where all was there
 
 
 def run_batch(
@@ -56,25 +43,11 @@ def run_batch(
 ) -> BatchSummary:
     """Estimate the poses of all pairs that are not estimated yet and write the output.
 
-    Parameters
-    ----------
-    job : BatchJob
-        The batch.
-    engine : str
-        "local" (native threads) or "ray".
-    num_threads : int, optional
-        Of the local engine; by default one per core.
-    address : str, optional
-        Of a Ray cluster; by default Ray is started on this machine.
-    database : str, optional
-        Write a copy of the COLMAP database with the two-view geometries.
-    progress : callable
-        Gets ("checked pairs", done, total) for the pairs that are missing, then ("pairs", done,
-        total); what earlier runs have done is in the first call.
-
-    Returns
-    -------
-    summary : BatchSummary
+    The engine is "local" (native threads, by default one per core) or "ray" (on the cluster of that
+    address, by default one that is started on this machine). With ``database``, a copy of COLMAP's
+    database with the two-view geometries is written there. ``progress`` gets ("checked pairs",
+    done, total) for the pairs that are missing, then ("pairs", done, total); what earlier runs have
+    done is in the first call.
 
     Raises
     ------
@@ -88,7 +61,9 @@ def run_batch(
         raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}, got {engine!r}")
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
-    with only_run(job.output):
+    # Nobody can lock a URL. Files appear whole there too: two runs at once cannot mix poses.
+    remote = storage.is_remote(job.output)
+    with nullcontext() if remote else only_run(storage.local_path(job.output)):
         return _run(job, engine, num_threads, address, database, progress)
 
 
@@ -111,7 +86,7 @@ def _run(
     start = time.perf_counter()
     if missing:
         estimate = _engine(engine, num_threads, address)
-        estimate(job, missing, progress=progress, there=total - todo, total=total)
+        estimate(job, missing, progress=progress, num_done=total - todo, total=total)
     seconds = time.perf_counter() - start
     if not is_merged:
         merge_parts(job)
@@ -119,8 +94,8 @@ def _run(
         from epi360.jobs.batch.database_copy import write_database_copy
 
         write_database_copy(job, database, len(sizes))
-    # Only now: whatever happened before, all finished work was on disk. Also the parts of a run
-    # that was killed at this line.
+    # Only now, so that finished work was on the disk whatever happened before. Parts may also be
+    # there of a run that was killed at this line.
     storage.remove_folder(job.parts_folder)
     files = () if is_merged else (job.output,)
     if needs_database and database is not None:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Inputs of a batch: matches of many pairs, read part by part."""
+"""Matches of many pairs: where they are, how they are read part by part, when they are wrong."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.interop.hloc import camera_of_image
-from epi360.jobs.batch import storage
+from epi360.runs import storage
 
 Array = NDArray[np.float64]
 Kind = Literal["parquet", "colmap", "hloc"]
@@ -24,42 +23,21 @@ _MAGIC: dict[Kind, bytes] = {
     "colmap": b"SQLite format 3\0",
     "hloc": b"\x89HDF\r\n\x1a\n",
 }
-_NUM_SAMPLES, _SAMPLE_BYTES = 16, 4096
 
 
 @dataclass(frozen=True)
 class MatchSource:
-    """Where the matches are; plain values.
+    """Where the matches are; plain values."""
 
-    Attributes
-    ----------
-    kind : str
-        "parquet", "colmap" (a database) or "hloc" (a pair of HDF5 files).
-    path : str
-        The Parquet file (path, or URL that fsspec understands), the database or the matches.
-    camera : str, optional
-        Calibration file, for pixels and key points whose file knows no camera.
-    features, pairs : str, optional
-        Of hloc: the file of the key points, and a text file that says which pairs are wanted.
-    pairs_per_part : int
-        The most pairs that a part holds.
-    """
-
-    kind: Kind
-    path: str
-    camera: str | None = None
-    features: str | None = None
-    pairs: str | None = None
-    pairs_per_part: int = 1000
+    kind: Kind  # "colmap": a database; "hloc": a pair of HDF5 files
+    path: str  # the Parquet file (path, or URL that fsspec understands), database or matches
+    camera: str | None = None  # calibration file, if the file of the matches knows no camera
+    features: str | None = None  # hloc's file of the key points
+    pairs: str | None = None  # with hloc's matches: a text file of the pairs that are wanted
+    pairs_per_part: int = 1000  # at most
 
     def __post_init__(self) -> None:
-        """Check the options.
-
-        Raises
-        ------
-        ValueError
-            If one does not fit.
-        """
+        """Check the options."""
         if self.pairs_per_part < 1:
             raise ValueError(f"pairs_per_part must be 1 or more, got {self.pairs_per_part}")
         if self.kind != "parquet" and storage.is_remote(self.path):
@@ -70,20 +48,7 @@ class MatchSource:
 
 
 def kind_of(path: str) -> Kind:
-    """Kind of an input, by its first bytes.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is of no kind that is read.
-    """
+    """Kind of an input, by its first bytes."""
     with storage.open_read(path) as file:
         start = file.read(16)
     for kind, magic in _MAGIC.items():
@@ -97,22 +62,12 @@ def kind_of(path: str) -> Kind:
 
 @dataclass(frozen=True, eq=False)
 class PairMatches:
-    """The pairs of one part.
-
-    Attributes
-    ----------
-    first_row : int
-        Row of the first pair in the input, from 0.
-    image1, image2 : list of str
-        Names, one a pair.
-    bearings1, bearings2 : list of ndarray, shape (M, 3)
-        One a pair; NaN rows are missing.
-    """
+    """The pairs of one part: the row of the first in the input, names and bearings, one a pair."""
 
     first_row: int
     image1: list[str]
     image2: list[str]
-    bearings1: list[Array]
+    bearings1: list[Array]  # each (M, 3); NaN rows are missing
     bearings2: list[Array]
 
     def __len__(self) -> int:
@@ -125,7 +80,7 @@ class OpenMatches(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """What another input would have otherwise."""
+        """Hash in which another input differs."""
 
     @property
     def part_sizes(self) -> list[int]:
@@ -133,7 +88,7 @@ class OpenMatches(Protocol):
 
     @property
     def part_groups(self) -> list[int]:
-        """Number of each part's group, within which a part is reached by way of those before."""
+        """Number of each part's group; to reach a part, those before it in the group are read."""
 
     def names(self) -> Iterator[tuple[Sequence[str], Sequence[str]]]:
         """Names of the first and second images, some pairs at a time, in order."""
@@ -142,127 +97,19 @@ class OpenMatches(Protocol):
         """Pairs of these parts, given in rising order, one part at a time."""
 
 
-def open_matches(source: MatchSource) -> AbstractContextManager[OpenMatches]:
-    """Open an input and check its schema.
-
-    Parameters
-    ----------
-    source : MatchSource
-        What to open.
-
-    Returns
-    -------
-    matches : context manager of OpenMatches
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is damaged, or not of the kind or the schema that is read.
-    """
-    if source.kind == "parquet":
-        from epi360.jobs.batch.parquet_matches import open_parquet
-
-        return open_parquet(source)
-    from epi360.jobs.batch.file_matches import open_colmap, open_hloc
-
-    return open_colmap(source) if source.kind == "colmap" else open_hloc(source)
-
-
 def pair_seed(seed: int, image1: str, image2: str) -> int:
     """Seed of a pair, in [0, 2^64): the same on every machine and in every order of the work.
 
-    Parameters
-    ----------
-    seed : int
-        Of the job.
-    image1, image2 : str
-        Names; the other order is another seed.
-
-    Notes
-    -----
-    The first eight bytes of SHA-256 over the seed and the names, with their lengths before them so
-    that no two pairs are written alike.
+    It is the first eight bytes of SHA-256 over the seed and the names, with their lengths before
+    them so that no two pairs are written alike. The names in the other order have another seed.
     """
     names = (image1.encode(), image2.encode())
     text = b"%d %d %d " % (seed, len(names[0]), len(names[1])) + names[0] + names[1]
     return int.from_bytes(hashlib.sha256(text).digest()[:8], "big")
 
 
-def check_names(path: str, matches: OpenMatches) -> None:
-    """Check that there is a pair and none is there twice.
-
-    Parameters
-    ----------
-    path : str
-        Of the input, for messages.
-    matches : OpenMatches
-        Only the names are read. Eight bytes a pair are kept: a hash of 64 bits.
-
-    Raises
-    ------
-    ValueError
-        If there is no pair, or one is there twice; the message names both rows.
-    """
-    hashes = np.fromiter(
-        (pair_seed(0, *pair) for names in matches.names() for pair in zip(*names, strict=True)),
-        dtype=np.uint64,
-    )
-    if not len(hashes):
-        raise ValueError(f"{path} has no pairs")
-    order = np.argsort(hashes, kind="stable")
-    again = np.flatnonzero(hashes[order][1:] == hashes[order][:-1])
-    if len(again):
-        first, second = order[again[0]], order[again[0] + 1]
-        pair = _names_of(matches, int(second))
-        raise ValueError(
-            f"{path}: the pair {pair[0]} {pair[1]} is there twice, in rows {first} and {second}"
-        )
-
-
-def _names_of(matches: OpenMatches, row: int) -> tuple[str, str]:
-    for image1, image2 in matches.names():
-        if row < len(image1):
-            return image1[row], image2[row]
-        row -= len(image1)
-    raise IndexError(row)
-
-
-def fingerprint(path: str, extra: Iterable[bytes] = ()) -> str:
-    """Fingerprint of a file that may be too large to be read as a whole.
-
-    Parameters
-    ----------
-    path : str
-        Path or URL.
-    extra : iterable of bytes
-        What else tells it from others: footer, list of pairs.
-
-    Returns
-    -------
-    fingerprint : str
-        Of its size, of 16 evenly spaced blocks of 4 KiB with the first and the last, and of the
-        extra. A change that leaves all of these as they are is not noticed.
-    """
-    size = storage.file_size(path)
-    last = max(size - _SAMPLE_BYTES, 0)
-    starts = sorted({last * k // (_NUM_SAMPLES - 1) for k in range(_NUM_SAMPLES)})
-    sha = hashlib.sha256(b"%d " % size)
-    ranges = [(start, min(start + _SAMPLE_BYTES, size)) for start in starts]
-    for piece in (*storage.read_ranges(path, ranges), *extra):
-        sha.update(piece)
-    return sha.hexdigest()[:32]
-
-
 def parts_of(num_pairs: int, pairs_per_part: int) -> list[range]:
-    """Rows of each part where pairs are cut into parts of equal size, the last may be smaller.
-
-    Parameters
-    ----------
-    num_pairs, pairs_per_part : int
-        In all, and in a part at most.
-    """
+    """Rows of each part: all parts are of equal size, but the last may be smaller."""
     return [
         range(start, min(start + pairs_per_part, num_pairs))
         for start in range(0, num_pairs, pairs_per_part)
@@ -270,21 +117,7 @@ def parts_of(num_pairs: int, pairs_per_part: int) -> list[range]:
 
 
 def check_rows(path: str, pairs: PairMatches) -> None:
-    """Check that the matches of each pair can be used.
-
-    Parameters
-    ----------
-    path : str
-        Of the input, for messages.
-    pairs : PairMatches
-        With bearings (M, 3), or pixels (M, 2) in their place.
-
-    Raises
-    ------
-    ValueError
-        If a pair has not as many rows in both views, or a row is infinite or a zero bearing; the
-        message names the pair.
-    """
+    """Raise where a pair has unusable matches: bearings (M, 3), or pixels (M, 2) in their place."""
     for k in range(len(pairs)):
         views = pairs.bearings1[k], pairs.bearings2[k]
         where = f"{path}: row {pairs.first_row + k} ({pairs.image1[k]} {pairs.image2[k]})"
@@ -309,23 +142,8 @@ def check_rows(path: str, pairs: PairMatches) -> None:
                 )
 
 
-def camera_of(image: str, size: tuple[int, int] | None, cameras: Mapping[str, Camera]) -> Camera:
-    """Camera of an image that is known by name.
-
-    Parameters
-    ----------
-    image : str
-        Name.
-    size : (int, int) or None
-        Width and height in pixels, where known.
-    cameras : mapping of str to Camera
-        By the name of an image or of a folder that it lies in; see `camera_of_image`.
-
-    Raises
-    ------
-    ValueError
-        If it has none.
-    """
+def named_camera(image: str, size: tuple[int, int] | None, cameras: Mapping[str, Camera]) -> Camera:
+    """Camera of an image by the name of it or of its folder; ValueError where it has none."""
     camera = camera_of_image(image, size, cameras)[1]
     if camera is None and not cameras:
         raise ValueError(f"{image} is not known to be a panorama; give its camera by --camera FILE")

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The camera of an image: the one place where it is found."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
+from epi360.features.image_headers import read_image_header
+from epi360.features.images import ImageSource, require_panorama
+
+
+def find_camera(
+    source: ImageSource, picture: NDArray[np.uint8], camera: Camera | None, name: str
+) -> Camera:
+    """Camera of a picture: the given one, or that of a panorama or of a part of one.
+
+    A file is the part of a panorama that its GPano metadata state. An array, or a file without such
+    metadata, is a whole panorama. What does not fit is a ``ValueError`` that calls it ``name``.
+    """
+    height, width = picture.shape[:2]
+    if camera is None:
+        require_panorama(picture, name)
+        try:
+            return panorama_camera(width, height, _gpano_of(source))
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    if (camera.width, camera.height) != (width, height):
+        raise ValueError(
+            f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
+            "give the camera of this image size"
+        )
+    return camera
+
+
+def _gpano_of(source: ImageSource) -> GPano | None:
+    if not isinstance(source, str | os.PathLike) or not Path(source).is_file():
+        return None  # an array; or a pipe, which can be read only once
+    return parse_gpano(read_image_header(source).xmp)

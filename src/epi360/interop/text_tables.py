@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables in text files; an error message names the bad row by its file and line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNIT_TOLERANCE = 1e-2  # of a quaternion's length; files hold four digits or more
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a text file, not yet taken for numbers.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    columns : tuple of str
+        What each row holds.
+    header : str
+        First line where that is a comment or starts with a letter, else "".
+    lines : tuple of int
+        Line of each row, as an editor counts.
+    cells : tuple of list of str
+        Cells of each row, one per column.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    header: str
+    lines: tuple[int, ...]
+    cells: tuple[list[str], ...]
+
+    def integers(self, column: int) -> NDArray[np.int64]:
+        """Whole numbers of a column; ``ValueError`` where a cell is none."""
+        try:
+            return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
+        except (ValueError, OverflowError):
+            bad = next(i for i, row in enumerate(self.cells) if not _is_int64(row[column]))
+            raise self.error(bad, f"a whole number as {self.columns[column]}") from None
+
+    def floats(self, start: int, stop: int) -> NDArray[np.float64]:
+        """Finite numbers of some columns; ``ValueError`` where a cell is none."""
+        numbers = np.empty((len(self.cells), stop - start))
+        for index, row in enumerate(self.cells):
+            try:
+                numbers[index] = [float(cell) for cell in row[start:stop]]
+            except ValueError:
+                numbers[index] = np.nan
+            if not np.isfinite(numbers[index]).all():
+                raise self.error(index, f"the numbers {','.join(self.columns[start:stop])}")
+        return numbers
+
+    def quaternions(self, start: int) -> NDArray[np.float64]:
+        """Four columns as quaternions of unit length; ``ValueError`` where they are far from it."""
+        numbers = self.floats(start, start + 4)
+        with np.errstate(over="ignore"):  # infinite is far from one
+            lengths = np.linalg.norm(numbers, axis=1)
+        bad = np.flatnonzero(np.abs(lengths - 1) > UNIT_TOLERANCE)
+        if len(bad):
+            raise self.error(bad[0], f"a unit quaternion {','.join(self.columns[start:])}")
+        return np.asarray(numbers / lengths[:, None])
+
+    def error(self, index: int, wanted: str) -> ValueError:
+        """Exception that names the row with this index."""
+        row = ",".join(self.cells[index])
+        return ValueError(f"row {self.lines[index]} of {self.path} must hold {wanted}, got {row!r}")
+
+
+def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> Table:
+    """Rows of a text file, without empty lines, comments ("#") and the header.
+
+    Parameters
+    ----------
+    path : Path
+        Text file.
+    columns : tuple of str
+        What a row must hold.
+    delimiter : str, optional
+        None: any white space.
+
+    Returns
+    -------
+    table : Table
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no text, has no rows, or a row has another number of cells.
+    """
+    names = ",".join(columns)
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path} does not exist; its rows must hold {names}") from None
+    except (UnicodeDecodeError, OSError):
+        raise ValueError(f"{path} must be a text file with rows {names}") from None
+    header = lines[0] if lines and (lines[0][:1] == "#" or lines[0][:1].isalpha()) else ""
+    start = 1 if header else 0
+    kept = [
+        (number, [cell.strip() for cell in line.split(delimiter)])
+        for number, line in enumerate(lines[start:], start=start + 1)
+        if line.strip() and not line.startswith("#")
+    ]
+    table = Table(path, columns, header, tuple(n for n, _ in kept), tuple(row for _, row in kept))
+    if not kept:
+        raise ValueError(f"{path} has no rows; it must hold {names}")
+    for index, row in enumerate(table.cells):
+        if len(row) != len(columns):
+            raise table.error(index, f"{len(columns)} values {names}")
+    return table
+
+
+def _is_int64(cell: str) -> bool:
+    try:
+        return -(2**63) <= int(cell) < 2**63
+    except ValueError:
+        return False

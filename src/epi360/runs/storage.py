@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Files on a disk or in an object store: a path, or a URL that fsspec understands.
+
+To a URL a file is written as a temporary local file and then put, which object stores do in one
+step: there too it appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, cast
+
+from epi360.extras import extra_library
+from epi360.runs.made_from import fingerprint
+from epi360.runs.whole_files import whole_file
+
+_NUM_SAMPLES, _SAMPLE_BYTES = 16, 4096
+
+
+def is_remote(path: str) -> bool:
+    """Whether a path is a URL; ``file://`` is a file of this machine."""
+    return "://" in path and not path.startswith("file://")
+
+
+def local_path(path: str) -> Path:
+    """Path on this machine of a path or a ``file://`` URL."""
+    return Path(path.removeprefix("file://"))
+
+
+def exists(path: str) -> bool:
+    """Whether there is such a file or folder."""
+    if is_remote(path):
+        files, name = _filesystem(path)
+        return bool(files.exists(name))
+    return local_path(path).exists()
+
+
+@contextmanager
+def open_read(path: str) -> Iterator[IO[bytes]]:
+    """Open a file for reading."""
+    if is_remote(path):
+        files, name = _filesystem(path)
+        # The reader asks for large pieces of several places in turn: reading ahead would fetch
+        # most of the file several times.
+        with files.open(name, "rb", cache_type="none") as file:
+            yield file
+        return
+    with local_path(path).open("rb") as file:
+        yield file
+
+
+@contextmanager
+def write_whole(path: str) -> Iterator[IO[bytes]]:
+    """Open a file that appears when the block ends well; its folder is made."""
+    if not is_remote(path):
+        with whole_file(local_path(path), make_folder=True) as file:
+            yield file
+        return
+    with tempfile.TemporaryDirectory(prefix="epi360-") as folder:
+        temporary = Path(folder) / "file"
+        with temporary.open("wb") as file:
+            yield file
+        files, name = _filesystem(path)
+        files.makedirs(name.rpartition("/")[0], exist_ok=True)
+        files.put_file(str(temporary), name)
+
+
+def read_ranges(path: str, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
+    """Bytes of some places of a file, each from the first to before the last."""
+    if is_remote(path):
+        files, name = _filesystem(path)
+        starts, ends = [start for start, _ in ranges], [end for _, end in ranges]
+        return cast("list[bytes]", files.cat_ranges([name] * len(ranges), starts, ends))
+    pieces = []
+    with local_path(path).open("rb") as file:
+        for start, end in ranges:
+            file.seek(start)
+            pieces.append(file.read(end - start))
+    return pieces
+
+
+def file_size(path: str) -> int:
+    """Bytes of a file."""
+    if is_remote(path):
+        files, name = _filesystem(path)
+        return int(files.size(name))
+    return local_path(path).stat().st_size
+
+
+def fingerprint_of_file(path: str, extra: Iterable[object] = ()) -> str:
+    """Hash of a file that may be too large to be read as a whole, and of what else tells it apart.
+
+    Hashed are the size, 16 evenly spaced blocks of 4 KiB with the first and the last, and the
+    extra. A change that leaves all of these as they are is not noticed.
+    """
+    size = file_size(path)
+    last = max(size - _SAMPLE_BYTES, 0)
+    starts = sorted({last * k // (_NUM_SAMPLES - 1) for k in range(_NUM_SAMPLES)})
+    ranges = [(start, min(start + _SAMPLE_BYTES, size)) for start in starts]
+    return fingerprint((size,), *read_ranges(path, ranges), *extra)
+
+
+def names_in(folder: str) -> list[str]:
+    """Names of the files in a folder, sorted; none where there is no such folder."""
+    if is_remote(folder):
+        files, name = _filesystem(folder)
+        if not files.exists(name):
+            return []
+        return sorted(str(entry).rpartition("/")[2] for entry in files.ls(name, detail=False))
+    path = local_path(folder)
+    return sorted(entry.name for entry in path.iterdir()) if path.is_dir() else []
+
+
+def remove_folder(folder: str) -> None:
+    """Remove a folder with its files, if it is there."""
+    if not exists(folder):
+        return
+    if is_remote(folder):
+        files, name = _filesystem(folder)
+        files.rm(name, recursive=True)
+        return
+    shutil.rmtree(local_path(folder))
+
+
+def _filesystem(url: str) -> tuple[Any, str]:
+    """File system of a URL and the name of the file in it."""
+    core = extra_library("fsspec.core", extra="batch", purpose="paths with ://")
+    files, name = core.url_to_fs(url)
+    # Another machine may have written since this process last listed the folder.
+    files.invalidate_cache()
+    return files, name

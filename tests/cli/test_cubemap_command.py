@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`epi360 cubemap`: what is printed and written, exit codes."""
+
+import cv2
+import numpy as np
+import pytest
+from command_line import assert_help_names, assert_wrong_use
+
+from epi360 import cli
+
+pytest.importorskip("pycolmap")
+
+from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
+
+
+def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp_path, capsys):
+    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
+    out = tmp_path / "cube"
+    assert cli.main(["cubemap", model, images, str(out), "--faces", "up", "--face-size", "32"]) == 0
+    assert capsys.readouterr().out == f"wrote {out} (6 cube faces)\n"
+    again = read_colmap_model(out / "sparse" / "0")
+    assert {camera.width for camera in again.cameras.values()} == {32}
+
+
+def test_an_image_that_is_not_in_the_folder_is_named(room_folder, room_run, tmp_path, capsys):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    model = room_run[0] / "sparse" / "0"
+    assert_wrong_use(capsys, ["cubemap", model, empty, tmp_path / "out"], ".png")
+
+
+def test_faces_show_no_pixel_that_is_masked_out(room_folder, room_run, tmp_path, capsys):
+    mask = np.full((256, 512), 255, np.uint8)
+    mask[128:] = 0  # the lower half of every panorama
+    assert cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
+    words = ["cubemap", model, images, str(tmp_path / "out"), "--mask", str(tmp_path / "mask.png")]
+    assert cli.main([*words, "--faces", "down", "front", "--face-size", "32"]) == 0
+    shares = {"down": [], "front": []}
+    for path in (tmp_path / "out" / "masks").rglob("*.png"):
+        face = path.name.removesuffix(".png").rpartition(".")[0].rpartition("_")[2]
+        shares[face].append((cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0).mean())
+    assert len(shares["down"]) == len(shares["front"]) == 6
+    assert max(shares["down"]) == 0.0
+    np.testing.assert_allclose(shares["front"], 0.5, atol=0.04)  # a row of 32 is 0.03
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["DATABASE", "IMAGES", "OUT"], "holds matches"),
+        (["MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
+        (["MODEL", "IMAGES", "OUT", "--fov-deg", "180"], " --fov-deg must be"),
+        (["MODEL", "IMAGES", "OUT", "--mask-nadir-deg=-5"], " --mask-nadir-deg must"),
+        (["NOWHERE", "IMAGES", "OUT"], "does not exist"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_code_2(
+    room_folder, room_run, tmp_path, capsys, words, message
+):
+    output, _ = room_run
+    paths = {
+        "IMAGES": room_folder[0], "DATABASE": output / "database.db",
+        "MODEL": output / "sparse" / "0", "OUT": tmp_path / "out", "NOWHERE": tmp_path / "no",
+    }  # fmt: skip
+    assert_wrong_use(capsys, ["cubemap", *(paths.get(word, word) for word in words)], message)
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "cubemap", "--mask", "--mask-nadir-deg", "--face-size", "--fov-deg", "--faces",
+        "--image-format", "--jpeg-quality",
+    )  # fmt: skip

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`epi360 map`: what is printed and written, exit codes."""
+
+import cv2
+import numpy as np
+import pytest
+from command_line import assert_help_names, assert_wrong_use
+from mapped_room import write_picture
+
+from epi360 import cli
+
+pytest.importorskip("pycolmap")
+
+from epi360.interop import Reconstruction  # noqa: E402
+from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
+from epi360.jobs.mapped_models import MappedModel  # noqa: E402
+from epi360.jobs.mapping import MapRun  # noqa: E402
+from epi360.jobs.matching import MatchRun  # noqa: E402
+
+
+def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_run, capsys):
+    output, _ = room_run
+    words = ["map", str(room_folder[0]), "--output", str(output), "--cubemap"]
+    assert cli.main([*words, "--faces", "front", "back", "--mask-nadir-deg", "0"]) == 0
+    printed = capsys.readouterr().out
+    assert "registered   6 of 7 images" in printed
+    assert "not used     zz_grey.png: no accepted pair" in printed
+    assert f"wrote {output / 'sparse' / '0'}" in printed
+    assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
+    assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()
+    assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
+
+
+def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_path, capsys):
+    pictures, out = tmp_path / "in", tmp_path / "out"
+    pictures.mkdir()
+    for name in ("1.png", "2.png"):
+        (pictures / name).write_bytes((room_folder[0] / "Küche" / name).read_bytes())
+    words = ["map", str(pictures), "--output", str(out)]
+    assert cli.main([*words, "--cubemap", "--faces", "front"]) == 0
+    # Other faces: said before the mapping, so that the map is still that of the faces.
+    before = (out / "mapping.json").read_bytes()
+    assert cli.main([*words, "--mapper", "global", "--cubemap", "--faces", "up"]) == 2
+    assert "cubemap with other options" in capsys.readouterr().err
+    assert (out / "mapping.json").read_bytes() == before
+    assert cli.main(words) == 0
+    assert "earlier map" not in capsys.readouterr().out
+    (pictures / "3.png").write_bytes((room_folder[0] / "Küche" / "0.png").read_bytes())
+    assert cli.main(words) == 0
+    assert f"{out / 'cubemap'} is of an earlier map: --cubemap cuts it again" in (
+        capsys.readouterr().out
+    )
+
+
+def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monkeypatch):
+    models = tuple(
+        MappedModel(tmp_path / "sparse" / str(number), Reconstruction({}, ()), 0.5)
+        for number in range(2)
+    )
+    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    run = MapRun(matched, models, {}, 5, {}, ())
+    monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, **__: run)
+    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
+    assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "models       2 that do not connect: 0, 0 images" in printed
+    assert f"epi360 cubemap {tmp_path / 'sparse' / '1'} {tmp_path / 'in'} NEW" in printed
+
+
+def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    for name in ("a", "b"):
+        noise = cv2.resize(rng.integers(0, 256, (32, 64, 3), dtype=np.uint8), (256, 128))
+        write_picture(tmp_path / "in" / f"{name}.png", noise)
+    words = ["map", str(tmp_path / "in"), "--output", str(tmp_path / "out")]
+    assert cli.main(words) == 1
+    assert "registered   0 of 2 images" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "sparse").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["IMAGES", "--faces", "front"], "need --cubemap"),
+        (["NOWHERE"], "does not exist"),
+        (["IMAGES", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
+        (["IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
+        (["IMAGES", "--mapper", "best"], "--mapper"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_code_2(room_folder, tmp_path, capsys, words, message):
+    paths = {"IMAGES": room_folder[0], "NOWHERE": tmp_path / "no"}
+    arguments = [paths.get(word, word) for word in words]
+    assert_wrong_use(capsys, ["map", *arguments, "--output", tmp_path / "out"], message)
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "map", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
+        "--max-width", "--max-features", "--seed", "--num-threads", "--mapper", "--refine-cameras",
+        "--mapper-threads", "--cubemap", "--face-size", "--fov-deg", "--faces", "--image-format",
+        "--jpeg-quality", "--output", "--restart",
+    )  # fmt: skip

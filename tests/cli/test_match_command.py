@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`epi360 match` as a user types it."""
+
+import csv
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import assert_help_names, assert_wrong_use
+from documents import ROOT, text_of
+from rendered_views import NAMES, pictures, write_png, write_views
+
+from epi360.cli import FAILURE, SUCCESS, main
+from epi360.report.match_table import COLUMNS
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_views(tmp_path / "tour", NAMES[:2])
+    return tmp_path
+
+
+def test_a_folder_gives_a_table_and_a_summary(here, capsys):
+    assert main(["match", "tour"]) == SUCCESS
+    printed = capsys.readouterr().out
+    assert "Pairs         1 (exhaustive)" in printed
+    assert "Accepted      1" in printed
+    assert "\n1 new pair in " in printed
+    assert "wrote tour-epi360/pairs.csv" in printed.replace("\\", "/")
+    with (here / "tour-epi360" / "pairs.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert tuple(row) == COLUMNS
+    assert (row["image1"], row["image2"]) == tuple(NAMES[:2])
+    assert (row["status"], row["accepted"]) == ("ok", "yes")
+    translation = [float(row[name]) for name in ("tx", "ty", "tz")]
+    assert np.linalg.norm(translation) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_the_table_of_the_columns_names_every_one_and_no_other():
+    section = text_of(ROOT / "docs" / "conventions.md").split("## Columns of `pairs.csv`\n")[1]
+    first_columns = re.findall(r"^\| (`.+?`) \|", section.split("\n## ")[0], re.M)
+    assert tuple(re.findall(r"`(\w+)`", " ".join(first_columns))) == COLUMNS
+
+
+def test_inside_the_image_folder_the_default_output_is_beside_it(here, monkeypatch):
+    monkeypatch.chdir(here / "tour" / "Zimmer")
+    assert main(["match", str(here / "tour")]) == SUCCESS
+    assert (here / "tour-epi360" / "pairs.csv").is_file()
+
+
+def test_no_pose_at_all_is_an_honest_failure(here, capsys):
+    write_png(here / "tour" / NAMES[1], np.zeros_like(pictures()[1]))
+    assert main(["match", "tour"]) == FAILURE
+    printed = capsys.readouterr().out
+    assert "1 too_few_matches" in printed
+    assert f"No pair       {NAMES[0]}" in printed
+
+
+@pytest.mark.parametrize(("seconds", "rate"), [(5.0, ", 0.2/s"), (60.0, "")])
+def test_a_rate_is_said_where_it_says_something(here, capsys, monkeypatch, seconds, rate):
+    times = iter([0.0, seconds])
+    monkeypatch.setattr("epi360.cli.match.time", SimpleNamespace(monotonic=lambda: next(times)))
+    assert main(["match", "tour"]) == SUCCESS
+    assert f"in {seconds} s with their features{rate}\n" in capsys.readouterr().out
+
+
+def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
+    (here / "tour" / "empty.jpg").write_bytes(b"")
+    assert main(["match", "tour"]) == SUCCESS
+    assert re.search("^Not used      empty.jpg: .+", capsys.readouterr().out, re.M)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere"], "nowhere"),
+        (
+            ["tour", "--pairs", "exaustive"],
+            "exaustive does not exist; give a pairs file, or auto, sequential or exhaustive",
+        ),
+        (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
+        (["tour", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
+        (["tour", "--jobs", "0"], " --num-threads must be at least 1, got 0"),
+        (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),
+        (["tour", "--output", "tour"], "was not made by epi360 match"),
+        (["tour", "--output", "taken"], "must be a folder"),
+        (["tour", "--output", "taken/below"], "taken"),
+    ],
+)
+def test_wrong_use_is_one_line(here, capsys, words, message):
+    (here / "taken").write_text("x")
+    assert_wrong_use(capsys, ["match", *words], message)
+
+
+def test_help_names_every_option(capsys):
+    assert_help_names(
+        capsys, "match", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
+        "--max-width", "--max-features", "--seed", "--num-threads", "--output", "--restart",
+    )  # fmt: skip

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The program `epi360` itself: its commands, its version, how it starts and how it fails."""
+
+import subprocess
+import sys
+
+import pytest
+from command_line import assert_wrong_use
+
+from epi360 import cli
+from epi360.cli.command import app
+
+COMMANDS = ("pair", "match", "map", "batch", "convert", "cubemap", "render", "reproduce")
+
+
+def test_the_commands_are_the_documented_ones():
+    assert {name for name in app if not name.startswith("-")} == set(COMMANDS)
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
+def test_help_names_every_command(capsys, arguments):
+    assert cli.main(arguments) == 0
+    captured = capsys.readouterr()
+    assert [name for name in COMMANDS if name not in captured.out] == []
+    assert captured.err == ""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_without_its_words_is_wrong_use(capsys, command):
+    assert_wrong_use(capsys, [command])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_an_unknown_option_is_named(capsys, command):
+    assert_wrong_use(capsys, [command, "--nope"], "--nope")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"), [(["pare", "a.jpg", "b.jpg"], "pair"), (["--nope"], "--nope")]
+)
+def test_an_unknown_command_is_one_line_and_exit_2(capsys, arguments, fragment):
+    assert_wrong_use(capsys, arguments, fragment)
+
+
+def test_the_version_is_one_line(capsys):
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_the_help_of_every_command_comes_without_the_heavy_libraries():
+    helps = "; ".join(f"epi360.cli.main(['{name}', '--help'])" for name in COMMANDS)
+    heavy = "('numpy', 'cv2', 'matplotlib', 'scipy', 'pycolmap', 'pyarrow', 'ray', 'h5py')"
+    code = f"import sys, epi360.cli; {helps}; print([m for m in {heavy} if m in sys.modules])"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.endswith("\n[]\n")

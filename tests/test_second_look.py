@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""When a pair is looked at again, and which answer stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import epi360
+from epi360.second_look import is_precise, is_settled
+from epi360.synthetic import two_view_scene
+
+
+@pytest.fixture(scope="module")
+def result():
+    scene = two_view_scene(1, num_matches=400)
+    return epi360.estimate_relative_pose(scene.bearings1, scene.bearings2)
+
+
+def with_sigmas(result, rotation_deg, direction_deg):
+    """The result with these sigmas over all axes."""
+    variances = [rotation_deg**2 / 3] * 3 + [direction_deg**2 / 2] * 2
+    return replace(result, covariance=np.radians(1.0) ** 2 * np.diag(variances))
+
+
+def test_only_a_pose_and_a_pure_rotation_are_settled():
+    statuses = ("ok", "pure_rotation", "planar_ambiguous", "too_few_inliers", "too_few_matches")
+    assert [status for status in statuses if is_settled(status)] == ["ok", "pure_rotation"]
+
+
+def test_a_pose_with_a_warning_is_not_settled():
+    assert not is_settled("ok", ("most inliers are on one side",))
+
+
+def test_a_pose_is_precise_below_a_tenth_and_three_tenths_of_a_degree(result):
+    assert is_precise(with_sigmas(result, 0.09, 0.29))
+    assert not is_precise(with_sigmas(result, 0.11, 0.29))
+    assert not is_precise(with_sigmas(result, 0.09, 0.31))
+
+
+def test_a_pure_rotation_needs_no_precise_direction(result):
+    turned = replace(with_sigmas(result, 0.09, 90.0), status="pure_rotation")
+    assert is_precise(turned)
+    assert not is_precise(with_sigmas(turned, 0.11, 90.0))
+
+
+def test_a_warning_or_a_failure_is_never_precise(result):
+    sharp = with_sigmas(result, 0.01, 0.01)
+    assert is_precise(sharp)
+    assert not is_precise(replace(sharp, warnings=("something",)))
+    assert not is_precise(replace(sharp, status="planar_ambiguous"))
