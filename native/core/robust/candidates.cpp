@@ -16,6 +16,7 @@ constexpr double kCompetitive = 0.5;
 constexpr double kFinal = 1e-4;
 // Akaike's criterion: what three shares of wider Gaussians must add to the log-likelihood.
 constexpr double kSimpler = 3.0;
+constexpr double kNarrowest = 1e-4;  // radians, of annealing
 constexpr double kAnnealFrom = 2.0 * kDegree;
 
 }  // namespace
@@ -117,9 +118,7 @@ bool Candidates::is_known(const RelativePose& pose, double reach) const {
   });
 }
 
-void Candidates::anneal() {
-  if (candidates_.empty()) return;
-  const Candidate start = candidates_.front();
+RelativePose Candidates::annealed(RelativePose pose, double narrowest) {
   RefineOptions options;
   options.residual = residual_;
   options.prior = prior_;
@@ -127,12 +126,18 @@ void Candidates::anneal() {
   options.use_depths = true;
   options.max_iterations = 2;
   options.step_tolerance = 1e-7;
-  RelativePose pose = start.cam2_from_cam1;
-  const double narrowest = std::max(2.0 * start.loss.scale, 1e-4);
   for (double scale = std::max(kAnnealFrom, 2.0 * narrowest); scale > narrowest; scale *= 0.5) {
     options.loss.scale = scale;
     pose = refine(m_, pose, options, workspace_).cam2_from_cam1;
   }
+  return pose;
+}
+
+void Candidates::anneal() {
+  if (candidates_.empty()) return;
+  const Candidate start = candidates_.front();
+  const RelativePose pose =
+      annealed(start.cam2_from_cam1, std::max(2.0 * start.loss.scale, kNarrowest));
   if (!same_pose(pose, start.cam2_from_cam1, 0.05 * kSameRotation, 0.05 * kSameDirection)) {
     polish(pose, 25);
   }

@@ -42,6 +42,7 @@ class Candidates {
   // Polishes the best candidate once more from far away (graduated non-convexity): the wide loss
   // forgets the local minimum, the narrowing one finds the deepest near by.
   void anneal();
+  RelativePose annealed(RelativePose pose, double narrowest);
   // The optimum of the residuals alone near a candidate, and its evidence without depths.
   Candidate without_depths(const Candidate& start);
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }

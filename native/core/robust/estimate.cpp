@@ -20,7 +20,10 @@ namespace {
 
 // Probability that the gravity which a user gives belongs to these images.
 constexpr double kGravityIsRight = 0.99;
-constexpr int kUprightPoses = 4;        // of all that are tried
+constexpr int kUprightPoses = 4;  // of all that are tried
+constexpr double kNarrow = 0.15 * kDegree, kPolished = 1e-4;
+constexpr int kPolishings = 50;
+constexpr std::size_t kOtherCandidates = 8;
 constexpr double kConfident = 0.99;     // a pose more probable than this is not looked for again
 
 // The estimate of one set of matches, from its search to its verdict.
@@ -41,9 +44,15 @@ class Estimate {
     if (status() == Status::kTooFewMatches || is_certain()) return;
     Candidates candidates(m_, options_.residual, prior_);
     candidates.set_depth_tolerance(default_gate());
+    LossModel narrow;  // one Gaussian, which does not spread over near misses
+    narrow.loss = Loss::kMixture;
+    narrow.scale = kNarrow;
+    std::fill(std::begin(narrow.share), std::end(narrow.share), 0.0);
+    narrow.share[0] = 0.3;
     for (const RelativePose& pose :
          upright_poses(m_, prior_.gravity1, prior_.gravity2, kUprightPoses)) {
-      candidates.polish(pose, 50, 1e-4);
+      candidates.polish(pose, kPolishings, kPolished);
+      candidates.polish(candidates.annealed(pose, narrow.scale), kPolishings, kPolished, &narrow);
     }
     const RobustResult sampled = std::move(result_);
     start_over();
@@ -83,6 +92,7 @@ class Estimate {
     if (options_.threshold > 0.0) result_.threshold = options_.threshold;
     result_.evidence.num_usable = static_cast<int>(m_.size);
     result_.evidence.sample_size = options_.sample_size;
+    result_.evidence.has_prior = prior_.has_gravity;
     dropped_.assign(m_.size, 0);
   }
 
@@ -91,6 +101,23 @@ class Estimate {
     candidates.simplify();
     dropped_ = drop_leverage(m_, options_.residual, candidates);
     assess(candidates);
+    if (lacks_direction(result_.evidence)) try_other_candidates(candidates);
+  }
+
+  // The most likely candidate that has a direction, if there is one.
+  void try_other_candidates(Candidates& candidates) {
+    const RobustResult first = std::move(result_);
+    const std::vector<unsigned char> dropped = dropped_;
+    const std::size_t most = std::min<std::size_t>(candidates.all().size(), kOtherCandidates);
+    for (std::size_t k = 1; k < most; ++k) {
+      start_over();
+      result_.num_iterations = first.num_iterations;
+      candidates.prefer(k);
+      assess(candidates);
+      if (status() == Status::kOk) return;
+    }
+    result_ = first;
+    dropped_ = dropped;
   }
 
   // Puts the candidate first for which the regions speak most.
@@ -99,15 +126,18 @@ class Estimate {
     double highest = -1.0;
     for (std::size_t k = 0; k < candidates.all().size(); ++k) {
       const Candidate& candidate = candidates.all()[k];
-      const double gate = options_.threshold > 0.0 ? options_.threshold
-                                                   : estimated_gate(candidate.loss);
       Evidence evidence;
-      listen(candidate.cam2_from_cam1, candidate.loss.scale, gate, kTypicalDensity, evidence);
+      listen(candidate.cam2_from_cam1, candidate.loss.scale, gate_of_mixture(candidate.loss),
+             kTypicalDensity, evidence);
       if (probability_of_pose(evidence) <= highest) continue;
       highest = probability_of_pose(evidence);
       best = k;
     }
     if (!candidates.empty()) candidates.prefer(best);
+  }
+
+  double gate_of_mixture(const LossModel& mixture) const {
+    return options_.threshold > 0.0 ? options_.threshold : estimated_gate(mixture);
   }
 
   void listen(const RelativePose& pose, double scale, double gate, double density,
@@ -166,10 +196,8 @@ class Estimate {
     result_.parallax = evidence.parallax;
     if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
     if (rotation_explains(evidence)) {
-      const double num_wrong = evidence.num_usable - evidence.support;
       evidence.rotation_rejection =
-          rotation_rejection(m_, result_.inlier, uncertainty.scale,
-                             num_wrong * evidence.chance, uncertainty.clustering);
+          rotation_rejection(m_, result_.inlier, uncertainty.scale, uncertainty.clustering);
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
@@ -179,6 +207,9 @@ class Estimate {
                                    result_.inlier, gate);
     evidence.has_twin = rival.has_twin;
     if (!rival.cam2_from_cam1) return;
+    Evidence other;
+    listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+    evidence.rival_probability = probability_of_pose(other);
     evidence.rival_evidence = rival.evidence;
     if (status() == Status::kPlanarAmbiguous) result_.alternatives = {*rival.cam2_from_cam1};
   }

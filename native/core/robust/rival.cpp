@@ -37,6 +37,7 @@ Rival find_rival(const Matches& m, Candidates& candidates, const RelativePose& p
   for (const Candidate& c : candidates.all()) {  // descending evidence
     if (!is_distinct(pose, c.cam2_from_cam1, covariance)) continue;
     rival.cam2_from_cam1 = c.cam2_from_cam1;
+    rival.loss = c.loss;
     rival.evidence = c.evidence - evidence;
     break;
   }

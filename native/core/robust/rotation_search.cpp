@@ -16,6 +16,7 @@ namespace {
 
 constexpr int kAlignments = 6;         // steps of a robust fit
 constexpr double kMostSquares = 13.8;  // one in a thousand of chi^2 with two degrees of freedom
+constexpr double kRayleighMedian = 1.17741, kRayleighMedianError = 0.84932;  // of n: over sqrt n
 constexpr double kRotationNear = 0.4;  // of the inliers, near a rotation: worth a search
 
 }  // namespace
@@ -114,7 +115,7 @@ bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlie
 }
 
 double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                          double num_chance, double clustering) {
+                          double clustering) {
   const double variance = std::max(scale * scale, kSmallestScale * kSmallestScale);
   std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
   double count = 0.0;
@@ -123,24 +124,25 @@ double rotation_rejection(const Matches& m, const std::vector<unsigned char>& in
     count += inlier[i];
   }
   if (count < 3.0) return 0.0;
-  // The squared angle over twice the variance has two degrees of freedom: mean 2, variance 4.
-  double sum = 0.0;
   for (int round = 0; round < kAlignments; ++round) {
     const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = align_rotations(m, weights.data());
     compute_rotation_residuals(m, R.data(), residuals.data());
-    sum = 0.0;
     for (std::size_t i = 0; i < m.size; ++i) {
       if (!inlier[i]) continue;
-      const double squares = residuals[i] * residuals[i] / variance;  // of angles over sqrt 2
-      sum += std::min(squares, kMostSquares);
-      const double ratio = 1.0 + squares / kMostSquares;
+      const double ratio = 1.0 + residuals[i] * residuals[i] / (kMostSquares * variance);
       weights[i] = m.weight[i] / (ratio * ratio);  // Geman-McClure
     }
   }
-  const double wrong = num_chance + 3.0 * std::sqrt(num_chance);
-  const double excess = sum - 2.0 * count - kMostSquares * wrong;
-  // The scale is estimated from the same inliers: 2 n sqrt(2 / n) beside 2 sqrt(n).
-  return excess / std::sqrt(12.0 * count * clustering);
+  std::vector<double> angles;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (inlier[i]) angles.push_back(residuals[i]);
+  }
+  const auto middle = angles.begin() + static_cast<std::ptrdiff_t>(angles.size() / 2);
+  std::nth_element(angles.begin(), middle, angles.end());
+  // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
+  // from the same inliers and has an error of its own.
+  const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
+  return (*middle / std::sqrt(variance) - kRayleighMedian) / (error * std::sqrt(clustering / count));
 }
 
 }  // namespace epi360

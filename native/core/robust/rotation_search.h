@@ -54,10 +54,10 @@ bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlie
                        double gate, Random& random);
 
 // Standard deviations by which the inliers of a pose with translation reject that the camera only
-// turned: their angles under the rotation that fits them best, squared over the noise, against what
-// noise of this scale makes of them. Each counts up to a limit, and `num_chance` wrong matches that
-// passed the gate are expected; `clustering` as in Uncertainty.
+// turned: their median angle under the rotation that fits them best, against what noise of this
+// scale makes of it. The median does not see the near misses of real matches, nor the wrong ones
+// that passed the gate. `clustering` as in Uncertainty.
 double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                          double num_chance, double clustering);
+                          double clustering);
 
 }  // namespace epi360

@@ -25,6 +25,7 @@ constexpr double kLeastProbability = 0.85;
 constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
 constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
 constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
+constexpr double kRivalProbability = 0.5;
 constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
 // A wrong pose on real images rested on 5 of 48 cells while the matches covered 21; the poorest
 // right one covers 8 of 25. A lens that sees little covers little with all of its matches.
@@ -53,13 +54,16 @@ bool is_undetermined(const Evidence& e) {
 // the number of matches; elsewhere a rival must be nearly as likely.
 bool has_rival(const Evidence& e) {
   const double spread = e.has_twin ? kPlaneSpread * std::sqrt(static_cast<double>(e.support)) : 0.0;
-  return e.rival_evidence > kRivalEvidence - spread;
+  // With gravity known, a pose that the regions do not believe in is no rival either.
+  const bool is_probable = !e.has_prior || e.rival_probability > kRivalProbability;
+  return e.rival_evidence > kRivalEvidence - spread && is_probable;
 }
 
 bool is_patch(const Evidence& e) {
   // Also at a pole, which is a corner of many cells.
   if (e.spread < kPatchSpread && e.spread < kPatchRelativeSpread * e.spread_of_matches) return true;
-  return e.coverage <= kPatchCells && e.coverage < kPatchShare * e.match_coverage;
+  // Cameras that stand upright leave a patch less to lie about.
+  return !e.has_prior && e.coverage <= kPatchCells && e.coverage < kPatchShare * e.match_coverage;
 }
 
 Status status_of(const Evidence& e) {
@@ -117,6 +121,11 @@ bool has_translation(Status status) {
 bool rotation_explains(const Evidence& e) {
   return e.rotation_support > 0 && e.rotation_support >= kRotationMostly * e.support &&
          e.rotation_log10_false_alarms < kFalseAlarms;
+}
+
+bool lacks_direction(const Evidence& e) {
+  return rotation_explains(e) && e.rotation_rejection >= kRotationRejected &&
+         e.direction_sigma > kUnknownDirection;
 }
 
 bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallParallax * e.scale; }

@@ -63,10 +63,12 @@ struct Evidence {
   // What the matches say if every region is one witness, see testimony.h, and the logarithm of the
   // prior of the pose over that of the most probable one.
   double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
+  bool has_prior = false;  // gravity is known
 
-  // The likeliest pose that is truly different: its log-likelihood minus that of the pose. Whether
+  // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
+  // probable the regions make it. Whether
   // the inliers lie on a plane, so that there is such a pose by geometry.
-  double rival_evidence = -kInfinity;
+  double rival_evidence = -kInfinity, rival_probability = 1.0;
   bool has_twin = false;
 
   // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
@@ -91,6 +93,10 @@ bool has_translation(Status status);
 
 // Whether so many of the matches agree with a rotation that it may be all that happened.
 bool rotation_explains(const Evidence& evidence);
+
+// Whether the inliers reject that the camera only turned, and yet do not know where it moved: then
+// this pose is a poor one, and another may be better.
+bool lacks_direction(const Evidence& evidence);
 
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
