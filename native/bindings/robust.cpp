@@ -147,8 +147,9 @@ void bind_robust(nb::module_& m) {
          std::optional<Jacobians> jacobians2, std::optional<Vector3> gravity1,
          std::optional<Vector3> gravity2, double gravity_sigma, double elevation_sigma,
          std::uint64_t seed, double max_noise) {
-        new (pair) Pair{bearings1,  bearings2, weights,  scores, jacobians1,
-                        jacobians2, gravity1,  gravity2, gravity_sigma, elevation_sigma, seed, max_noise};
+        new (pair)
+            Pair{bearings1, bearings2, weights,       scores,          jacobians1, jacobians2,
+                 gravity1,  gravity2,  gravity_sigma, elevation_sigma, seed,       max_noise};
       },
       "bearings1"_a, "bearings2"_a, nb::kw_only(), "weights"_a.none() = nb::none(),
       "scores"_a.none() = nb::none(), "jacobians1"_a.none() = nb::none(),

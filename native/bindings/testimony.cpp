@@ -30,8 +30,8 @@ void bind_testimony(nb::module_& m) {
       [](Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gravity2, int most) {
         const auto direction = [](const Vector3& g) { return Eigen::Vector3d(g(0), g(1), g(2)); };
         nb::list poses;
-        for (const RelativePose& pose : upright_poses(to_matches(b1, b2), direction(gravity1),
-                                                      direction(gravity2), most)) {
+        for (const RelativePose& pose :
+             upright_poses(to_matches(b1, b2), direction(gravity1), direction(gravity2), most)) {
           poses.append(pose_tuple(pose));
         }
         return poses;

@@ -39,9 +39,11 @@ def test_a_narrow_view_with_much_noise_and_outliers_keeps_its_rotation():
             kappa=500.0,
             outlier_ratio=0.3,
         )
-        pose = estimate_relative_pose(scene.bearings1, scene.bearings2).cam2_from_cam1
-        errors.append(errors_deg(pose, unit_pose(scene))[0])
-    assert np.isfinite(errors).all()
+        result = estimate_relative_pose(scene.bearings1, scene.bearings2)
+        if result.status in ("ok", "planar_ambiguous"):
+            errors.append(errors_deg(result.cam2_from_cam1, unit_pose(scene))[0])
+    # Others are refused: exchanged neighbours agree nearly as well where noise is that large.
+    assert len(errors) > 15  # measured: 18
     # Measured 2.0, worst 7.1; a pose with false parallax is off by some 30 degrees.
     assert np.median(errors) < 5.0
     assert np.max(errors) < 15.0

@@ -47,7 +47,7 @@ def test_gravity_good_to_a_few_degrees_gives_the_same_pose_with_fewer_samples(
     iterations = np.median([result.num_iterations for result in plain])
     for error_deg in (0.0, 1.0, 3.0):
         results = [
-            estimate(scene, **gravity_of(scene, seed, error_deg, error_deg))
+            estimate(scene, **gravity_of(scene, seed, error_deg, error_deg), gravity_sigma_deg=5.0)
             for seed, scene in enumerate(scenes)
         ]
         assert all(result.success for result in results)
@@ -60,14 +60,30 @@ def test_gravity_good_to_a_few_degrees_gives_the_same_pose_with_fewer_samples(
         assert samples < share_of_iterations * iterations
 
 
-def test_gravity_does_not_pull_at_the_answer():
+def test_gravity_of_no_weight_does_not_pull_at_the_answer():
     scene = noisy_scene(0, 0.2, 0.3)
     plain = estimate(scene)
     for error_deg in (0.0, 2.0, 5.0):
-        result = estimate(scene, **gravity_of(scene, 1, error_deg, 0.0))
+        gravity = gravity_of(scene, 1, error_deg, 0.0)
+        result = estimate(scene, **gravity, gravity_sigma_deg=90.0)
         assert max(errors_deg(result.cam2_from_cam1, plain.cam2_from_cam1)) < 1e-3
         np.testing.assert_array_equal(result.inlier_mask, plain.inlier_mask)
         np.testing.assert_allclose(result.covariance, plain.covariance, rtol=1e-2)
+
+
+def test_gravity_that_is_known_well_narrows_the_rotation_and_its_sigma():
+    plain_errors, errors, narrower = [], [], []
+    for seed in range(30):
+        scene = noisy_scene(seed, 1.0, 0.3, num_matches=60)
+        plain = estimate(scene)
+        known = estimate(scene, **gravity_of(scene, seed, 0.0, 0.0), gravity_sigma_deg=0.1)
+        if not (plain.success and known.success):
+            continue
+        plain_errors.append(errors_deg(plain.cam2_from_cam1, unit_pose(scene))[0])
+        errors.append(errors_deg(known.cam2_from_cam1, unit_pose(scene))[0])
+        narrower.append(np.trace(known.covariance[:3, :3]) < np.trace(plain.covariance[:3, :3]))
+    assert len(errors) > 20 and np.mean(narrower) > 0.9
+    assert np.mean(errors) < 0.8 * np.mean(plain_errors)
 
 
 def is_silently_wrong(result, truth):

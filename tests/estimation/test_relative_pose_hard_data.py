@@ -156,19 +156,24 @@ def test_a_room_with_a_short_baseline_is_no_pure_rotation():
 
 
 def test_a_baseline_within_the_noise_is_a_rotation_or_comes_with_a_warning():
-    shares = {}
-    for baseline_m in (0.03, 0.065, 0.08):
-        results = [
-            estimate(noisy_scene(seed, 0.3, 0.2, baseline_m=baseline_m)) for seed in range(40)
-        ]
+    shares, ratios = {}, []
+    for baseline_m in (0.01, 0.045, 0.08):
+        scenes = [noisy_scene(seed, 0.3, 0.2, baseline_m=baseline_m) for seed in range(40)]
+        results = [estimate(scene) for scene in scenes]
         statuses = [result.status for result in results]
         assert set(statuses) <= {"ok", "pure_rotation", "planar_ambiguous"}
         shares[baseline_m] = statuses.count("ok") / 40
-        for result in results:
+        for scene, result in zip(scenes, results, strict=True):
             if result.success:
                 assert any("times the noise" in warning for warning in result.warnings)
+                sigma_deg = np.degrees(np.trace(result.covariance[3:, 3:]) ** 0.5)
+                error_deg = errors_deg(result.cam2_from_cam1, unit_pose(scene))[1]
+                ratios.append(error_deg / sigma_deg)
+    # A direction from little parallax comes with the uncertainty that it has. (A wrong match with
+    # much parallax passes now and then: four of 53 are off by more than three sigma.)
+    assert np.mean(np.array(ratios) < 3.0) > 0.9 and 0.3 < np.median(ratios) < 1.5
     # Both answers are given: a rotation at the shortest baseline, nearly never at the longest.
-    assert shares[0.03] == 0.0 and 0.2 < shares[0.065] < 0.9 and shares[0.08] > 0.8
+    assert shares[0.01] <= 0.05 and 0.2 < shares[0.045] < 1.0 and shares[0.08] > 0.9
 
 
 def plane_results(outliers, seeds):

@@ -44,7 +44,16 @@ def warnings_of(**changes):
     }
 
 
-ROTATION = {"rotation_support": 59, "rotation_log10_false_alarms": -40.0}
+# A rotation explains the inliers, which do not reject that the camera only turned.
+ROTATION = {
+    "rotation_support": 59,
+    "rotation_log10_false_alarms": -40.0,
+    "rotation_rejection": 1.0,
+}
+DEGREE = np.pi / 180.0
+CONCENTRATED = "concentrated_inliers"
+REGIONS = {"support": 50, "regional_sigma": DEGREE}
+UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
 
 
 @pytest.mark.parametrize(
@@ -66,22 +75,36 @@ ROTATION = {"rotation_support": 59, "rotation_log10_false_alarms": -40.0}
         ({"num_distinct": 14, "min_num_inliers": 15}, "too_few_inliers"),
         # A rotation alone
         (ROTATION, "pure_rotation"),
-        (ROTATION | {"rotation_support": 50}, "ok"),
-        (ROTATION | {"rotation_support": 51}, "pure_rotation"),
+        (ROTATION | {"rotation_support": 29}, "ok"),
+        (ROTATION | {"rotation_support": 30}, "pure_rotation"),
         (ROTATION | {"rotation_log10_false_alarms": -2.0}, "ok"),
         (ROTATION | {"log10_false_alarms": 5.0}, "pure_rotation"),
-        # Hardly any parallax: half of the inliers are enough
-        ({"parallax": 0.0049, "rotation_support": 30}, "pure_rotation"),
-        ({"parallax": 0.0049, "rotation_support": 29}, "ok"),
-        ({"parallax": 0.0051, "rotation_support": 30}, "ok"),
-        ({"parallax": 0.0049, "rotation_support": 0}, "ok"),
-        ({"parallax": 0.021, "scale": 0.01, "rotation_support": 30}, "ok"),
-        ({"parallax": 0.019, "scale": 0.01, "rotation_support": 30}, "pure_rotation"),
+        (ROTATION | {"rotation_rejection": 3.9}, "pure_rotation"),
+        (ROTATION | {"rotation_rejection": 4.1}, "ok"),
+        # What the inliers determine
+        (ROTATION | UNKNOWN_DIRECTION | {"rotation_sigma": 4 * DEGREE}, "pure_rotation"),
+        (ROTATION | UNKNOWN_DIRECTION | {"rotation_sigma": 6 * DEGREE}, CONCENTRATED),
+        ({"direction_sigma": 26 * DEGREE}, CONCENTRATED),
+        ({"direction_sigma": 24 * DEGREE}, "ok"),
+        ({"rotation_sigma": 21 * DEGREE}, CONCENTRATED),
+        ({"rotation_sigma": 19 * DEGREE}, "ok"),
+        ({"num_regions": 4.4}, CONCENTRATED),
+        ({"num_regions": 4.6}, "ok"),
+        # What the regions say: 0.85 lies at a log-likelihood ratio of 40.3 for a sigma of 1 degree
+        (REGIONS | {"log_ratio": 40.0}, "too_few_inliers"),
+        (REGIONS | {"log_ratio": 40.6}, "ok"),
+        (REGIONS | {"log_ratio": 40.6, "regional_sigma": 1.1 * DEGREE}, "too_few_inliers"),
+        (REGIONS | {"log_ratio": 40.6, "log_prior": -1.0}, "too_few_inliers"),
+        (REGIONS | {"log_ratio": 30.0, "support": 70}, "ok"),
+        (REGIONS | {"log_ratio": 30.0, "support": 60}, "too_few_inliers"),
         # A second pose
         ({"rival_evidence": -6.1}, "ok"),
         ({"rival_evidence": -5.9}, "planar_ambiguous"),
         ({"rival_evidence": -6.0 - 3.0 * 60**0.5 + 0.1, "has_twin": True}, "planar_ambiguous"),
         ({"rival_evidence": -6.0 - 3.0 * 60**0.5 - 0.1, "has_twin": True}, "ok"),
+        ({"rival_evidence": 0.0, "rival_probability": 0.4}, "planar_ambiguous"),
+        ({"rival_evidence": 0.0, "rival_probability": 0.4, "has_prior": True}, "ok"),
+        ({"rival_evidence": 0.0, "rival_probability": 0.6, "has_prior": True}, "planar_ambiguous"),
         # Where the inliers are
         ({"spread": 0.029}, "concentrated_inliers"),
         ({"spread": 0.031}, "ok"),
@@ -89,6 +112,7 @@ ROTATION = {"rotation_support": 59, "rotation_log10_false_alarms": -40.0}
         ({"coverage": 6 / 48}, "concentrated_inliers"),
         ({"coverage": 7 / 48}, "ok"),
         ({"coverage": 6 / 48, "match_coverage": 0.3}, "ok"),
+        ({"coverage": 6 / 48, "has_prior": True}, "ok"),
     ],
 )
 def test_each_rule_decides_on_its_side_of_the_limit(changes, status):

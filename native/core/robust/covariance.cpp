@@ -40,9 +40,9 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
   return std::sqrt(variance);
 }
 
-// What the noise of the bearings alone adds to J^T W J / variance: noisy copies of one point seem to
-// lie in different directions, and matches without parallax seem to have some. The derivatives by
-// the rotation have up to half the variance of the noise, those by the translation that of the
+// What the noise of the bearings alone adds to J^T W J / variance: noisy copies of one point seem
+// to lie in different directions, and matches without parallax seem to have some. The derivatives
+// by the rotation have up to half the variance of the noise, those by the translation that of the
 // parallax, 2 (I - b b^T) / |g|^2 with the gradient g of the residual; neither more than is there.
 Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam1,
                              const Linearisation& at, double variance) {
@@ -88,8 +88,7 @@ double noise_per_residual(Residual residual) {
 double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
                      const Eigen::Vector3d& b2, double variance) {
   const Eigen::Vector3d& t = cam2_from_cam1.t;
-  const double squared =
-      (cam2_from_cam1.R * b1).cross(t).squaredNorm() + b2.cross(t).squaredNorm();
+  const double squared = (cam2_from_cam1.R * b1).cross(t).squaredNorm() + b2.cross(t).squaredNorm();
   return squared / (squared + 8.0 * variance);
 }
 
@@ -142,7 +141,8 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                               upper, gradient);
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
-  const double inflated = std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
+  const double inflated =
+      std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
   Matrix5 information =
       (symmetric(upper) / inflated - noise_in_information(m, cam2_from_cam1, at, inflated)) /
       result.clustering;

@@ -13,11 +13,12 @@ namespace epi360 {
 struct Uncertainty {
   double scale;                            // standard deviation of the inliers' residuals, radians
   Eigen::Matrix<double, 5, 5> covariance;  // NaN where the matches tell nothing
-  double clustering = 1.0;  // how much more the sums over cells vary than independent errors let them
+  double clustering =
+      1.0;  // how much more the sums over cells vary than independent errors let them
 };
 
-// How far the first-order residual of a match can be trusted, in [0, 1]: near an epipole it promises
-// more than a bearing with noise of this variance can hold.
+// How far the first-order residual of a match can be trusted, in [0, 1]: near an epipole it
+// promises more than a bearing with noise of this variance can hold.
 double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
                      const Eigen::Vector3d& b2, double variance);
 

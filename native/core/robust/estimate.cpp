@@ -24,7 +24,7 @@ constexpr int kUprightPoses = 4;  // of all that are tried
 constexpr double kNarrow = 0.15 * kDegree, kPolished = 1e-4;
 constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
-constexpr double kConfident = 0.99;     // a pose more probable than this is not looked for again
+constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
 // The estimate of one set of matches, from its search to its verdict.
 class Estimate {
@@ -63,9 +63,7 @@ class Estimate {
   }
 
   // A pose was found, or a rotation: nothing else need be tried.
-  bool has_answer() const {
-    return status() == Status::kOk || status() == Status::kPureRotation;
-  }
+  bool has_answer() const { return status() == Status::kOk || status() == Status::kPureRotation; }
 
   // The pose is judged by a prior that did not guide its search.
   void judge_by(const PosePrior& prior) {
@@ -185,9 +183,9 @@ class Estimate {
       if (status() == Status::kPureRotation) set_rotation(std::move(rotation));
       return;
     }
-    const Uncertainty uncertainty = pose_uncertainty(
-        m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate,
-        result_.inlier, dropped_, result_.residuals, prior_);
+    const Uncertainty uncertainty =
+        pose_uncertainty(m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss,
+                         gate, result_.inlier, dropped_, result_.residuals, prior_);
     result_.scale = evidence.scale = uncertainty.scale;
     result_.covariance = uncertainty.covariance;
     evidence.rotation_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
@@ -287,7 +285,7 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   if (status == Status::kTooFewInliers) r.alternatives.clear();
   if (status == Status::kConcentratedInliers) {  // what it would have been
     r.alternatives.insert(r.alternatives.begin(), r.cam2_from_cam1);
-    clear_undetermined(earlier, r.alternatives.front());
+    if (earlier == Status::kPureRotation) r.alternatives.front().t.setConstant(RobustResult::kNaN);
   }
   clear_undetermined(status, r.cam2_from_cam1);
 }

@@ -80,8 +80,7 @@ void release_depths(const Matches& m, Residual residual, Candidates& candidates)
     const int kept =
         mark_inliers(m, residual, released.cam2_from_cam1, gate, true, inlier, residuals);
     if (kept < kReleasedSupport * support) continue;
-    const double released_parallax =
-        median_parallax(m, released.cam2_from_cam1, inlier.data());
+    const double released_parallax = median_parallax(m, released.cam2_from_cam1, inlier.data());
     if (!(released_parallax < kReleasedParallax * parallax)) continue;
     if (!(released_parallax > kLeastReleased * released.loss.scale)) continue;
     most = released.evidence;

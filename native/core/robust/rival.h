@@ -13,7 +13,7 @@ namespace epi360 {
 // The likeliest pose that is truly different.
 struct Rival {
   std::optional<RelativePose> cam2_from_cam1;  // none was found
-  LossModel loss;  // its mixture
+  LossModel loss;                              // its mixture
   double evidence = 0.0;                       // its log-likelihood minus that of the best pose
   bool has_twin = false;  // the inliers lie on a plane, which has a second pose by geometry
 };

@@ -142,7 +142,8 @@ double rotation_rejection(const Matches& m, const std::vector<unsigned char>& in
   // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
   // from the same inliers and has an error of its own.
   const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
-  return (*middle / std::sqrt(variance) - kRayleighMedian) / (error * std::sqrt(clustering / count));
+  return (*middle / std::sqrt(variance) - kRayleighMedian) /
+         (error * std::sqrt(clustering / count));
 }
 
 }  // namespace epi360

@@ -30,8 +30,8 @@ struct Point {
   std::size_t match;
 };
 
-// Reorders points so that each range up to a cut is one neighbourhood: halves the longest side until
-// a few are left.
+// Reorders points so that each range up to a cut is one neighbourhood: halves the longest side
+// until a few are left.
 void cut_into_neighbourhoods(Point* begin, Point* end, const Point* first, Indices& cuts) {
   const auto size = static_cast<std::size_t>(end - begin);
   if (size <= kLargestNeighbourhood) {
@@ -66,8 +66,8 @@ std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
   std::vector<Point> points(m.size);
   for (int view = 1; view <= 2; ++view) {
     for (std::size_t i = 0; i < m.size; ++i) {
-      points[i] = view == 1 ? Point{{m.x1[i], m.y1[i], m.z1[i]}, i}
-                            : Point{{m.x2[i], m.y2[i], m.z2[i]}, i};
+      points[i] =
+          view == 1 ? Point{{m.x1[i], m.y1[i], m.z1[i]}, i} : Point{{m.x2[i], m.y2[i], m.z2[i]}, i};
     }
     cuts.clear();
     cut_into_neighbourhoods(points.data(), points.data() + points.size(), points.data(), cuts);
@@ -98,9 +98,9 @@ std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
   return agreeing;
 }
 
-// What stands still in the image (a tripod, a car, a logo) agrees with every pose that hardly turns,
-// and says nothing of the scene: such matches lose their weight, unless they are most inliers and so
-// the scene itself, far away.
+// What stands still in the image (a tripod, a car, a logo) agrees with every pose that hardly
+// turns, and says nothing of the scene: such matches lose their weight, unless they are most
+// inliers and so the scene itself, far away.
 void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double gate,
                              std::vector<double>& weights) {
   std::vector<std::size_t> fixed;

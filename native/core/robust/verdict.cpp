@@ -12,19 +12,22 @@ namespace {
 constexpr double kFalseAlarms = -3.0;    // log10; accepted below
 constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
 constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
-// A translation is claimed where the inliers reject the rotation alone, once in a thousand falsely,
-// and know its direction.
-constexpr double kRotationRejected = 3.3;
+// A translation is claimed where the inliers reject the rotation alone, once in 30,000 falsely if
+// noise is Gaussian, and know its direction.
+constexpr double kRotationRejected = 4.0;
 constexpr double kUnknownDirection = 25.0 * kDegree, kUnknownRotation = 20.0 * kDegree;
-// Median parallax in units of the noise, under which a rotation is tried: a pure rotation shows 1.7.
+constexpr double kKnownRotation = 5.0 * kDegree;
+// Median parallax in units of the noise, under which a rotation is tried: a pure rotation
+// shows 1.7.
 constexpr double kSmallParallax = 4.0;
 // Logistic regression of right poses against wrong ones of real pairs (benchmarks/trust.py), on the
 // log-likelihood ratio of the regions and the logarithm of the direction's standard deviation.
 constexpr double kLogOdds = -2.7, kLogOddsPerRatio = 0.11, kLogOddsPerSigma = -1.2;
+constexpr double kLogOddsPerMajority = 6.0;
 constexpr double kLeastProbability = 0.85;
 constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
-constexpr double kPlaneShare = 0.9;      // of the inliers on one plane
-constexpr double kPlaneSpread = 3.0;     // standard deviations of the log-likelihood ratio
+constexpr double kPlaneShare = 0.9;     // of the inliers on one plane
+constexpr double kPlaneSpread = 3.0;    // standard deviations of the log-likelihood ratio
 constexpr double kRivalProbability = 0.5;
 constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
 // A wrong pose on real images rested on 5 of 48 cells while the matches covered 21; the poorest
@@ -37,8 +40,16 @@ constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
 
 bool is_rotation(const Evidence& e) {
-  return rotation_explains(e) && (e.rotation_rejection < kRotationRejected ||
-                                  e.direction_sigma > kUnknownDirection);
+  // Where it moved a little, but nobody can tell where to, the rotation is what can be said.
+  const bool is_all = e.direction_sigma > kUnknownDirection && e.rotation_sigma < kKnownRotation;
+  return rotation_explains(e) && (e.rotation_rejection < kRotationRejected || is_all);
+}
+
+// Share of the matches that agree, beyond one half: repeated structures rarely make up most of
+// them.
+double majority_of(const Evidence& e) {
+  return e.num_usable > 0 ? std::max(0.0, static_cast<double>(e.support) / e.num_usable - 0.5)
+                          : 0.0;
 }
 
 bool is_chance(const Evidence& e) {
@@ -133,7 +144,7 @@ bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallPara
 double probability_of_pose(const Evidence& e) {
   const double log_odds = kLogOdds + kLogOddsPerRatio * e.log_ratio +
                           kLogOddsPerSigma * std::log(std::max(e.regional_sigma, 1e-6) / kDegree) +
-                          e.log_prior;
+                          kLogOddsPerMajority * majority_of(e) + e.log_prior;
   return 1.0 / (1.0 + std::exp(-log_odds));
 }
 

@@ -60,8 +60,9 @@ struct Evidence {
   // Standard deviations of rotation and direction, over all their components.
   double rotation_sigma = 0.0, direction_sigma = 0.0;
 
-  // What the matches say if every region is one witness, see testimony.h, and the logarithm of the
-  // prior of the pose over that of the most probable one.
+  // What the matches say if every region is one witness, see testimony.h: log-likelihood ratio,
+  // standard deviation of the direction, number of the regions that agree. Logarithm of
+  // the prior of the pose over that of the most probable one.
   double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
   bool has_prior = false;  // gravity is known
 
