@@ -27,8 +27,9 @@ from epi360_scenes import demo_pair
 
 README, CONVENTIONS = ROOT / "README.md", ROOT / "docs" / "conventions.md"
 ESTIMATOR = ROOT / "docs" / "estimator.md"
+USAGE = ROOT / "docs" / "usage.md"
 HOW_IT_WORKS = ROOT / "docs" / "how_it_works.md"
-DOCUMENTS = (README, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
+DOCUMENTS = (README, USAGE, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
 EXAMPLE = ROOT / "examples" / "01_two_images.py"
 
 
