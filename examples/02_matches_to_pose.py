@@ -17,6 +17,8 @@ def show(title: str, scene: TwoViewScene) -> None:
     print(f"\n{title}\n  status       {result.status}")
     for warning in result.warnings:
         print(f"  warning      {warning}")
+    if result.success:
+        print(f"  probability  {result.probability:.3f} that the pose is right")
 
     pose, truth = result.cam2_from_cam1, scene.cam2_from_cam1
     sigma_deg = np.degrees(np.sqrt(np.diag(result.covariance)))  # three of R, two of t
@@ -34,7 +36,7 @@ def show(title: str, scene: TwoViewScene) -> None:
 
 
 def main() -> None:
-    """Three problems: a good one, a camera that only turned, too little to say anything."""
+    """Show three problems: a good one, a camera that only turned, and nothing but wrong matches."""
     noise = {"noise_deg": 0.1, "noise_in_both_views": True}
     show("400 matches, 40 % wrong", two_view_scene(1, num_matches=400, outlier_ratio=0.4, **noise))
     show("the camera only turned", two_view_scene(2, baseline_m=0.0, **noise))

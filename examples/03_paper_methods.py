@@ -12,7 +12,7 @@ from epi360.synthetic import two_view_scene
 
 
 def main() -> None:
-    """Print median errors and times; these estimators reject no outliers, so few are enough."""
+    """Print median errors and times; none of these estimators rejects outliers."""
     if len(sys.argv) > 2 or not all(word.isdigit() and int(word) for word in sys.argv[1:]):
         sys.exit(__doc__)
     num_problems = int(sys.argv[1]) if len(sys.argv) == 2 else 20

@@ -4,6 +4,7 @@
 A document's blocks run in a folder with the demo's panoramas a.jpg and b.jpg.
 """
 
+import importlib
 import json
 import os
 import re
@@ -27,9 +28,12 @@ from epi360_scenes import demo_pair
 
 README, CONVENTIONS = ROOT / "README.md", ROOT / "docs" / "conventions.md"
 ESTIMATOR = ROOT / "docs" / "estimator.md"
+USAGE = ROOT / "docs" / "usage.md"
 HOW_IT_WORKS = ROOT / "docs" / "how_it_works.md"
-DOCUMENTS = (README, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
+DOCUMENTS = (README, USAGE, CONVENTIONS, HOW_IT_WORKS, ESTIMATOR)
 EXAMPLE = ROOT / "examples" / "01_two_images.py"
+PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+SOURCES = ("src", "native", "tests", "benchmarks", "docs", "examples")
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +67,41 @@ def test_make_commands_of_the_readme_are_targets():
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_of_a_document_lead_somewhere(document):
     check_links(document)
+
+
+def code_spans(document):
+    """Words in code font, blocks of code left out."""
+    text = re.sub(r"^```.*?^```", "", text_of(document), flags=re.M | re.S)
+    return [
+        word for span in re.findall(r"`([^`\n]+)`", text) for word in re.findall(r"[\w./]+", span)
+    ]
+
+
+def can_be_imported(name):
+    """Whether a dotted name is a module, or something in one."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[count:]:
+            if not hasattr(found, attribute):
+                return False
+            found = getattr(found, attribute)
+        return True
+    return False
+
+
+@pytest.mark.parametrize("document", PAGES, ids=lambda path: path.name)
+def test_source_files_and_modules_that_a_page_names_exist(document):
+    files = [path.relative_to(ROOT) for top in SOURCES for path in (ROOT / top).rglob("*.*")]
+    for word in code_spans(document):
+        if re.search(r"\w\.(py|cpp|h)$", word):
+            assert any(f"/{file}".endswith(f"/{word}") for file in files), word
+        elif re.match(r"(epi360\w*|jobs|interop|runs)\.\w", word):
+            full_name = word if word.startswith("epi360") else f"epi360.{word}"
+            assert can_be_imported(full_name), word
 
 
 def test_pictures_are_small_enough_for_a_page():
