@@ -217,4 +217,3 @@ def _judge_peer(task: _PeerTask, *, gate_px: float, seed: int) -> Judged:
         found.num_inliers,
         *errors_of(found.cam2_from_cam1, task.truth),
     )
-

@@ -154,10 +154,15 @@ def reliability_rows(judged: Sequence[Judged]) -> list[list[str]]:
         stated = [run for run in runs if run.has_pose and not math.isnan(run.probability)]
         for low, high in zip(PROBABILITY_EDGES[:-1], PROBABILITY_EDGES[1:], strict=True):
             top = high == PROBABILITY_EDGES[-1]
-            held = [r for r in stated if low <= r.probability < high or (top and r.probability == 1)]
+            held = [
+                r for r in stated if low <= r.probability < high or (top and r.probability == 1)
+            ]
             if held:
                 mean = np.mean([run.probability for run in held])
-                shares = [np.mean([_right(r) for r in held]), np.mean([not _wrong(r) for r in held])]
+                shares = [
+                    np.mean([_right(r) for r in held]),
+                    np.mean([not _wrong(r) for r in held]),
+                ]
                 cells = [f"{low:g} to {high:g}", str(len(held)), f"{mean:.4f}"]
                 rows.append([name, method, *cells, *(f"{share:.1%}" for share in shares)])
     return rows

@@ -4,6 +4,7 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ Floats = NDArray[np.float32]
 # What is taller is a wall or as good as one: it is never left out.
 TALL_M = 1.8
 # Rays that look which rooms a camera can see into, and how far apart along them rooms are noted.
-NUM_SCOUTS, SCOUT_STEP_M = 12000, 0.2
+NUM_SCOUTS, SCOUT_STEP_M = 6000, 0.2
 # Lamps of all rooms reach ellipsoids through the walls: this is about their own room's share.
 LAMP_SHARE = 0.3
 
@@ -71,7 +72,12 @@ class Home:
         view : HomeView
         """
         directions = sphere_directions(NUM_SCOUTS)
-        ranges, _ = nearest_hits(self.solids, position, directions)
+        azimuth = np.arctan2(directions[:, 0], directions[:, 2])
+        sectors = np.floor(4 * azimuth / np.pi) + 8 * np.floor(4 * directions[:, 1])
+        ranges = np.empty(NUM_SCOUTS)
+        for sector in np.unique(sectors):
+            rows = np.flatnonzero(sectors == sector)
+            ranges[rows] = nearest_hits(self.solids, position, directions[rows])[0]
         steps = np.arange(0.0, float(ranges.max()), SCOUT_STEP_M)
         reached = np.minimum(steps[:, None], ranges)
         x, z = (position[axis] + reached * directions[:, axis] for axis in (0, 2))
@@ -183,7 +189,7 @@ def _furnished(planned: PlannedRoom, number: int, seed: int) -> Furniture:
     kind = zlib.crc32(repr(planned.relation_key).encode())
     shared = np.random.Generator(np.random.PCG64([seed, 1, kind]))
     own = np.random.Generator(np.random.PCG64([seed, 2, number]))
-    furnish_room(planned.kind, RoomJob(room, planned.shape, planned.side, shared, own))
+    furnish_room(planned.kind, RoomJob(room, planned.shape, planned.side, shared, own, number))
     return room
 
 
@@ -241,9 +247,9 @@ def _joined(
     boxes = [slice(6 * k, 6 * n) for n, k in zip(num_boxes, first, strict=True)]
     rounds = [slice(6 * n, None) for n in num_boxes]
 
-    def joined(name: str) -> np.ndarray:
+    def joined(name: str) -> NDArray[Any]:
         rows = [getattr(look, name) for look in looks]
-        chosen = [row[part] for part in (boxes, rounds) for row, part in zip(rows, part, strict=True)]
+        chosen = [row[part] for row, part in zip([*rows, *rows], [*boxes, *rounds], strict=True)]
         return np.concatenate(chosen)
 
     starts = np.cumsum([0, *(len(look.light) for look in looks)])

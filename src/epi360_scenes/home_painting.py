@@ -34,49 +34,90 @@ def _colored(field: Floats, color: Color | NDArray[np.float64]) -> Floats:
     return np.asarray(field[:, :, None] * np.asarray(color, np.float32), np.float32)
 
 
+def _wear(rng: Generator, size: int) -> Floats:
+    """What no other place of a surface has: stains, wear and grain, around one."""
+    fields = [_speckle(rng, size, grain) for grain in (8, 18, 40)]
+    return np.asarray(1 + 0.07 * fields[0] + 0.07 * fields[1] + 0.06 * fields[2], np.float32)
+
+
 def _carpet(rng: Generator) -> Floats:
-    """Wall-to-wall carpet: one woven motif again and again, and the pile's own grain."""
-    size, motifs = 512, 4
+    """Wall-to-wall carpet: one woven motif again and again, and its wear."""
+    size, motifs = 1024, 16
     u, v = _turns(size)
-    base, thread = rng.uniform(0.35, 0.6, 3), rng.uniform(0.2, 0.85, 3)
+    base = rng.uniform(0.35, 0.6, 3)
+    thread = base * rng.uniform(0.7, 1.3, 3)
     x, y = np.abs((u * motifs) % 1 - 0.5), np.abs((v * motifs) % 1 - 0.5)
     diamond = np.abs(x + y - rng.uniform(0.25, 0.42)) < 0.05
     dot = np.hypot(x, y) < rng.uniform(0.06, 0.14)
-    cross = (np.minimum(0.5 - x, 0.5 - y) < 0.03) & (np.maximum(x, y) > 0.36)
-    pile = 1 + 0.10 * _speckle(rng, size, 1.5) + 0.05 * _speckle(rng, size, 8)
+    pile = _wear(rng, size)
     image = _colored(pile, base)
-    motif = diamond | dot | cross
+    motif = diamond | dot
     image[motif] = _colored(pile, thread)[motif]
     return image
 
 
+def _laminate(rng: Generator) -> Floats:
+    """Floor boards of forty prints, laid in any order: a board is found in many places."""
+    size, rows, prints, length = 1024, 24, 40, 300
+    grain = _speckle(rng, size, 4) + 0.6 * _speckle(rng, size, 10)
+    grain = np.asarray(grain[:, ::2].repeat(2, axis=1)[:, :length])
+    step = size // rows
+    starts = rng.integers(size - step, size=prints)
+    tones = rng.uniform(0.8, 1.1, prints)
+    image = np.empty((size, size, 3), np.float32)
+    wear = _wear(rng, size)
+    for row in range(rows + 1):
+        band = slice(row * step, min((row + 1) * step, size))
+        column = -int(rng.integers(length))
+        while column < size:
+            one = int(rng.integers(prints))
+            board = tones[one] * (1 + 0.06 * grain[starts[one] : starts[one] + step])
+            left, right = max(column, 0), min(column + length, size)
+            part = board[: band.stop - band.start, left - column : right - column]
+            image[band, left:right] = _colored(part, (0.66, 0.49, 0.34))
+            image[band, right - 2 : right] *= 0.6
+            column += length
+        image[band.start : band.start + 2] *= 0.6
+    return image * wear[:, :, None]
+
+
+def _wall(rng: Generator) -> Floats:
+    """Painted wall that nobody has painted for a while."""
+    size = 1024
+    tint = rng.uniform((0.74, 0.72, 0.62), (0.88, 0.84, 0.76))
+    field = 0.035 * _speckle(rng, size, 10) + 0.04 * _speckle(rng, size, 26)
+    return _colored((1 + field).astype(np.float32), tint)
+
+
 def _tiles(rng: Generator) -> Floats:
-    """Printed floor tiles, four by four, all with the same motif, between joints."""
-    size, count = 512, 4
+    """Printed floor tiles, sixteen by sixteen, all with the same motif, between joints."""
+    size, count = 1024, 16
     side = size // count
-    quarter = _speckle(rng, side, 9)[: side // 2, : side // 2]
+    quarter = _speckle(rng, side, 6)[: side // 2, : side // 2]
     quarter = quarter + quarter.T
     half = np.concatenate([quarter, quarter[:, ::-1]], axis=1)
     motif = np.concatenate([half, half[::-1]])
-    colors = rng.uniform(0.25, 0.9, (3, 3))
+    colors = rng.uniform(0.35, 0.8, 3) * rng.uniform(0.75, 1.15, (3, 1))
     print_ = colors[np.searchsorted(np.quantile(motif, (0.4, 0.75)), motif)]
     image = np.tile(print_, (count, count, 1)).astype(np.float32)
-    image *= 1 + 0.05 * _speckle(rng, size, 3)[:, :, None]
+    image *= np.sqrt(_wear(rng, size))[:, :, None]
+    tones = rng.uniform(0.9, 1.08, (count, count)).repeat(side, axis=0).repeat(side, axis=1)
+    image *= tones[:, :, None].astype(np.float32)
     for joint in range(0, size, side):
-        image[joint : joint + 3] = 0.45
-        image[:, joint : joint + 3] = 0.45
+        image[joint : joint + 2] = 0.45
+        image[:, joint : joint + 2] = 0.45
     return image
 
 
 def _wall_tiles(rng: Generator) -> Floats:
     """Glazed wall tiles in a running bond, none quite like the next."""
-    size, courses, columns = 512, 8, 4
+    size, courses, columns = 1024, 32, 16
     u, v = _turns(size)
     course = (v * courses).astype(np.intp)
     along = (u * columns + 0.5 * (course % 2)) % columns
     glaze = rng.uniform(0.6, 0.85, 3) + rng.uniform(-0.06, 0.06, (courses, columns, 1))
     image = glaze[course, along.astype(np.intp)].astype(np.float32)
-    image *= 1 + 0.02 * _speckle(rng, size, 5)[:, :, None]
+    image *= np.sqrt(_wear(rng, size))[:, :, None]
     joint = (along % 1.0 < 0.03) | ((v * courses) % 1.0 < 0.06)
     image[joint] = (0.5, 0.49, 0.47)
     return image
@@ -98,7 +139,7 @@ def _panel_door(rng: Generator) -> Floats:
     """Stained door with six panels, mouldings and a kick plate."""
     size = 256
     rings = np.sin(7.0 * _speckle(rng, size, 30) + 40 * _turns(size)[0])
-    grain = 1 + 0.05 * rings + 0.06 * _speckle(rng, size, 2)
+    grain = 1 + 0.02 * rings + 0.015 * _speckle(rng, size, 2)
     image = _colored(grain, rng.uniform((0.42, 0.28, 0.18), (0.62, 0.42, 0.28)))
     for top, bottom in ((14, 62), (76, 150), (164, 222)):
         for left, right in ((26, 116), (140, 230)):
@@ -111,13 +152,13 @@ def _panel_door(rng: Generator) -> Floats:
 
 def _wallpaper(rng: Generator) -> Floats:
     """Pale stripes with a small printed sprig."""
-    size, rows = 512, 4
+    size, rows = 1024, 8
     u, v = _turns(size)
     tint = rng.uniform(0.70, 0.88, 3)
-    field = 1 + 0.03 * np.sign(np.sin(2 * np.pi * 8 * u)) + 0.012 * _speckle(rng, size, 3)
+    field = 1 + 0.03 * np.sign(np.sin(2 * np.pi * 32 * u)) + 0.04 * _speckle(rng, size, 18)
     image = _colored(field.astype(np.float32), tint)
-    sprig = _speckle(rng, 64, 5)
-    sprig = (sprig + sprig[:, ::-1]) * np.hanning(64)[:, None] * np.hanning(64)
+    half = _speckle(rng, 64, 5)
+    sprig = (half + half[:, ::-1]) * np.hanning(64)[:, None] * np.hanning(64)
     ink = np.tile(np.pad(sprig > 0.45, 32), (rows, rows))
     ink = np.where((v * rows).astype(int) % 2 == 1, np.roll(ink, 64, axis=1), ink)
     image[ink.astype(bool)] *= rng.uniform(0.62, 0.82)
@@ -127,7 +168,7 @@ def _wallpaper(rng: Generator) -> Floats:
 def _front(rng: Generator) -> Floats:
     """Cupboard front: two doors with frames and knobs."""
     size = 256
-    image = _colored(1 + 0.05 * _speckle(rng, size, 2), rng.uniform(0.35, 0.8, 3))
+    image = _colored(1 + 0.015 * _speckle(rng, size, 2), rng.uniform(0.35, 0.8, 3))
     for left in (6, 132):
         image[6:250, left : left + 118] *= 0.93
         image[24:232, left + 18 : left + 100] *= 0.78
@@ -168,7 +209,7 @@ def _appliance(rng: Generator) -> Floats:
 
 
 def _logo(rng: Generator) -> Floats:
-    """Badge that hides the tripod: a ring, a star and marks like letters round it."""
+    """Badge that hides the tripod: a ring, a disc and marks like letters round it."""
     size = 512
     u, v = _turns(size)
     x, y = 2 * u - 1, 2 * v - 1
@@ -177,17 +218,18 @@ def _logo(rng: Generator) -> Floats:
     image[radius < 0.92] = 0.93
     image[radius < 0.60] = rng.uniform((0.6, 0.1, 0.1), (0.9, 0.5, 0.3))
     sector = ((angle + np.pi) / (2 * np.pi) * 28).astype(int) % 28
-    for letter in np.flatnonzero(rng.random(28) < 0.8):
+    for letter in np.flatnonzero(rng.random(28) < 0.2):
         inner, outer = np.sort(rng.uniform(0.64, 0.88, 2))
         image[(sector == letter) & (radius > inner) & (radius < outer + 0.03)] = 0.08
-    star = 0.22 + 0.18 * np.cos(5 * (angle + rng.uniform(0, 6)))
-    image[radius < star] = (0.95, 0.9, 0.75)
+    image[radius < 0.25] = (0.95, 0.9, 0.75)
     return image
 
 
 HOME_PAINTERS: dict[str, Callable[[Generator], Floats]] = {
     **PAINTERS,
     "carpet": _carpet,
+    "laminate": _laminate,
+    "wall": _wall,
     "tiles": _tiles,
     "walltiles": _wall_tiles,
     "blinds": _blinds,

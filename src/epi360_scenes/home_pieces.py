@@ -46,15 +46,23 @@ def beside(place: Place, x: float, z: float, yaw: float = 0.0) -> Place:
 
 
 def open_wall(
-    room: Furniture, place: Place, half: float, doors: tuple[float, ...], paint: Material
+    room: Furniture,
+    place: Place,
+    half: float,
+    doors: tuple[float, ...],
+    paint: Material,
+    foot: float,
 ) -> None:
-    """Put up a wall with a framed opening at each door."""
+    """Put up a wall with a framed opening at each door.
+
+    How far its foot is under the floor decides which part of its pattern a wall shows.
+    """
     ends = [-half]
     for x in sorted(doors):
         ends += [x - DOOR_WIDTH_M / 2, x + DOOR_WIDTH_M / 2]
     ends.append(half)
     for left, right in zip(ends[::2], ends[1::2], strict=True):
-        room.box(place, (left, right), (0.0, CEILING_M), (0.0, WALL_M), paint)
+        room.box(place, (left, right), (-foot, CEILING_M), (0.0, WALL_M), paint)
         room.box(place, (left, right), (0.0, 0.1), (WALL_M, WALL_M + 0.015), OAK, shadow=False)
     for x in doors:
         left, right = x - DOOR_WIDTH_M / 2, x + DOOR_WIDTH_M / 2
@@ -109,7 +117,9 @@ def bed(room: Furniture, place: Place, spread: str, pillow: str) -> None:
         room.box(place, (x - 0.22, x + 0.22), (0.0, 0.48), (0.0, 0.4), OAK)
         for low in (0.06, 0.26):
             drawer = Material("front")
-            room.box(place, (x - 0.2, x + 0.2), (low, low + 0.18), (0.4, 0.415), drawer, shadow=False)
+            room.box(
+                place, (x - 0.2, x + 0.2), (low, low + 0.18), (0.4, 0.415), drawer, shadow=False
+            )
         room.ellipsoid(place, (x, 0.76, 0.2), (0.13, 0.12, 0.13), Material("cream", 0.4, glow=1.2))
         room.box(place, (x - 0.02, x + 0.02), (0.48, 0.7), (0.18, 0.22), BRASS, shadow=False)
 

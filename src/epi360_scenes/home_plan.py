@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360_scenes.furniture import Place
 from epi360_scenes.home_pieces import Shape
@@ -53,7 +54,7 @@ class PlannedRoom:
         """Rooms of equal keys are twins."""
         return self.kind, self.side
 
-    def holds(self, x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    def holds(self, x: NDArray[np.floating], z: NDArray[np.floating]) -> NDArray[np.bool_]:
         """Which points of the home's floor lie in the room."""
         across = np.abs(x - self.place.x) <= self.shape.half_width_m
         along = np.abs(z - self.place.z) <= self.shape.half_depth_m
@@ -75,7 +76,9 @@ def plan_home(rng: np.random.Generator) -> list[PlannedRoom]:
     """
     half_width, half_depth = rng.uniform(2.05, 2.3), rng.uniform(2.2, 2.4)
     order = rng.permutation(len(DWELLINGS))
-    rooms, to_south, to_north = [], [], []
+    rooms: list[PlannedRoom] = []
+    to_south: list[float] = []
+    to_north: list[float] = []
     for row, yaw in enumerate((0.0, np.pi)):
         joined = rng.permutation([True, True, False])
         for column in range(NUM_COLUMNS):

@@ -37,6 +37,8 @@ from epi360_scenes.pieces import (
     potted_plant,
 )
 
+# Patterns of floors and walls do not come again within a room.
+PATTERN_M = 4.8
 # What hangs in frames: each comes in as many versions as there are rooms.
 ART = ("landscape", "abstract", "circles", "blocks", "poster1", "poster2", "map")
 
@@ -56,6 +58,8 @@ class RoomJob:
         Stream that twins have in common: what it decides is the same in all of them.
     own : numpy.random.Generator
         Stream of this room alone: the small differences.
+    number : int
+        Of the room in its home: the pattern of its walls begins somewhere else.
     """
 
     room: Furniture
@@ -63,6 +67,7 @@ class RoomJob:
     side: int
     shared: np.random.Generator
     own: np.random.Generator
+    number: int
 
     @property
     def left(self) -> str:
@@ -116,10 +121,15 @@ def furnish_room(kind: str, job: RoomJob) -> None:
     width, depth = shape.half_width_m, shape.half_depth_m
     spans = (-width, width), (0.0, CEILING_M), (-depth, depth)
     room.box(Place(0, 0), *spans, Material("ceiling", 2.5), shadow=False)
-    room.box(Place(0, 0), spans[0], (0.0, 0.01), spans[2], floor, shadow=False)
-    for name in WALLS:
-        doors = shape.openings.get(name, ())
-        open_wall(room, shape.wall(name), shape.half_length(name), doors, paint)
+    # A little under the walls, by another width in each kind of room: that decides which part of
+    # the floor's pattern lies where.
+    under = 0.007 * list(ROOMS).index(kind)
+    floor_spans = (-width - under, width + under), (-depth, depth)
+    laid = Material(floor, PATTERN_M)
+    room.box(Place(0, 0), floor_spans[0], (0.0, 0.01), floor_spans[1], laid, shadow=False)
+    for corner, name in enumerate(WALLS, start=4 * job.number):
+        doors, half = shape.openings.get(name, ()), shape.half_length(name)
+        open_wall(room, shape.wall(name), half, doors, Material(paint, PATTERN_M), 0.007 * corner)
     for x in np.linspace(-width, width, round(width / 2.1) * 2 + 1)[1::2]:
         ceiling_lamp(room, Place(float(x), 0.0), CEILING_M)
     if kind != "corridor":
@@ -132,9 +142,11 @@ def furnish_room(kind: str, job: RoomJob) -> None:
 
 def _bedroom(job: RoomJob) -> None:
     room, own = job.room, job.own
-    bed(room, job.at(job.left, 0.75), f"bedspread#{own.integers(99)}", f"cushion1#{own.integers(9)}")
+    bed(
+        room, job.at(job.left, 0.75), f"bedspread#{own.integers(99)}", f"cushion1#{own.integers(9)}"
+    )
     wardrobe(room, job.at(job.right, 0.6))
-    rug(room, job.on_floor(0.55, -0.3, job.jitter(0.03)), (0.7, 1.0))
+    rug(room, job.on_floor(0.55, -0.3, job.jitter(0.03)), (0.7, 1.0), "rug#bedroom")
     chair(room, job.on_floor(0.75 + job.jitter(0.04), 1.5, 2.6 + job.jitter(0.1)))
     potted_plant(room, Place(*floor_at(job.at("north", 1.5), 0, 0.45)), 0.0, 0.3, job.shared)
     for along, size in ((0.2, (0.5, 0.65)), (1.2, (0.8, 0.55))):
@@ -152,7 +164,7 @@ def _study(job: RoomJob) -> None:
     shelf = job.at(job.left, 0.7)
     bookshelf(room, shelf, job.shared)
     sofa(room, job.at(job.right, 0.65), f"cushion2#{own.integers(99)}")
-    rug(room, job.on_floor(0.3, 0.1, job.jitter(0.03)), (0.8, 1.1))
+    rug(room, job.on_floor(0.3, 0.1, job.jitter(0.03)), (0.8, 1.1), "rug#study")
     desk = job.on_floor(0.1, 1.35 + job.jitter(0.03), job.jitter(0.03))
     table(room, desk, (0.75, 0.38), 0.74)
     chair(room, beside(desk, 0.1, -0.6 + job.jitter(0.06), job.jitter(0.3)))
@@ -164,7 +176,9 @@ def _study(job: RoomJob) -> None:
         job.hang(job.right, along, size, 1.55)
     job.hang("south", -1.3, (0.55, 0.75), 1.5)
     cupboard = job.at("south", -0.5)
-    room.box(cupboard, (-0.5, 0.5), (0.0, 1.2), (0.0, 0.4), WALNUT, faces={FRONT: Material("front")})
+    room.box(
+        cupboard, (-0.5, 0.5), (0.0, 1.2), (0.0, 0.4), WALNUT, faces={FRONT: Material("front")}
+    )
     potted_plant(room, Place(*floor_at(cupboard, 0.2, 0.2)), 1.2, 0.18, job.shared)
 
 
@@ -189,10 +203,12 @@ def _living(job: RoomJob) -> None:
 
 def _kitchen(job: RoomJob) -> None:
     room, own = job.room, job.own
-    run = job.at(job.left, 0.4)
+    run = job.at(job.left, 0.75)
     room.box(run, (-1.3, 1.3), (0.0, 0.86), (0.0, 0.58), WHITE)
     room.box(run, (-1.32, 1.32), (0.86, 0.9), (0.0, 0.62), WALNUT)
-    room.box(run, (-1.3, 1.3), (0.9, 1.5), (0.0, 0.008), Material("walltiles", 0.8), shadow=False)
+    room.box(
+        run, (-1.3, 1.3), (0.9, 1.5), (0.0, 0.008), Material("walltiles", PATTERN_M), shadow=False
+    )
     for slot, x in enumerate((-0.975, -0.325, 0.325, 0.975)):
         front = Material("appliance" if slot == 2 else "front")
         room.box(run, (x - 0.31, x + 0.31), (0.1, 0.84), (0.58, 0.6), front, shadow=False)
@@ -216,7 +232,7 @@ def _kitchen(job: RoomJob) -> None:
 def _bath(job: RoomJob) -> None:
     room, own = job.room, job.own
     tub = job.at(job.left, 0.9)
-    room.box(tub, (-0.9, 0.9), (0.0, 0.58), (0.0, 0.8), Material("walltiles", 0.8))
+    room.box(tub, (-0.9, 0.9), (0.0, 0.58), (0.0, 0.8), Material("walltiles", PATTERN_M))
     room.box(tub, (-0.84, 0.84), (0.58, 0.59), (0.06, 0.74), WHITE, shadow=False)
     basin = job.at(job.right, 0.3)
     room.box(basin, (-0.6, 0.6), (0.45, 0.88), (0.0, 0.48), OAK, faces={FRONT: Material("front")})
@@ -224,7 +240,9 @@ def _bath(job: RoomJob) -> None:
     ornament(room, basin, -0.5, 0.88, 0.2, own)
     ornament(room, basin, 0.5, 0.88, 0.2, own)
     machine = job.at(job.right, 1.4)
-    room.box(machine, (-0.3, 0.3), (0.0, 0.85), (0.0, 0.6), WHITE, faces={FRONT: Material("appliance")})
+    room.box(
+        machine, (-0.3, 0.3), (0.0, 0.85), (0.0, 0.6), WHITE, faces={FRONT: Material("appliance")}
+    )
     rug(room, job.on_floor(0.3, 0.6), (0.35, 0.5), "bedspread#bath")
     towel = job.at("south", -1.0)
     room.box(towel, (-0.35, 0.35), (0.9, 1.6), (0.02, 0.05), Material("cushion2#towel"))
@@ -235,24 +253,26 @@ def _corridor(job: RoomJob) -> None:
     room, own = job.room, job.own
     width = job.shape.half_width_m
     for x in np.linspace(-width, width, 9)[1::2]:
-        rug(room, Place(float(x), 0.0), (1.1, 0.42), "rug#3")
+        rug(room, Place(float(x), 0.0), (1.1, 0.42), f"rug#{x:.0f}")
     for wall in ("north", "south"):
         for along in np.arange(-width + 0.5, width, 1.25):
             job.hang(wall, float(along), (0.5, 0.7), 1.6)
     for along in (-width / 2 - 0.6, width / 2 - 0.6):
         board = job.at("north", along)
-        room.box(board, (-0.4, 0.4), (0.0, 0.8), (0.0, 0.28), OAK, faces={TOP: Material("walnut", 0.7)})
+        room.box(
+            board, (-0.4, 0.4), (0.0, 0.8), (0.0, 0.28), OAK, faces={TOP: Material("walnut", 0.7)}
+        )
         ornament(room, board, 0.0, 0.8, 0.14, own)
     job.hang("west", 0.0, (0.8, 0.8), 1.6)
     job.hang("east", 0.0, (0.6, 0.9), 1.6)
 
 
 # Floor, paint and furniture of each kind of room.
-ROOMS: dict[str, tuple[Material, Material, Callable[[RoomJob], None]]] = {
-    "bedroom": (Material("carpet", 1.1), Material("wallpaper", 1.6), _bedroom),
-    "study": (Material("carpet", 1.1), Material("cream", 2.0), _study),
-    "living": (Material("planks", 1.6), Material("sage", 2.0), _living),
-    "kitchen": (Material("tiles", 1.2), Material("cream", 2.0), _kitchen),
-    "bath": (Material("tiles", 1.2), Material("walltiles", 0.8), _bath),
-    "corridor": (Material("planks", 1.6), Material("cream", 2.0), _corridor),
+ROOMS: dict[str, tuple[str, str, Callable[[RoomJob], None]]] = {
+    "bedroom": ("carpet", "wallpaper", _bedroom),
+    "study": ("laminate", "wall", _study),
+    "living": ("laminate", "wall#2", _living),
+    "kitchen": ("tiles", "wall", _kitchen),
+    "bath": ("tiles", "walltiles", _bath),
+    "corridor": ("laminate", "wall", _corridor),
 }

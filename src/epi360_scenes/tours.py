@@ -25,11 +25,11 @@ Floats = NDArray[np.float32]
 VERSION = 1
 # Panoramas in each kind of room; a home has two rows of four rooms and a corridor.
 PANORAMAS = {"bedroom": 3, "study": 3, "living": 2, "kitchen": 2, "bath": 1, "corridor": 4}
-CLEARANCE_M, APART_M = 0.4, 0.7
-NUM_TRIED, LEG_HEIGHTS_M = 400, (0.5, 0.75, 1.0)
+CLEARANCE_M, APART_M, TOGETHER_M = 0.4, 0.6, 2.0
+NUM_TRIED, LEG_HEIGHTS_M = 1000, (0.5, 0.75, 1.0)
 MAX_LEAN_DEG, MAX_TILT_DEG = 0.5, 20.0
 # The badge at the nadir, and the legs that stick out from under it.
-BADGE_DEG, LEGS_DEG, LEG_WIDTH = 13.0, 24.0, 0.05
+BADGE_DEG, LEGS_DEG, LEG_WIDTH = 10.0, 19.0, 0.04
 # Number that edges of the badge and the legs are found by: no face of a home has it.
 TRIPOD_SURFACE = 1 << 30
 NUM_SHARED_RAYS = 4000
@@ -205,7 +205,7 @@ def _free_place(
     *,
     at_door: bool,
 ) -> NDArray[np.float64]:
-    """Place of a tripod whose legs and head touch nothing, away from those taken."""
+    """Place of a tripod whose legs and head touch nothing, not far from those taken."""
     shape = room.shape
     reach = np.array([shape.half_width_m, shape.half_depth_m]) - CLEARANCE_M
     tried = rng.uniform(-reach, reach, (NUM_TRIED, 2))
@@ -218,13 +218,14 @@ def _free_place(
     columns[:, 1:, 1] = -np.array(LEG_HEIGHTS_M)
     solids = home.solids_of(room)
     free = solids.distances(columns.reshape(-1, 3)).reshape(columns.shape[:2]).min(axis=1)
-    gaps = np.full(len(places), np.inf)
+    gaps = np.full((1, len(places)), APART_M)
     for one in taken:
-        gaps = np.minimum(gaps, np.hypot(*(places - one)[:, [0, 2]].T))
+        gaps = np.append(gaps, np.hypot(*(places - one)[:, [0, 2]].T)[None], axis=0)
+    near = gaps.max(axis=0) <= TOGETHER_M
     for apart in (APART_M, APART_M / 2):
-        (good,) = np.nonzero((free >= CLEARANCE_M) & (gaps >= apart))
+        (good,) = np.nonzero(near & (free >= CLEARANCE_M) & (gaps.min(axis=0) >= apart))
         if len(good):
-            return places[good[0]]
+            return np.asarray(places[good[0]])
     raise ValueError(f"{room.name} has no place for a tripod")
 
 
