@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from _data import Matches, read_poses
+from _data import Matches, load_set, read_poses
 from _methods import Pycolmap
-from _trust_records import Judged, errors_of, sigmas_of
+from _trust_records import LISTED, Judged, errors_of, sigmas_of
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
@@ -68,7 +68,10 @@ def zind_verdicts(plan: Plan) -> Iterator[Judged]:
         names = [Path(name).name for name in (name1, name2)]
         return world_from_cam[names[1]].inverse() @ world_from_cam[names[0]]
 
-    yield from _folder_verdicts(plan, "zind_tour", folder / "panos", truth_of)
+    listed = {frozenset((one.path1.name, one.path2.name)) for one in load_set(folder).pairs}
+    for run in _folder_verdicts(plan, "zind_tour", folder / "panos", truth_of):
+        is_listed = frozenset(run.pair.split(" ")) in listed
+        yield replace(run, relation=LISTED) if is_listed else run
 
 
 def tour_verdicts(plan: Plan) -> Iterator[Judged]:

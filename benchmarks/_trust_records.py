@@ -16,6 +16,7 @@ from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 RIGHT_DEG, WRONG_DEG = 5.0, 10.0
 # A pair of which either view shares that much with the other can be asked to be found.
 FINDABLE_OVERLAP = 0.3
+LISTED = "listed"
 PRECISIONS = (1.0, 0.995, 0.99, 0.95, 0.9)
 PROBABILITY_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0)
 
@@ -41,7 +42,7 @@ class Judged:
     overlap : float
         Share that both views see, NaN where it is not known.
     relation : str
-        How the rooms of a rendered pair are related, or empty.
+        How the rooms of a rendered pair are related; `LISTED` for a pair that its set lists.
     """
 
     set: str
@@ -75,8 +76,8 @@ class Judged:
 
     @property
     def is_findable(self) -> bool:
-        """Whether the views share enough; NaN does not say so."""
-        return self.overlap >= FINDABLE_OVERLAP
+        """Whether it can be asked for: the views share enough, or its set lists it."""
+        return self.overlap >= FINDABLE_OVERLAP or self.relation == LISTED
 
     @property
     def score(self) -> float:
@@ -105,7 +106,7 @@ def sigmas_of(covariance: NDArray[np.float64]) -> tuple[float, float]:
 def count_rows(judged: Sequence[Judged]) -> list[list[str]]:
     """Table of what each method accepts on each set."""
     header = ["set", "method", "pairs", "accepted", "right", "5-10°", "wrong", "wrong of accepted"]
-    header += ["recall of 30 % overlap", "R, t / sigma"]
+    header += ["recall", "R, t / sigma"]
     rows = [header]
     for name, method, runs in _groups(judged):
         accepted = [run for run in runs if run.accepted]
