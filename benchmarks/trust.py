@@ -76,6 +76,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--peer", action=flag, default=True, help="run pycolmap if installed")
     parser.add_argument("--seed", type=int, default=0, help="of homes, problems and sampling (0)")
     parser.add_argument("--jobs", type=_positive, default=2, help="processes or threads (2)")
+    parser.add_argument("--list-wrong", action="store_true", help="print each wrong pose of ours")
     parser.add_argument("--json", type=Path, help="file for every verdict")
     parser.add_argument("--markdown", type=Path, help="file for the tables")
     return parser.parse_args()
@@ -127,7 +128,7 @@ def _run(
         if name in PAIR_SETS:
             found = list(PAIR_SETS[name](plan))
             judged += found
-            _print_judged(found)
+            _print_judged(found, list_wrong=options.list_wrong)
         else:
             done = list(_trials(name, plan, options))
             trials += done
@@ -146,10 +147,10 @@ def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:
     return [table for table in [*tables, trial_rows(trials)] if len(table) > 1]
 
 
-def _print_judged(judged: list[Judged]) -> None:
+def _print_judged(judged: list[Judged], *, list_wrong: bool) -> None:
     for table in _tables(judged, []):
         print(f"\n{text_table(table)}")
-    for method in (OURS, f"{OURS}, gravity"):
+    for method in (OURS, f"{OURS}, gravity") if list_wrong else ():
         for line in wrong_lines(judged, method):
             print(f"accepted and wrong by {method}: {line}")
     sys.stdout.flush()
