@@ -121,6 +121,19 @@ def count_rows(judged: Sequence[Judged]) -> list[list[str]]:
     return rows
 
 
+def relation_rows(judged: Sequence[Judged]) -> list[list[str]]:
+    """Table of what each method accepts between rooms that are related in one way."""
+    rows = [["set", "method", "rooms", "pairs", "accepted", "right", "wrong"]]
+    for name, method, runs in _groups(judged):
+        relations = dict.fromkeys(run.relation for run in runs)
+        for relation in relations if len(relations) > 2 else ():
+            related = [run for run in runs if run.relation == relation]
+            accepted = [run for run in related if run.accepted]
+            counts = len(related), len(accepted), *(sum(map(f, accepted)) for f in (_right, _wrong))
+            rows.append([name, method, relation, *map(str, counts)])
+    return rows
+
+
 def precision_rows(judged: Sequence[Judged]) -> list[list[str]]:
     """Table of right poses that are kept where the share that is not wrong is held at a level."""
     header = ["set", "method", "sorted by", "right poses"]

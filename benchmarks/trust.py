@@ -25,6 +25,7 @@ from _trust_records import (
     Judged,
     count_rows,
     precision_rows,
+    relation_rows,
     reliability_rows,
     wrong_lines,
 )
@@ -143,7 +144,9 @@ def _trials(name: str, plan: Plan, options: argparse.Namespace) -> Iterator[Tria
 
 
 def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:
-    tables = [count_rows(judged), precision_rows(judged), reliability_rows(judged)]
+    tables = [
+        make(judged) for make in (count_rows, relation_rows, precision_rows, reliability_rows)
+    ]
     return [table for table in [*tables, trial_rows(trials)] if len(table) > 1]
 
 
