@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt
-from epi360.poses import Pose
+from epi360.poses import Pose, pose_from_quaternion
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 OPENCV_TO_CONTINUOUS = 0.5  # OpenCV puts the centre of the top-left pixel at (0, 0)
@@ -131,6 +132,19 @@ def load_set(folder: Path, *, max_pairs: int | None = None) -> PairSet:
     chosen = np.unique(np.linspace(0, len(pairs) - 1, count).round().astype(int))
     requirements = REQUIREMENTS[folder.name]
     return PairSet(folder.name, tuple(pairs[i] for i in chosen), requirements, len(pairs))
+
+
+def read_poses(path: Path) -> dict[str, Pose]:
+    """Pose world_from_cam of each image, by its file name."""
+    poses = {}
+    with path.open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            wxyz = np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])
+            centre = np.array([float(row[name]) for name in ("cx_m", "cy_m", "cz_m")])
+            poses[Path(row["image"]).name] = pose_from_quaternion(
+                centre, wxyz / np.linalg.norm(wxyz)
+            )
+    return poses
 
 
 def _pair_from_entry(

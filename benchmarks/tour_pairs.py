@@ -11,6 +11,7 @@ import csv
 from pathlib import Path
 
 import numpy as np
+from _data import read_poses
 
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, translation_error_deg
 
@@ -21,7 +22,7 @@ def main() -> None:
     parser.add_argument("pairs", type=Path, help="table that epi360 match writes")
     parser.add_argument("poses", type=Path, help="table with image, qw..qz and cx_m..cz_m")
     options = parser.parse_args()
-    world_from_cam = _read_poses(options.poses)
+    world_from_cam = read_poses(options.poses)
     rows = []
     with options.pairs.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
@@ -48,19 +49,6 @@ def _errors(row: dict[str, str], world_from_cam: dict[str, Pose]) -> tuple[float
     estimate = pose_from_quaternion(translation, wxyz / np.linalg.norm(wxyz))
     truth = world_from_cam[row["image2"]].inverse() @ world_from_cam[row["image1"]]
     return rotation_error_deg(estimate, truth), translation_error_deg(estimate, truth)
-
-
-def _read_poses(path: Path) -> dict[str, Pose]:
-    """Pose world_from_cam of each image, by its file name."""
-    poses = {}
-    with path.open(newline="", encoding="utf-8") as file:
-        for row in csv.DictReader(file):
-            wxyz = np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])
-            centre = np.array([float(row[name]) for name in ("cx_m", "cy_m", "cz_m")])
-            poses[Path(row["image"]).name] = pose_from_quaternion(
-                centre, wxyz / np.linalg.norm(wxyz)
-            )
-    return poses
 
 
 if __name__ == "__main__":

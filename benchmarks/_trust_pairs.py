@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verdicts on image pairs of whole tours, photographed and rendered, and on learned matches."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from _data import Matches, load_set, read_poses
+from _methods import Pycolmap
+from _trust_records import LISTED, Judged, errors_of, sigmas_of
+
+from epi360 import estimate_relative_pose
+from epi360.cameras import Equirectangular
+from epi360.jobs.image_set import find_images
+from epi360.jobs.matching import MatchOptions, load_matches, match_images
+from epi360.poses import Pose
+from epi360.two_view import IMAGE_OPTIONS
+from epi360_scenes.tours import Tour, render_tour
+
+OURS = "epi360"
+# COLMAP's default of 4 px first; it asks for 15 inliers by default.
+PEER_GATES_PX = (4.0, 2.0, 1.0)
+RATIOS = (0.95, 0.9, 0.8)
+LEARNED_WIDTH = 2048  # of the panoramas that the learned features were found in
+DOWN = np.array([0.0, 1.0, 0.0])
+TruthOf = Callable[[str, str], Pose]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is run, and where."""
+
+    data: Path
+    out: Path
+    num_homes: int
+    tour_width: int
+    seed: int
+    jobs: int
+    with_peer: bool
+
+
+@dataclass(frozen=True)
+class _PeerTask:
+    """Matches of one pair for COLMAP."""
+
+    set: str
+    pair: str
+    matches: Matches
+    truth: Pose
+    overlap: float = math.nan
+    relation: str = ""
+
+
+def zind_verdicts(plan: Plan) -> Iterator[Judged]:
+    """All pairs of the photographed tour, by `match_images` with its defaults."""
+    folder = plan.data / "zind_tour"
+    world_from_cam = read_poses(folder / "poses.csv")
+
+    def truth_of(name1: str, name2: str) -> Pose:
+        names = [Path(name).name for name in (name1, name2)]
+        return world_from_cam[names[1]].inverse() @ world_from_cam[names[0]]
+
+    listed = {frozenset((one.path1.name, one.path2.name)) for one in load_set(folder).pairs}
+    for run in _folder_verdicts(plan, "zind_tour", folder / "panos", truth_of):
+        is_listed = frozenset(run.pair.split(" ")) in listed
+        yield replace(run, relation=LISTED) if is_listed else run
+
+
+def tour_verdicts(plan: Plan) -> Iterator[Judged]:
+    """All pairs within rendered homes, level ones and tilted ones."""
+    for is_level, home in itertools.product((True, False), range(plan.num_homes)):
+        kind = "level" if is_level else "tilted"
+        name = f"{kind}_{home}_{plan.tour_width}"
+        tour = render_tour(
+            plan.out / "tours" / name,
+            plan.seed + home,
+            is_level=is_level,
+            width=plan.tour_width,
+            progress=lambda picture, of=name: print(f"{of}: {picture}", flush=True),
+        )
+        for run in _folder_verdicts(plan, name, tour.folder, tour.cam2_from_cam1):
+            yield _of_tour(run, f"tours, {kind}", home, tour)
+
+
+def _of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
+    name1, name2 = sorted(run.pair.split(" "), key=[one.name for one in tour.panoramas].index)
+    return replace(
+        run,
+        set=kind,
+        pair=f"home {home} {run.pair}",
+        overlap=tour.overlaps[name1, name2],
+        relation=tour.relation(name1, name2),
+    )
+
+
+def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> Iterator[Judged]:
+    """Verdicts of `match_images` on all pairs of a folder, and of COLMAP on the same matches."""
+    output = plan.out / "match" / name
+    shutil.rmtree(output / "pairs", ignore_errors=True)  # key points may stay
+    run = match_images(
+        find_images(folder),
+        output,
+        MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
+        restart=True,
+    )
+    for verdict in run.verdicts:
+        truth = truth_of(verdict.image1, verdict.image2)
+        yield Judged(
+            name,
+            OURS,
+            f"{verdict.image1} {verdict.image2}",
+            verdict.status,
+            verdict.accepted,
+            float(getattr(verdict, "probability", math.nan)),
+            verdict.num_inliers,
+            *errors_of(verdict.cam2_from_cam1, truth),
+            verdict.rotation_sigma_deg,
+            verdict.translation_sigma_deg,
+        )
+    if plan.with_peer:
+        yield from _peer_verdicts(plan, _peer_tasks(name, output, truth_of))
+
+
+def _peer_tasks(name: str, output: Path, truth_of: TruthOf) -> Iterator[_PeerTask]:
+    graph = load_matches(output)
+    for pair in graph.pairs:
+        image1, image2 = (graph.images[one] for one in (pair.image1, pair.image2))
+        yield _PeerTask(
+            name,
+            f"{pair.image1} {pair.image2}",
+            Matches(
+                graph.cameras[image1.camera],
+                graph.cameras[image2.camera],
+                image1.keypoints[pair.matches[:, 0]],
+                image2.keypoints[pair.matches[:, 1]],
+            ),
+            truth_of(pair.image1, pair.image2),
+        )
+
+
+def learned_verdicts(plan: Plan) -> Iterator[Judged]:
+    """Matches of a learned feature at several ratios, with gravity and without."""
+    folder = plan.data / "learned_matches"
+    world_from_cam = read_poses(plan.data / "zind_tour" / "poses.csv")
+    camera = Equirectangular(LEARNED_WIDTH, LEARNED_WIDTH // 2)
+    with np.load(folder / "bearings.npz") as bearings, np.load(folder / "matches.npz") as matches:
+        seen = {name: bearings[name].astype(np.float64) for name in bearings.files}
+        for ratio in RATIOS:
+            tasks = []
+            for key in [key for key in matches.files if key.endswith("|indices")]:
+                name1, name2, _ = key.split("|")
+                kept = matches[key][matches[f"{name1}|{name2}|similarity_ratio"][:, 1] < ratio]
+                both = seen[name1][kept[:, 0]], seen[name2][kept[:, 1]]
+                pixels = [camera.pixels_from_bearings(each) for each in both]
+                truth = world_from_cam[name2].inverse() @ world_from_cam[name1]
+                found = Matches(camera, camera, pixels[0], pixels[1])
+                tasks.append(_PeerTask(f"learned {ratio:g}", f"{name1} {name2}", found, truth))
+            yield from _learned_at(plan, tasks)
+
+
+def _learned_at(plan: Plan, tasks: list[_PeerTask]) -> Iterator[Judged]:
+    with ProcessPoolExecutor(plan.jobs) as pool:
+        for has_gravity in (False, True):
+            judge = partial(_judge_learned, has_gravity=has_gravity, seed=plan.seed)
+            yield from pool.map(judge, tasks, chunksize=8)
+    if plan.with_peer:
+        yield from _peer_verdicts(plan, tasks)
+
+
+def _judge_learned(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
+    matches = task.matches
+    result = estimate_relative_pose(
+        matches.camera1.bearings_from_pixels(matches.keypoints1),
+        matches.camera2.bearings_from_pixels(matches.keypoints2),
+        gravity1=DOWN if has_gravity else None,
+        gravity2=DOWN if has_gravity else None,
+        options=IMAGE_OPTIONS,
+        seed=seed,
+    )
+    return Judged(
+        task.set,
+        f"{OURS}, gravity" if has_gravity else OURS,
+        task.pair,
+        result.status,
+        result.success,
+        float(getattr(result, "probability", math.nan)),
+        result.num_inliers,
+        *errors_of(result.cam2_from_cam1, task.truth),
+        *sigmas_of(result.covariance),
+    )
+
+
+def _peer_verdicts(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
+    """COLMAP at each gate on the same matches."""
+    listed = list(tasks)
+    with ProcessPoolExecutor(plan.jobs) as pool:
+        for gate in PEER_GATES_PX:
+            judge = partial(_judge_peer, gate_px=gate, seed=plan.seed)
+            yield from pool.map(judge, listed, chunksize=8)
+
+
+def _judge_peer(task: _PeerTask, *, gate_px: float, seed: int) -> Judged:
+    peer = Pycolmap(Path(), max_error_px=gate_px)
+    found = peer.from_matches(task.matches, seed)
+    return Judged(
+        task.set,
+        f"pycolmap {gate_px:g} px",
+        task.pair,
+        found.status,
+        found.accepted,
+        math.nan,
+        found.num_inliers,
+        *errors_of(found.cam2_from_cam1, task.truth),
+    )

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verdicts held against known poses: how many are right, and whether stated odds are kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+
+RIGHT_DEG, WRONG_DEG = 5.0, 10.0
+# A pair of which either view shares that much with the other can be asked to be found.
+FINDABLE_OVERLAP = 0.3
+LISTED = "listed"
+PRECISIONS = (1.0, 0.995, 0.99, 0.95, 0.9)
+PROBABILITY_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One method's verdict on one pair, and how far its pose is from the truth.
+
+    Attributes
+    ----------
+    set, method, pair : str
+    status : str
+        The method's own word.
+    accepted : bool
+    probability : float
+        Stated probability that the pose is right; NaN where none is stated.
+    num_inliers : int
+        Orders the pairs of methods that state no probability.
+    rotation_error_deg, translation_error_deg : float
+        NaN where there is no pose.
+    rotation_sigma_deg, translation_sigma_deg : float
+        One sigma over all axes, as stated; NaN where none is.
+    overlap : float
+        Share that both views see, NaN where it is not known.
+    relation : str
+        How the rooms of a rendered pair are related; `LISTED` for a pair that its set lists.
+    """
+
+    set: str
+    method: str
+    pair: str
+    status: str
+    accepted: bool
+    probability: float
+    num_inliers: int
+    rotation_error_deg: float
+    translation_error_deg: float
+    rotation_sigma_deg: float = math.nan
+    translation_sigma_deg: float = math.nan
+    overlap: float = math.nan
+    relation: str = ""
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether rotation and direction are given, be it with a refusal."""
+        return not math.isnan(self.rotation_error_deg + self.translation_error_deg)
+
+    @property
+    def is_right(self) -> bool:
+        """Whether both errors are below five degrees."""
+        return max(self.rotation_error_deg, self.translation_error_deg) < RIGHT_DEG
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether one error is above ten degrees."""
+        return max(self.rotation_error_deg, self.translation_error_deg) > WRONG_DEG
+
+    @property
+    def is_findable(self) -> bool:
+        """Whether it can be asked for: the views share enough, or its set lists it."""
+        return self.overlap >= FINDABLE_OVERLAP or self.relation == LISTED
+
+    @property
+    def score(self) -> float:
+        """What pairs are sorted by, the surest first."""
+        return self.num_inliers if math.isnan(self.probability) else self.probability
+
+    def record(self) -> dict[str, Any]:
+        """Values for JSON; NaN is None."""
+        values = asdict(self).items()
+        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values}
+
+
+def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:
+    """Rotation and direction error in degrees; NaN for a pose that has none."""
+    return rotation_error_deg(pose, truth), translation_error_deg(pose, truth)
+
+
+def sigmas_of(covariance: NDArray[np.float64]) -> tuple[float, float]:
+    """One sigma in degrees of rotation and direction, over all axes."""
+    variances = np.diag(covariance)
+    with np.errstate(invalid="ignore"):
+        rotation, direction = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
+    return float(rotation), float(direction)
+
+
+def count_rows(judged: Sequence[Judged]) -> list[list[str]]:
+    """Table of what each method accepts on each set."""
+    header = ["set", "method", "pairs", "accepted", "right", "5-10°", "wrong", "wrong of accepted"]
+    header += ["recall", "R, t / sigma"]
+    rows = [header]
+    for name, method, runs in _groups(judged):
+        accepted = [run for run in runs if run.accepted]
+        right, wrong = (sum(map(flag, accepted)) for flag in (_right, _wrong))
+        findable = [run for run in runs if run.is_findable]
+        found = sum(run.accepted and run.is_right for run in findable)
+        recall = f"{found}/{len(findable)} = {found / len(findable):.1%}" if findable else "-"
+        share = f"{wrong / len(accepted):.1%}" if accepted else "-"
+        between = len(accepted) - right - wrong
+        counts = [len(runs), len(accepted), right, between, wrong]
+        rows.append([name, method, *map(str, counts), share, recall, _over_sigma(accepted)])
+    return rows
+
+
+def relation_rows(judged: Sequence[Judged]) -> list[list[str]]:
+    """Table of what each method accepts between rooms that are related in one way."""
+    rows = [["set", "method", "rooms", "pairs", "accepted", "right", "wrong"]]
+    for name, method, runs in _groups(judged):
+        relations = dict.fromkeys(run.relation for run in runs)
+        for relation in relations if len(relations) > 2 else ():
+            related = [run for run in runs if run.relation == relation]
+            accepted = [run for run in related if run.accepted]
+            counts = len(related), len(accepted), *(sum(map(f, accepted)) for f in (_right, _wrong))
+            rows.append([name, method, relation, *map(str, counts)])
+    return rows
+
+
+def precision_rows(judged: Sequence[Judged]) -> list[list[str]]:
+    """Table of right poses that are kept where the share that is not wrong is held at a level."""
+    header = ["set", "method", "sorted by", "right poses"]
+    rows = [header + [f"at {level:.1%}" for level in PRECISIONS]]
+    for name, method, runs in _groups(judged):
+        posed = sorted((run for run in runs if run.has_pose), key=lambda run: -run.score)
+        if not posed:
+            continue
+        by = "inliers" if all(math.isnan(run.probability) for run in posed) else "probability"
+        kept = [str(right_at(posed, level)) for level in PRECISIONS]
+        rows.append([name, method, by, str(sum(map(_right, posed))), *kept])
+    return rows
+
+
+def right_at(ranked: Sequence[Judged], level: float) -> int:
+    """Right poses among the surest ones, as many as keep 1 - wrong / taken at the level.
+
+    Poses of equal scores are taken together.
+    """
+    scores = np.array([run.score for run in ranked])
+    wrong, right = (np.cumsum([flag(run) for run in ranked]) for flag in (_wrong, _right))
+    last_of_score = np.append(scores[1:] != scores[:-1], True)
+    precision = 1.0 - wrong / np.arange(1, len(ranked) + 1)
+    good = np.flatnonzero(last_of_score & (precision >= level))
+    return int(right[good[-1]]) if len(good) else 0
+
+
+def reliability_rows(judged: Sequence[Judged]) -> list[list[str]]:
+    """Table of stated probabilities against the shares that are right and not wrong."""
+    rows = [["set", "method", "stated", "poses", "mean stated", "right", "not wrong"]]
+    for name, method, runs in _groups(judged):
+        stated = [run for run in runs if run.has_pose and not math.isnan(run.probability)]
+        for low, high in zip(PROBABILITY_EDGES[:-1], PROBABILITY_EDGES[1:], strict=True):
+            top = high == PROBABILITY_EDGES[-1]
+            held = [
+                r for r in stated if low <= r.probability < high or (top and r.probability == 1)
+            ]
+            if held:
+                mean = np.mean([run.probability for run in held])
+                shares = [
+                    np.mean([_right(r) for r in held]),
+                    np.mean([not _wrong(r) for r in held]),
+                ]
+                cells = [f"{low:g} to {high:g}", str(len(held)), f"{mean:.4f}"]
+                rows.append([name, method, *cells, *(f"{share:.1%}" for share in shares)])
+    return rows
+
+
+def wrong_lines(judged: Sequence[Judged], method: str) -> list[str]:
+    """One line for each pose that a method accepts and that is wrong."""
+    return [
+        f"{run.set}: {run.pair} {run.relation} R {run.rotation_error_deg:.1f} "
+        f"t {run.translation_error_deg:.1f} deg, {run.num_inliers} inliers, "
+        f"probability {run.probability:.4f}, overlap {run.overlap:.2f}"
+        for run in judged
+        if run.method == method and run.accepted and run.is_wrong
+    ]
+
+
+def _right(run: Judged) -> bool:
+    return run.is_right
+
+
+def _wrong(run: Judged) -> bool:
+    return run.is_wrong
+
+
+def _over_sigma(accepted: Sequence[Judged]) -> str:
+    """Median error over stated sigma of the accepted poses that are not wrong."""
+    kept = [run for run in accepted if not run.is_wrong]
+    pairs = [
+        [run.rotation_error_deg / run.rotation_sigma_deg for run in kept],
+        [run.translation_error_deg / run.translation_sigma_deg for run in kept],
+    ]
+    known = [[ratio for ratio in ratios if math.isfinite(ratio)] for ratios in pairs]
+    return ", ".join(f"{np.median(ratios):.2f}" if ratios else "-" for ratios in known)
+
+
+def _groups(judged: Sequence[Judged]) -> list[tuple[str, str, list[Judged]]]:
+    """Set, method and their runs, in the order in which they came."""
+    groups: dict[tuple[str, str], list[Judged]] = {}
+    for run in judged:
+        groups.setdefault((run.set, run.method), []).append(run)
+    return [(*key, runs) for key, runs in groups.items()]
