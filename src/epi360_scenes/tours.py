@@ -17,7 +17,7 @@ from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.home import Home, HomeView, sphere_directions, twin_home
 from epi360_scenes.home_painting import home_atlas
 from epi360_scenes.home_plan import PlannedRoom
-from epi360_scenes.rendering import Rays, render_view
+from epi360_scenes.rendering import RayCaster, Rays
 
 Floats = NDArray[np.float32]
 
@@ -95,7 +95,7 @@ class Tour:
 
 
 @dataclass(frozen=True)
-class _OnTripod:
+class _OnTripod(RayCaster):
     """A home with the tripod in front of it that every picture of a tour shows."""
 
     view: HomeView
@@ -169,7 +169,7 @@ def render_tour(
     for panorama in panoramas:
         view = home.seen_from(panorama.world_from_cam.translation)
         scene = _OnTripod(view, panorama.world_from_cam.rotation.T, badge)
-        rendering = render_view(scene, camera, panorama.world_from_cam)
+        rendering = scene.render(camera, panorama.world_from_cam)
         _write(folder / panorama.name, rendering.image, rng)
         ranges.append(rendering.depth)
         progress(panorama.name)

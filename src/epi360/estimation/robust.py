@@ -150,6 +150,7 @@ def estimate_relative_pose(
     uses_pixels = residual == "tangent_sampson"
     if uses_pixels and (jacobians1 is None or jacobians2 is None):
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
+    sigmas = _prior_sigmas(gravity_sigma_deg, elevation_sigma_deg)
     pair = native_pair(
         bearings1,
         bearings2,
@@ -158,7 +159,8 @@ def estimate_relative_pose(
         jacobians=(jacobians1, jacobians2),
         uses_jacobians=uses_pixels,
         gravity=(gravity1, gravity2),
-        **_prior_sigmas(gravity_sigma_deg, elevation_sigma_deg),
+        gravity_sigma=sigmas[0],
+        elevation_sigma=sigmas[1],
         seed=index(seed),
         max_noise=_checked_noise(max_noise_deg),
     )
@@ -260,7 +262,8 @@ def estimate_relative_poses(
                     weights=weights_of[k],
                     scores=scores_of[k],
                     gravity=(gravity1_of[k], gravity2_of[k]),
-                    **sigmas,
+                    gravity_sigma=sigmas[0],
+                    elevation_sigma=sigmas[1],
                     seed=seeds[k],
                     max_noise=limits[k],
                 )
@@ -408,15 +411,18 @@ def _seeds(seed: int | Sequence[int], num_pairs: int) -> list[int]:
     return [index(each) for each in seed]
 
 
-def _prior_sigmas(gravity_sigma_deg: float, elevation_sigma_deg: float | None) -> dict[str, float]:
+def _prior_sigmas(
+    gravity_sigma_deg: float, elevation_sigma_deg: float | None
+) -> tuple[float, float]:
     """Return both in radians, 0 where the elevation may be any."""
-    sigmas = {"gravity_sigma": gravity_sigma_deg}
+    given = {"gravity_sigma_deg": gravity_sigma_deg}
     if elevation_sigma_deg is not None:
-        sigmas["elevation_sigma"] = elevation_sigma_deg
-    for name, degrees in sigmas.items():
+        given["elevation_sigma_deg"] = elevation_sigma_deg
+    for name, degrees in given.items():
         if not (np.isreal(degrees) and 0.0 < float(degrees) <= 90.0):
-            raise ValueError(f"{name}_deg must be in (0, 90], got {degrees!r}")
-    return {name: float(np.radians(degrees)) for name, degrees in sigmas.items()}
+            raise ValueError(f"{name} must be in (0, 90], got {degrees!r}")
+    elevation_deg = given.get("elevation_sigma_deg", 0.0)
+    return float(np.radians(gravity_sigma_deg)), float(np.radians(elevation_deg))
 
 
 def _directions(
