@@ -30,9 +30,9 @@ from _trust_records import (
     wrong_lines,
 )
 from _trust_synthetic import Trial, cell_trials, degenerate_trials, trial_rows
-from epi360.files import write_file
 
 from epi360.report.files import check_writable
+from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
