@@ -44,10 +44,7 @@ inline MixtureParts mixture_parts(double s, const LossModel& m) {
   double height = peak / 64.0;
   for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
     p.gaussian[k] = m.share[k] * height * e;
-    e *= e;
-    e *= e;
-    e *= e;
-    e *= e;
+    for (int squaring = 0; squaring < 4; ++squaring) e *= e;
     height *= 4.0;
   }
   p.uniform = m.uniform_share() * m.outlier_density;

@@ -52,10 +52,6 @@ EPI360_INLINE double log_of(double x) {
   return exponent * 0.6931471805599453 + 2.0 * f * p;
 }
 
-struct Parts {
-  double g0, g1, g2, g3, uniform;
-};
-
 // As mixture_parts of loss.h, with the constants of the model at hand.
 struct Model {
   double factor;  // -1 / (2 * 4096 * scale^2)
@@ -75,34 +71,20 @@ EPI360_INLINE Model prepared(const LossModel& m) {
   return out;
 }
 
-EPI360_INLINE Parts parts_at(double residual, double in_front, const Model& m) {
-  Parts p;
+EPI360_INLINE MixtureParts parts_at(double residual, double in_front, const Model& m) {
+  MixtureParts p;
   double e = vector_exp(residual * residual * m.factor) * in_front;
-  p.g3 = m.height[3] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g2 = m.height[2] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g1 = m.height[1] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g0 = m.height[0] * e;
+  for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
+    p.gaussian[k] = m.height[k] * e;
+    for (int squaring = 0; squaring < 4; ++squaring) e *= e;
+  }
   p.uniform = m.uniform;
   return p;
 }
 
-EPI360_INLINE double precision_of(const Parts& p) {
-  return p.g0 + p.g1 / 16.0 + p.g2 / 256.0 + p.g3 / 4096.0;
+EPI360_INLINE double precision_of(const double* g) {
+  return g[0] + g[1] / 16.0 + g[2] / 256.0 + g[3] / 4096.0;
 }
-
-EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
 // Sums of all matches in eight lanes: see accumulate_normal_equations.
 struct LaneSum {
@@ -115,22 +97,18 @@ template <bool unit>
 EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
                                     double* weights) {
   const Model m = prepared(model);
-  LaneSum part0, part1, part2, part3, squares, weight_sum, count, log_density;
+  LaneSum part[LossModel::kGaussians], squares, count, log_density;
   double weight[kBlock], total[kBlock];
   for (std::size_t start = 0; start < pass.padded; start += kBlock) {
     for (std::size_t group = 0; group < kBlock; group += kLanes) {
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
         const std::size_t j = group + lane, i = start + j;
         const double r = pass.residuals[i], own = pass.weight[i];
-        const Parts p = parts_at(r, pass.in_front[i], m);
-        const double all = total_of(p), share = own / all;
-        part0.lane[lane] += share * p.g0;
-        part1.lane[lane] += share * p.g1;
-        part2.lane[lane] += share * p.g2;
-        part3.lane[lane] += share * p.g3;
-        weight[j] = share * precision_of(p);
+        const MixtureParts p = parts_at(r, pass.in_front[i], m);
+        const double all = p.total(), share = own / all;
+        for (int k = 0; k < LossModel::kGaussians; ++k) part[k].lane[lane] += share * p.gaussian[k];
+        weight[j] = share * precision_of(p.gaussian);
         squares.lane[lane] += weight[j] * r * r;
-        weight_sum.lane[lane] += weight[j];
         count.lane[lane] += own;
         total[j] = unit && own == 0.0 ? 1.0 : all;
       }
@@ -149,11 +127,9 @@ EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& mo
       }
     }
   }
-  return {{total_of(part0), total_of(part1), total_of(part2), total_of(part3)},
-          total_of(squares),
-          total_of(count),
-          total_of(weight_sum),
-          total_of(log_density)};
+  MixtureSums sums = {{}, total_of(squares), total_of(count), total_of(log_density)};
+  for (int k = 0; k < LossModel::kGaussians; ++k) sums.part[k] = total_of(part[k]);
+  return sums;
 }
 
 }  // namespace

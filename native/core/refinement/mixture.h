@@ -23,7 +23,6 @@ struct MixtureSums {
   double part[LossModel::kGaussians];  // matches in each Gaussian
   double squares;                      // of the residuals, by precision
   double count;                        // of the matches
-  double weight;                       // sum of the weights
   double log_likelihood;
 };
 MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights);
