@@ -69,23 +69,13 @@ inline LossSlopes mixture_slopes(double r, const LossModel& m) {
   return {r * mean, mean - r * r * (squares - mean * mean)};
 }
 
+// Of the losses that need no pass over all residuals at once (mixture.h).
 inline LossValue evaluate_loss(double s, const LossModel& m) {
   const double c2 = m.scale * m.scale;
-  switch (m.loss) {
-    case Loss::kSquared:
-      return {s, 1.0};
-    case Loss::kHuber: {
-      if (s <= c2) return {s, 1.0};
-      const double r = std::sqrt(s);
-      return {2.0 * m.scale * r - c2, m.scale / r};
-    }
-    case Loss::kCauchy:
-      return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
-    case Loss::kGemanMcClure:
-    case Loss::kMixture:
-      break;  // whole passes at once: mixture.h
-  }
-  return {s, 1.0};
+  if (m.loss == Loss::kCauchy) return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
+  if (m.loss == Loss::kSquared || s <= c2) return {s, 1.0};
+  const double r = std::sqrt(s);
+  return {2.0 * m.scale * r - c2, m.scale / r};
 }
 
 }  // namespace epi360

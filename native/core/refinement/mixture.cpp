@@ -2,8 +2,6 @@
 #include "core/refinement/mixture.h"
 
 #include <algorithm>
-#include <cstdint>
-#include <cstring>
 
 #include "core/block_sum.h"
 #include "core/constants.h"
@@ -15,42 +13,6 @@ namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-
-EPI360_INLINE std::uint64_t bits_of(double x) {
-  std::uint64_t b;
-  std::memcpy(&b, &x, sizeof b);
-  return b;
-}
-
-EPI360_INLINE double double_of(std::uint64_t b) {
-  double x;
-  std::memcpy(&x, &b, sizeof x);
-  return x;
-}
-
-// Natural logarithm of a positive normal number: e ln 2 + 2 artanh((m - 1) / (m + 1)).
-EPI360_INLINE double log_of(double x) {
-  constexpr double kTwo52 = 4503599627370496.0;
-  const std::uint64_t b = bits_of(x);
-  double exponent = double_of((b >> 52) | 0x4330000000000000ULL) - kTwo52 - 1023.0;
-  double m = double_of((b & 0x000fffffffffffffULL) | 0x3ff0000000000000ULL);
-  const bool large = m > 1.4142135623730951;
-  m = large ? 0.5 * m : m;
-  exponent = large ? exponent + 1.0 : exponent;
-  const double f = (m - 1.0) / (m + 1.0), s = f * f;
-  double p = 1.0 / 21.0;
-  p = p * s + 1.0 / 19.0;
-  p = p * s + 1.0 / 17.0;
-  p = p * s + 1.0 / 15.0;
-  p = p * s + 1.0 / 13.0;
-  p = p * s + 1.0 / 11.0;
-  p = p * s + 1.0 / 9.0;
-  p = p * s + 1.0 / 7.0;
-  p = p * s + 1.0 / 5.0;
-  p = p * s + 1.0 / 3.0;
-  p = p * s + 1.0;
-  return exponent * 0.6931471805599453 + 2.0 * f * p;
-}
 
 // As mixture_parts of loss.h, with the constants of the model at hand.
 struct Model {
@@ -116,13 +78,14 @@ EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& mo
     std::copy(weight, weight + kBlock, weights + start);
     if (unit) {  // densities are between 1e-4 and 1e6: products of four stay in range
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
-        log_density.lane[lane] += log_of(total[lane] * total[lane + kLanes] *
-                                         total[lane + 2 * kLanes] * total[lane + 3 * kLanes]);
+        log_density.lane[lane] += vector_log(total[lane] * total[lane + kLanes] *
+                                             total[lane + 2 * kLanes] * total[lane + 3 * kLanes]);
       }
     } else {
       for (std::size_t group = 0; group < kBlock; group += kLanes) {
         for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          log_density.lane[lane] += pass.weight[start + group + lane] * log_of(total[group + lane]);
+          log_density.lane[lane] +=
+              pass.weight[start + group + lane] * vector_log(total[group + lane]);
         }
       }
     }

@@ -3,10 +3,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <cstring>
 
 #include "core/multiversion.h"
+#include "core/vector_exp.h"
 
 namespace epi360 {
 namespace {
@@ -276,9 +275,8 @@ int real_roots(const double* coefficients, int degree, double* roots) {
   // than all the rest.
   double exponent = -1000.0;
   for (int k = 0; k < degree; ++k) {
-    std::uint64_t bits;
-    std::memcpy(&bits, &c[k], sizeof bits);
-    const double above = static_cast<double>((bits >> 52) & 0x7ff) - 1022.0;  // |c[k]| < 2^above
+    const double above =
+        static_cast<double>((bits_of(c[k]) >> 52) & 0x7ff) - 1022.0;  // |c[k]| < 2^above
     exponent = std::max(exponent, above * kInverse[degree - k]);
   }
   const double bound = std::ldexp(2.0, static_cast<int>(std::ceil(exponent)));
