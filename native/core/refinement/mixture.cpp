@@ -5,7 +5,6 @@
 
 #include "core/block_sum.h"
 #include "core/constants.h"
-#include "core/matches.h"
 #include "core/multiversion.h"
 #include "core/vector_exp.h"
 
@@ -56,17 +55,18 @@ struct LaneSum {
 EPI360_INLINE double total_of(const LaneSum& s) { return lane_sum(s.lane); }
 
 template <bool unit>
-EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
+EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
+                                    const double* in_front, const LossModel& loss,
                                     double* weights) {
-  const Model m = prepared(model);
+  const Model model = prepared(loss);
   LaneSum part[LossModel::kGaussians], squares, count, log_density;
   double weight[kBlock], total[kBlock];
-  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
+  for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t group = 0; group < kBlock; group += kLanes) {
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
         const std::size_t j = group + lane, i = start + j;
-        const double r = pass.residuals[i], own = pass.weight[i];
-        const MixtureParts p = parts_at(r, pass.in_front[i], m);
+        const double r = residuals[i], own = m.weight[i];
+        const MixtureParts p = parts_at(r, in_front[i], model);
         const double all = p.total(), share = own / all;
         for (int k = 0; k < LossModel::kGaussians; ++k) part[k].lane[lane] += share * p.gaussian[k];
         weight[j] = share * precision_of(p.gaussian);
@@ -85,7 +85,7 @@ EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& mo
       for (std::size_t group = 0; group < kBlock; group += kLanes) {
         for (std::size_t lane = 0; lane < kLanes; ++lane) {
           log_density.lane[lane] +=
-              pass.weight[start + group + lane] * vector_log(total[group + lane]);
+              m.weight[start + group + lane] * vector_log(total[group + lane]);
         }
       }
     }
@@ -98,23 +98,24 @@ EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& mo
 }  // namespace
 
 EPI360_MULTIVERSION
-MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights) {
-  return pass.unit_weights ? pass_loop<true>(pass, model, weights)
-                           : pass_loop<false>(pass, model, weights);
+MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* in_front,
+                         const LossModel& model, double* weights) {
+  return m.unit_weights ? pass_loop<true>(m, residuals, in_front, model, weights)
+                        : pass_loop<false>(m, residuals, in_front, model, weights);
 }
 
 EPI360_MULTIVERSION
-double geman_mcclure_pass(const MixturePass& pass, double scale, double* weights) {
+double geman_mcclure_pass(const Matches& m, const double* residuals, const double* in_front,
+                          double scale, double* weights) {
   const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;
   LaneSum cost;
-  for (std::size_t start = 0; start < pass.padded; start += kLanes) {
+  for (std::size_t start = 0; start < m.padded; start += kLanes) {
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
       const std::size_t i = start + lane;
-      const double s = pass.residuals[i] * pass.residuals[i], own = pass.weight[i];
+      const double s = residuals[i] * residuals[i], own = m.weight[i], front = in_front[i];
       const double d = 1.0 / (1.0 + s * inverse);
-      const double in_front = pass.in_front[i];
-      weights[i] = own * d * d * in_front;
-      cost.lane[lane] += own * (s * d * in_front + squared_scale * (1.0 - in_front));
+      weights[i] = own * d * d * front;
+      cost.lane[lane] += own * (s * d * front + squared_scale * (1.0 - front));
     }
   }
   return total_of(cost);
