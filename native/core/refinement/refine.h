@@ -7,9 +7,9 @@
 #include "core/constants.h"
 #include "core/matches.h"
 #include "core/pose.h"
-#include "core/refinement/pose_prior.h"
 #include "core/refinement/loss.h"
 #include "core/refinement/mixture.h"
+#include "core/refinement/pose_prior.h"
 #include "core/residuals/residuals.h"
 
 namespace epi360 {
