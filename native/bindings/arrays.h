@@ -43,4 +43,11 @@ Matches to_matches(const Bearings& bearings1, const Bearings& bearings2,
 [[noreturn]] void refuse(const char* what, const std::string& name);
 Residual residual_named(const std::string& name);
 
+// The result of a computation without Python's lock.
+template <typename Compute>
+auto unlocked(const Compute& compute) {
+  nb::gil_scoped_release release;
+  return compute();
+}
+
 }  // namespace epi360

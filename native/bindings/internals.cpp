@@ -107,10 +107,6 @@ nb::tuple run_loop(std::uint32_t num_matches, double inlier_share, int min_itera
   return nb::make_tuple(result.model, result.score, result.num_iterations);
 }
 
-std::vector<unsigned char> everything(const Matches& m) {
-  return std::vector<unsigned char>(m.size, 1);
-}
-
 }  // namespace
 
 void bind_internals(nb::module_& module) {
@@ -153,8 +149,8 @@ void bind_internals(nb::module_& module) {
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double gate) {
         const Matches matches = to_matches(b1, b2);
         double share = 0.0;
-        const Eigen::Vector3d n =
-            fit_plane(matches, to_pose(R, t), everything(matches), gate, &share);
+        const std::vector<unsigned char> all(matches.size, 1);
+        const Eigen::Vector3d n = fit_plane(matches, to_pose(R, t), all, gate, &share);
         return nb::make_tuple(vector(n), share);
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "gate"_a);

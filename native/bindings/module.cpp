@@ -110,20 +110,14 @@ NB_MODULE(_core, m) {
   m.def(
       "eight_point",
       [](Bearings b1, Bearings b2, std::optional<Weights> weights) {
-        Eigen::Matrix3d E;
         const Matches m = to_matches(b1, b2, weights);
-        {
-          nb::gil_scoped_release unlocked;
-          E = eight_point(m);
-        }
-        return matrix(E);
+        return matrix(unlocked([&] { return eight_point(m); }));
       },
       "bearings1"_a, "bearings2"_a, "weights"_a.none() = nb::none());
   m.def(
       "pose_from_essential",
       [](Matrix3 E, Bearings b1, Bearings b2) {
-        const RelativePose pose = pose_from_essential(to_matches(b1, b2), to_matrix(E));
-        return pose_tuple(pose);
+        return pose_tuple(pose_from_essential(to_matches(b1, b2), to_matrix(E)));
       },
       "E"_a, "bearings1"_a, "bearings2"_a);
   m.def(

@@ -43,11 +43,8 @@ nb::tuple paper_pose_binding(const Bearings& b1, const Bearings& b2, const std::
   if (!paper_method_named(name, &method)) refuse("method", name);
   const SkSearch search = search_named(sk_search);
   const Parameterization chart = parameterization_named(parameterization);
-  PaperPose result;
-  {
-    nb::gil_scoped_release unlocked;
-    result = paper_pose(at_least_eight(b1, b2), method, search, chart);
-  }
+  const PaperPose result =
+      unlocked([&] { return paper_pose(at_least_eight(b1, b2), method, search, chart); });
   return nb::make_tuple(matrix(result.cam2_from_cam1.R), vector(result.cam2_from_cam1.t), result.S,
                         result.K, result.cost, result.num_evaluations, result.num_iterations,
                         result.converged);
@@ -57,25 +54,20 @@ nb::tuple solve_linear_binding(const Bearings& b1, const Bearings& b2, const std
                                bool taubin, double S, double K, std::optional<Weights> weights) {
   const Normalization normalization = normalization_named(name);
   const Constraint constraint = taubin ? Constraint::kTaubin : Constraint::kUnit;
-  LinearSolution solution;
-  {
-    nb::gil_scoped_release unlocked;
-    const Matches m = at_least_eight(b1, b2, weights);
-    solution = solve_linear(m, normalization, constraint, S, K);
-  }
+  const LinearSolution solution = unlocked([&] {
+    return solve_linear(at_least_eight(b1, b2, weights), normalization, constraint, S, K);
+  });
   return nb::make_tuple(matrix(solution.E), matrix(solution.N1), matrix(solution.N2));
 }
 
 nb::tuple search_sk_binding(const Bearings& b1, const Bearings& b2, const std::string& sk_search,
                             std::optional<Weights> weights) {
   const SkSearch search = search_named(sk_search);
-  SkResult result;
-  {
-    nb::gil_scoped_release unlocked;
+  const SkResult result = unlocked([&] {
     const Matches m = at_least_eight(b1, b2, weights);
     SkCost cost(m);
-    result = epi360::search_sk(cost, search);
-  }
+    return epi360::search_sk(cost, search);
+  });
   return nb::make_tuple(result.S, result.K, result.cost, result.num_evaluations);
 }
 

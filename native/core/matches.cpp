@@ -8,15 +8,6 @@ std::size_t padded_size(std::size_t n) {
   return (n + Matches::kBlock - 1) / Matches::kBlock * Matches::kBlock;
 }
 
-// All arrays, with the value that each has in the padding match.
-template <typename Visit>
-void for_each_array(Matches& m, const Visit& visit) {
-  for (auto array : {&Matches::x1, &Matches::y2}) visit(m.*array, 1.0);
-  for (auto array : {&Matches::y1, &Matches::z1, &Matches::x2, &Matches::z2, &Matches::weight}) {
-    visit(m.*array, 0.0);
-  }
-}
-
 }  // namespace
 
 std::array<std::vector<double>*, 6> jacobian_columns(Matches& m, int view) {
@@ -24,28 +15,35 @@ std::array<std::vector<double>*, 6> jacobian_columns(Matches& m, int view) {
   return {&m.u2x, &m.v2x, &m.u2y, &m.v2y, &m.u2z, &m.v2z};
 }
 
+// All arrays, with the value that each has in the padding match.
+template <typename Visit>
+void for_each_array(Matches& m, bool with_jacobians, const Visit& visit) {
+  for (auto array : {&Matches::x1, &Matches::y2}) visit(m.*array, 1.0);
+  for (auto array : {&Matches::y1, &Matches::z1, &Matches::x2, &Matches::z2, &Matches::weight}) {
+    visit(m.*array, 0.0);
+  }
+  for (int view = 1; with_jacobians && view <= 2; ++view) {
+    for (std::vector<double>* column : jacobian_columns(m, view)) visit(*column, 1.0);
+  }
+}
+
 Matches padding_matches(std::size_t n, bool with_jacobians) {
   Matches m;
   m.size = n;
   m.padded = padded_size(n);
   // The padding match counts nothing; residuals.cpp keeps all denominators above zero.
-  for_each_array(m,
-                 [&](std::vector<double>& array, double value) { array.assign(m.padded, value); });
-  if (!with_jacobians) return m;
-  for (const int view : {1, 2}) {
-    for (std::vector<double>* column : jacobian_columns(m, view)) column->assign(m.padded, 1.0);
-  }
+  const auto fill = [&](std::vector<double>& array, double value) {
+    array.assign(m.padded, value);
+  };
+  for_each_array(m, with_jacobians, fill);
   return m;
 }
 
 void truncate(Matches& m, std::size_t n) {
   m.size = n;
   m.padded = padded_size(n);
-  for_each_array(m, [&](std::vector<double>& array, double) { array.resize(m.padded); });
-  if (!m.has_jacobians()) return;
-  for (const int view : {1, 2}) {
-    for (std::vector<double>* column : jacobian_columns(m, view)) column->resize(m.padded);
-  }
+  for_each_array(m, m.has_jacobians(),
+                 [&](std::vector<double>& array, double) { array.resize(m.padded); });
 }
 
 void set_bearings(Matches& m, std::size_t i, const double* bearing1, const double* bearing2) {

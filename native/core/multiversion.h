@@ -15,6 +15,8 @@
 
 #if defined(_MSC_VER)
 #define EPI360_INLINE static __forceinline
+#define EPI360_INLINE_LAMBDA  // [&](...) EPI360_INLINE_LAMBDA { ... }
 #else
 #define EPI360_INLINE static inline __attribute__((always_inline))
+#define EPI360_INLINE_LAMBDA __attribute__((always_inline))
 #endif

@@ -11,8 +11,9 @@
 namespace epi360 {
 namespace {
 
-using Matrix5 = Eigen::Matrix<double, 5, 5>;
-using Vector5 = Eigen::Matrix<double, 5, 1>;
+constexpr int kMaxIterations = 100;
+constexpr double kStepTolerance = 1e-10;
+
 using Basis = Eigen::Matrix<double, 3, 2>;
 
 // Steps w, d: R' = exp([w]x) R, t' = (t + B d) / |.|, B the tangent basis at t.
@@ -83,7 +84,13 @@ class Linearisation {
     if (reweight_ != Weighting::kNone) {
       residual_weights(m_, residuals_.data(), reweight_, weights_.data());
     }
-    set_normal_equations(Chart::lift(pose, basis));
+    double upper[15];
+    Vector5 gradient;
+    accumulate_normal_equations(m_.padded, jacobian_.data(), residuals_.data(), weights_.data(),
+                                upper, gradient.data());
+    const typename Chart::Lift lift = Chart::lift(pose, basis);
+    hessian_ = lift.transpose() * symmetric(upper) * lift;
+    gradient_ = lift.transpose() * gradient;
     return weighted_squares(m_, residuals_.data(), weights_.data());
   }
   // Under the weights of the last move.
@@ -103,15 +110,6 @@ class Linearisation {
   Basis basis;  // at the current direction
 
  private:
-  void set_normal_equations(const typename Chart::Lift& lift) {
-    double upper[15];
-    Vector5 gradient;
-    accumulate_normal_equations(m_.padded, jacobian_.data(), residuals_.data(), weights_.data(),
-                                upper, gradient.data());
-    hessian_ = lift.transpose() * symmetric(upper) * lift;
-    gradient_ = lift.transpose() * gradient;
-  }
-
   const Matches& m_;
   std::vector<double>& weights_;
   Weighting reweight_;
@@ -122,16 +120,16 @@ class Linearisation {
 
 template <typename Chart>
 GsmResult minimise(const Matches& m, const RelativePose& start, std::vector<double>& weights,
-                   const GsmOptions& options) {
-  Linearisation<Chart> here(m, weights, options.reweight);
+                   Weighting reweight) {
+  Linearisation<Chart> here(m, weights, reweight);
   GsmResult result;
   result.cam2_from_cam1 = start;
   result.cost = here.move_to(start);
   double damping = 1e-4;
-  while (result.num_iterations < options.max_iterations && !result.converged) {
+  while (result.num_iterations < kMaxIterations && !result.converged) {
     ++result.num_iterations;
     const typename Chart::Vector step = here.step(damping);
-    result.converged = !(step.norm() >= options.step_tolerance);
+    result.converged = !(step.norm() >= kStepTolerance);
     if (result.converged) break;
     const RelativePose candidate = Chart::moved(result.cam2_from_cam1, here.basis, step);
     if (here.cost_at(candidate) < result.cost) {
@@ -150,10 +148,10 @@ GsmResult minimise(const Matches& m, const RelativePose& start, std::vector<doub
 }  // namespace
 
 GsmResult gold_standard(const Matches& m, const RelativePose& start, std::vector<double>& weights,
-                        const GsmOptions& options) {
-  return options.parameterization == Parameterization::kSe3
-             ? minimise<Se3>(m, start, weights, options)
-             : minimise<Manifold>(m, start, weights, options);
+                        Parameterization parameterization, Weighting reweight) {
+  return parameterization == Parameterization::kSe3
+             ? minimise<Se3>(m, start, weights, reweight)
+             : minimise<Manifold>(m, start, weights, reweight);
 }
 
 }  // namespace epi360

@@ -7,30 +7,23 @@
 #include <vector>
 
 #include "core/matches.h"
-#include "core/paper/weights.h"
+#include "core/paper/residuals.h"
 #include "core/pose.h"
 
 namespace epi360 {
 
 enum class Parameterization { kManifold, kSe3 };
 
-struct GsmOptions {
-  Parameterization parameterization = Parameterization::kManifold;
-  Weighting reweight = Weighting::kNone;  // at every iteration; kNone keeps the given weights
-  int max_iterations = 100;
-  double step_tolerance = 1e-10;
-};
-
 struct GsmResult {
   RelativePose cam2_from_cam1;
-  double cost =
-      0.0;  // sum of weight times squared residual, the weights as the last step used them
+  double cost = 0.0;  // sum of weight * residual^2, the weights as the last step used them
   int num_iterations = 0;
   bool converged = false;
 };
 
-// weights: m.padded entries, zero on the padding; changed if options.reweight says so.
+// weights: m.padded entries, zero on the padding; kNone keeps them, others set them at every
+// iteration.
 GsmResult gold_standard(const Matches& m, const RelativePose& start, std::vector<double>& weights,
-                        const GsmOptions& options);
+                        Parameterization parameterization, Weighting reweight);
 
 }  // namespace epi360

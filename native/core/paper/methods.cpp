@@ -92,18 +92,14 @@ RelativePose pose_from_essential(const Matches& m, const Eigen::Matrix3d& E) {
 PaperPose paper_pose(const Matches& m, const PaperMethod& method, SkSearch search,
                      Parameterization parameterization) {
   PaperPose result;
+  result.converged = true;
   const Eigen::Matrix3d E = linear_part(m, method, search, result);
   result.cam2_from_cam1 = pose_from_essential(m, E);
   if (!method.gold_standard) return result;
   std::vector<double> weights = constant_weights(m, method, E, result.cam2_from_cam1);
-  GsmOptions options;
-  options.parameterization = parameterization;
-  options.reweight = method.reweight ? method.weighting : Weighting::kNone;
-  const GsmResult refined = gold_standard(m, result.cam2_from_cam1, weights, options);
-  result.cam2_from_cam1 = refined.cam2_from_cam1;
-  result.cost = refined.cost;
-  result.num_iterations = refined.num_iterations;
-  result.converged = refined.converged;
+  static_cast<GsmResult&>(result) =
+      gold_standard(m, result.cam2_from_cam1, weights, parameterization,
+                    method.reweight ? method.weighting : Weighting::kNone);
   return result;
 }
 

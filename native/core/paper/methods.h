@@ -26,13 +26,10 @@ struct PaperMethod {
 // False if there is no method of this name.
 bool paper_method_named(const std::string& name, PaperMethod* method);
 
-struct PaperPose {
-  RelativePose cam2_from_cam1;
+// The cost is that of the search (eq. 14) without a gold standard, zero without both.
+struct PaperPose : GsmResult {
   double S = 1.0, K = 1.0;
-  double cost = 0.0;        // sum of |eq. 13| (eq. 14) of the search, of eq. 15 if there is a GSM
   int num_evaluations = 0;  // of the search
-  int num_iterations = 0;   // of the GSM
-  bool converged = true;
 };
 
 // At least eight matches, all of weight one. Throws std::domain_error as solve_linear does.

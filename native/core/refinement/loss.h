@@ -44,10 +44,7 @@ inline MixtureParts mixture_parts(double s, const LossModel& m) {
   double height = peak / 64.0;
   for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
     p.gaussian[k] = m.share[k] * height * e;
-    e *= e;
-    e *= e;
-    e *= e;
-    e *= e;
+    for (int squaring = 0; squaring < 4; ++squaring) e *= e;
     height *= 4.0;
   }
   p.uniform = m.uniform_share() * m.outlier_density;
@@ -72,23 +69,13 @@ inline LossSlopes mixture_slopes(double r, const LossModel& m) {
   return {r * mean, mean - r * r * (squares - mean * mean)};
 }
 
+// Of the losses that need no pass over all residuals at once (mixture.h).
 inline LossValue evaluate_loss(double s, const LossModel& m) {
   const double c2 = m.scale * m.scale;
-  switch (m.loss) {
-    case Loss::kSquared:
-      return {s, 1.0};
-    case Loss::kHuber: {
-      if (s <= c2) return {s, 1.0};
-      const double r = std::sqrt(s);
-      return {2.0 * m.scale * r - c2, m.scale / r};
-    }
-    case Loss::kCauchy:
-      return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
-    case Loss::kGemanMcClure:
-    case Loss::kMixture:
-      break;  // whole passes at once: mixture.h
-  }
-  return {s, 1.0};
+  if (m.loss == Loss::kCauchy) return {c2 * std::log1p(s / c2), 1.0 / (1.0 + s / c2)};
+  if (m.loss == Loss::kSquared || s <= c2) return {s, 1.0};
+  const double r = std::sqrt(s);
+  return {2.0 * m.scale * r - c2, m.scale / r};
 }
 
 }  // namespace epi360

@@ -2,12 +2,9 @@
 #include "core/refinement/mixture.h"
 
 #include <algorithm>
-#include <cstdint>
-#include <cstring>
 
 #include "core/block_sum.h"
 #include "core/constants.h"
-#include "core/matches.h"
 #include "core/multiversion.h"
 #include "core/vector_exp.h"
 
@@ -15,46 +12,6 @@ namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-
-EPI360_INLINE std::uint64_t bits_of(double x) {
-  std::uint64_t b;
-  std::memcpy(&b, &x, sizeof b);
-  return b;
-}
-
-EPI360_INLINE double double_of(std::uint64_t b) {
-  double x;
-  std::memcpy(&x, &b, sizeof x);
-  return x;
-}
-
-// Natural logarithm of a positive normal number: e ln 2 + 2 artanh((m - 1) / (m + 1)).
-EPI360_INLINE double log_of(double x) {
-  constexpr double kTwo52 = 4503599627370496.0;
-  const std::uint64_t b = bits_of(x);
-  double exponent = double_of((b >> 52) | 0x4330000000000000ULL) - kTwo52 - 1023.0;
-  double m = double_of((b & 0x000fffffffffffffULL) | 0x3ff0000000000000ULL);
-  const bool large = m > 1.4142135623730951;
-  m = large ? 0.5 * m : m;
-  exponent = large ? exponent + 1.0 : exponent;
-  const double f = (m - 1.0) / (m + 1.0), s = f * f;
-  double p = 1.0 / 21.0;
-  p = p * s + 1.0 / 19.0;
-  p = p * s + 1.0 / 17.0;
-  p = p * s + 1.0 / 15.0;
-  p = p * s + 1.0 / 13.0;
-  p = p * s + 1.0 / 11.0;
-  p = p * s + 1.0 / 9.0;
-  p = p * s + 1.0 / 7.0;
-  p = p * s + 1.0 / 5.0;
-  p = p * s + 1.0 / 3.0;
-  p = p * s + 1.0;
-  return exponent * 0.6931471805599453 + 2.0 * f * p;
-}
-
-struct Parts {
-  double g0, g1, g2, g3, uniform;
-};
 
 // As mixture_parts of loss.h, with the constants of the model at hand.
 struct Model {
@@ -75,34 +32,20 @@ EPI360_INLINE Model prepared(const LossModel& m) {
   return out;
 }
 
-EPI360_INLINE Parts parts_at(double residual, double in_front, const Model& m) {
-  Parts p;
+EPI360_INLINE MixtureParts parts_at(double residual, double in_front, const Model& m) {
+  MixtureParts p;
   double e = vector_exp(residual * residual * m.factor) * in_front;
-  p.g3 = m.height[3] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g2 = m.height[2] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g1 = m.height[1] * e;
-  e *= e;
-  e *= e;
-  e *= e;
-  e *= e;
-  p.g0 = m.height[0] * e;
+  for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
+    p.gaussian[k] = m.height[k] * e;
+    for (int squaring = 0; squaring < 4; ++squaring) e *= e;
+  }
   p.uniform = m.uniform;
   return p;
 }
 
-EPI360_INLINE double precision_of(const Parts& p) {
-  return p.g0 + p.g1 / 16.0 + p.g2 / 256.0 + p.g3 / 4096.0;
+EPI360_INLINE double precision_of(const double* g) {
+  return g[0] + g[1] / 16.0 + g[2] / 256.0 + g[3] / 4096.0;
 }
-
-EPI360_INLINE double total_of(const Parts& p) { return p.g0 + p.g1 + p.g2 + p.g3 + p.uniform; }
 
 // Sums of all matches in eight lanes: see accumulate_normal_equations.
 struct LaneSum {
@@ -112,25 +55,22 @@ struct LaneSum {
 EPI360_INLINE double total_of(const LaneSum& s) { return lane_sum(s.lane); }
 
 template <bool unit>
-EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& model,
+EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
+                                    const double* in_front, const LossModel& loss,
                                     double* weights) {
-  const Model m = prepared(model);
-  LaneSum part0, part1, part2, part3, squares, weight_sum, count, log_density;
+  const Model model = prepared(loss);
+  LaneSum part[LossModel::kGaussians], squares, count, log_density;
   double weight[kBlock], total[kBlock];
-  for (std::size_t start = 0; start < pass.padded; start += kBlock) {
+  for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t group = 0; group < kBlock; group += kLanes) {
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
         const std::size_t j = group + lane, i = start + j;
-        const double r = pass.residuals[i], own = pass.weight[i];
-        const Parts p = parts_at(r, pass.in_front[i], m);
-        const double all = total_of(p), share = own / all;
-        part0.lane[lane] += share * p.g0;
-        part1.lane[lane] += share * p.g1;
-        part2.lane[lane] += share * p.g2;
-        part3.lane[lane] += share * p.g3;
-        weight[j] = share * precision_of(p);
+        const double r = residuals[i], own = m.weight[i];
+        const MixtureParts p = parts_at(r, in_front[i], model);
+        const double all = p.total(), share = own / all;
+        for (int k = 0; k < LossModel::kGaussians; ++k) part[k].lane[lane] += share * p.gaussian[k];
+        weight[j] = share * precision_of(p.gaussian);
         squares.lane[lane] += weight[j] * r * r;
-        weight_sum.lane[lane] += weight[j];
         count.lane[lane] += own;
         total[j] = unit && own == 0.0 ? 1.0 : all;
       }
@@ -138,44 +78,44 @@ EPI360_INLINE MixtureSums pass_loop(const MixturePass& pass, const LossModel& mo
     std::copy(weight, weight + kBlock, weights + start);
     if (unit) {  // densities are between 1e-4 and 1e6: products of four stay in range
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
-        log_density.lane[lane] += log_of(total[lane] * total[lane + kLanes] *
-                                         total[lane + 2 * kLanes] * total[lane + 3 * kLanes]);
+        log_density.lane[lane] += vector_log(total[lane] * total[lane + kLanes] *
+                                             total[lane + 2 * kLanes] * total[lane + 3 * kLanes]);
       }
     } else {
       for (std::size_t group = 0; group < kBlock; group += kLanes) {
         for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          log_density.lane[lane] += pass.weight[start + group + lane] * log_of(total[group + lane]);
+          log_density.lane[lane] +=
+              m.weight[start + group + lane] * vector_log(total[group + lane]);
         }
       }
     }
   }
-  return {{total_of(part0), total_of(part1), total_of(part2), total_of(part3)},
-          total_of(squares),
-          total_of(count),
-          total_of(weight_sum),
-          total_of(log_density)};
+  MixtureSums sums = {{}, total_of(squares), total_of(count), total_of(log_density)};
+  for (int k = 0; k < LossModel::kGaussians; ++k) sums.part[k] = total_of(part[k]);
+  return sums;
 }
 
 }  // namespace
 
 EPI360_MULTIVERSION
-MixtureSums mixture_pass(const MixturePass& pass, const LossModel& model, double* weights) {
-  return pass.unit_weights ? pass_loop<true>(pass, model, weights)
-                           : pass_loop<false>(pass, model, weights);
+MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* in_front,
+                         const LossModel& model, double* weights) {
+  return m.unit_weights ? pass_loop<true>(m, residuals, in_front, model, weights)
+                        : pass_loop<false>(m, residuals, in_front, model, weights);
 }
 
 EPI360_MULTIVERSION
-double geman_mcclure_pass(const MixturePass& pass, double scale, double* weights) {
+double geman_mcclure_pass(const Matches& m, const double* residuals, const double* in_front,
+                          double scale, double* weights) {
   const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;
   LaneSum cost;
-  for (std::size_t start = 0; start < pass.padded; start += kLanes) {
+  for (std::size_t start = 0; start < m.padded; start += kLanes) {
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
       const std::size_t i = start + lane;
-      const double s = pass.residuals[i] * pass.residuals[i], own = pass.weight[i];
+      const double s = residuals[i] * residuals[i], own = m.weight[i], front = in_front[i];
       const double d = 1.0 / (1.0 + s * inverse);
-      const double in_front = pass.in_front[i];
-      weights[i] = own * d * d * in_front;
-      cost.lane[lane] += own * (s * d * in_front + squared_scale * (1.0 - in_front));
+      weights[i] = own * d * d * front;
+      cost.lane[lane] += own * (s * d * front + squared_scale * (1.0 - front));
     }
   }
   return total_of(cost);

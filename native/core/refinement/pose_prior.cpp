@@ -2,7 +2,6 @@
 #include "core/refinement/pose_prior.h"
 
 #include <Eigen/Geometry>
-#include <cmath>
 
 namespace epi360 {
 namespace {
@@ -38,15 +37,6 @@ void PosePrior::accumulate(const RelativePose& pose, const Eigen::Matrix<double,
   const double precision = factor / (elevation_sigma * elevation_sigma);
   hessian.bottomRightCorner<2, 2>() += precision * slope * slope.transpose();
   gradient.tail<2>() += precision * pose.t.dot(gravity2) * slope;
-}
-
-double PosePrior::log_gain(const RelativePose& pose) const {
-  if (!has_gravity) return 0.0;
-  // A random rotation turns g1 anywhere on the sphere; a random direction has a sine of elevation
-  // that is uniform in [-1, 1].
-  double gain = std::log(2.0 / tilt_variance(*this));
-  if (elevation_sigma > 0.0) gain += std::log(2.0 * 0.3989422804014327 / elevation_sigma);
-  return gain - cost(pose);
 }
 
 }  // namespace epi360

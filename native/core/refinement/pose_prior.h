@@ -22,9 +22,6 @@ struct PosePrior {
   void accumulate(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& basis, double factor,
                   Eigen::Matrix<double, 5, 5>& hessian,
                   Eigen::Matrix<double, 5, 1>& gradient) const;
-  // How much more probable a pose is than one of which nothing is known: logarithm of the density
-  // over that of random rotations and directions.
-  double log_gain(const RelativePose& pose) const;
 };
 
 }  // namespace epi360

@@ -20,19 +20,16 @@ RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& 
   return next;
 }
 
-MixturePass pass_over(const Matches& m, const Linearisation& at) {
-  return {m.padded, at.residuals.data(), at.in_front.data(), m.weight.data(), m.unit_weights};
-}
-
 // Weights of all matches and what they cost together; the user's weights multiply both.
 void weigh_matches(const Matches& m, const LossModel& loss, Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
-    at.sums = mixture_pass(pass_over(m, at), loss, at.weights.data());
+    at.sums = mixture_pass(m, at.residuals.data(), at.in_front.data(), loss, at.weights.data());
     at.objective = -at.sums.log_likelihood;
     return;
   }
   if (loss.loss == Loss::kGemanMcClure) {
-    at.objective = geman_mcclure_pass(pass_over(m, at), loss.scale, at.weights.data());
+    at.objective = geman_mcclure_pass(m, at.residuals.data(), at.in_front.data(), loss.scale,
+                                      at.weights.data());
     return;
   }
   at.objective = 0.0;
@@ -92,9 +89,7 @@ PlainPose plain(const RelativePose& pose) {
 }
 
 void Linearisation::resize(std::size_t padded) {
-  residuals.resize(padded);
-  in_front.resize(padded);
-  weights.resize(padded);
+  for (auto* array : {&residuals, &in_front, &weights}) array->resize(padded);
   jacobian.resize(5 * padded);
 }
 

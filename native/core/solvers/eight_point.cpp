@@ -5,7 +5,6 @@
 
 #include "core/bearings.h"
 #include "core/solvers/dense.h"
-#include "core/solvers/smallest_eigenvector.h"
 #include "core/solvers/svd3.h"
 
 namespace epi360 {

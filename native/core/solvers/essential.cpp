@@ -3,16 +3,10 @@
 
 #include <Eigen/SVD>
 
+#include "core/solvers/svd3.h"
+
 namespace epi360 {
 namespace {
-
-Eigen::Matrix3d cofactors(const Eigen::Matrix3d& m) {
-  Eigen::Matrix3d c;
-  c.row(0) = m.row(1).cross(m.row(2));
-  c.row(1) = m.row(2).cross(m.row(0));
-  c.row(2) = m.row(0).cross(m.row(1));
-  return c;
-}
 
 Eigen::Matrix3d orthonormalised(const Eigen::Matrix3d& R) {
   return Eigen::Quaterniond(R).normalized().toRotationMatrix();

@@ -3,25 +3,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <cstring>
 
 #include "core/multiversion.h"
+#include "core/vector_exp.h"
 
 namespace epi360 {
 namespace {
 
-constexpr int kMaxDegree = 10;
+constexpr int kMaxDegree = 10, kStack = 64;
 constexpr double kInverse[kMaxDegree + 1] = {0.0,     1.0,     1.0 / 2, 1.0 / 3, 1.0 / 4, 1.0 / 5,
                                              1.0 / 6, 1.0 / 7, 1.0 / 8, 1.0 / 9, 1.0 / 10};
 
-double evaluate(const double* c, int degree, double x) {
-  double value = c[degree];
-  for (int k = degree - 1; k >= 0; --k) value = value * x + c[k];
-  return value;
-}
-
-void evaluate_with_slope(const double* c, int degree, double x, double* value, double* slope) {
+EPI360_INLINE void evaluate_with_slope(const double* c, int degree, double x, double* value,
+                                       double* slope) {
   double p = c[degree], dp = 0.0;
   for (int k = degree - 1; k >= 0; --k) {
     dp = dp * x + p;
@@ -111,7 +105,7 @@ double polish(const double* c, int degree, double low, double high) {
   return x;
 }
 
-struct Interval {
+struct Bracket {
   double low, high;
   int changes_low, changes_high;
 };
@@ -151,25 +145,40 @@ EPI360_INLINE bool extend(const double* a, const double* b, RegularChain& chain)
   }
 }
 
-constexpr int kLanes = 16;
+constexpr int kCuts = 16;
 
 // Sign changes of the chain at each x.
+template <int lanes>
 EPI360_INLINE void count_changes(const RegularChain& c, const double* x, int* changes) {
-  double after[kLanes], value[kLanes], count[kLanes];
-  for (int j = 0; j < kLanes; ++j) {
+  double after[lanes], value[lanes], count[lanes];
+  for (int j = 0; j < lanes; ++j) {
     after[j] = 0.0;
     value[j] = c.last;
     count[j] = 0.0;
   }
   for (int k = kMaxDegree - 1; k >= 0; --k) {
-    for (int j = 0; j < kLanes; ++j) {
+    for (int j = 0; j < lanes; ++j) {
       const double before = (c.slope[k] * x[j] + c.offset[k]) * value[j] - c.drop[k] * after[j];
       count[j] += before * value[j] < 0.0 ? 1.0 : 0.0;
       after[j] = value[j];
       value[j] = before;
     }
   }
-  for (int j = 0; j < kLanes; ++j) changes[j] = static_cast<int>(count[j]);
+  for (int j = 0; j < lanes; ++j) changes[j] = static_cast<int>(count[j]);
+}
+
+// Pushes the parts of a bracket, cut at x, over which the chain changes.
+EPI360_INLINE void split(const Bracket& b, const double* x, const int* changes, Bracket* stack,
+                         int& depth) {
+  double from = b.low;
+  int above = b.changes_low;
+  for (int j = 0; j <= kCuts; ++j) {
+    const double to = j < kCuts ? x[j] : b.high;
+    const int below = j < kCuts ? changes[j] : b.changes_high;
+    if (above > below && depth < kStack) stack[depth++] = {from, to, above, below};
+    from = to;
+    above = below;
+  }
 }
 
 constexpr int kTogether = 4;
@@ -178,17 +187,12 @@ constexpr int kTogether = 4;
 EPI360_INLINE void polish_four(const double* c, double* low, double* high, double* x) {
   double sign[kTogether], step[kTogether];
   for (int j = 0; j < kTogether; ++j) {
-    double value = c[kMaxDegree];
-    for (int k = kMaxDegree - 1; k >= 0; --k) value = value * low[j] + c[k];
-    sign[j] = value < 0.0 ? -1.0 : 1.0;
+    sign[j] = evaluate(c, kMaxDegree, low[j]) < 0.0 ? -1.0 : 1.0;
   }
   for (int iteration = 0; iteration < 60; ++iteration) {
     for (int j = 0; j < kTogether; ++j) {
-      double p = c[kMaxDegree], slope = 0.0;
-      for (int k = kMaxDegree - 1; k >= 0; --k) {
-        slope = slope * x[j] + p;
-        p = p * x[j] + c[k];
-      }
+      double p, slope;
+      evaluate_with_slope(c, kMaxDegree, x[j], &p, &slope);
       const bool beyond = p * sign[j] > 0.0;  // the sign of the lower end: the root lies above
       low[j] = beyond ? x[j] : low[j];
       high[j] = beyond ? high[j] : x[j];
@@ -204,13 +208,8 @@ EPI360_INLINE void polish_four(const double* c, double* low, double* high, doubl
 }
 
 // Cuts of the real line: roots spread over orders of magnitude.
-constexpr double kGrid[kLanes] = {-64.0, -16.0, -6.0, -2.5, -1.2, -0.6, -0.25, 0.0,
-                                  0.25,  0.6,   1.2,  2.5,  6.0,  16.0, 64.0,  64.0};
-
-struct Bracket {
-  double low, high;
-  int changes_low, changes_high;
-};
+constexpr double kGrid[kCuts - 1] = {-64.0, -16.0, -6.0, -2.5, -1.2, -0.6, -0.25, 0.0,
+                                     0.25,  0.6,   1.2,  2.5,  6.0,  16.0, 64.0};
 
 // Roots of a monic polynomial of degree ten; -1 where the chain is not regular.
 EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
@@ -219,30 +218,17 @@ EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
   RegularChain chain;
   if (!extend<kMaxDegree>(c, slope, chain)) return -1;
 
-  double x[kLanes];
-  int changes[kLanes];
-  double cuts[kLanes + 1] = {-bound};
-  int num_cuts = 1;
-  for (int j = 0; j < kLanes - 1; ++j) {
-    if (std::abs(kGrid[j]) < bound) cuts[num_cuts++] = kGrid[j];
+  double x[kCuts];
+  int changes[kCuts], num_cuts = 0, depth = 0, found = 0;
+  for (const double at : kGrid) {
+    if (std::abs(at) < bound) x[num_cuts++] = at;
   }
-  cuts[num_cuts++] = bound;
-  for (int j = 0; j < kLanes; ++j) x[j] = cuts[std::min(j + 1, num_cuts - 1)];
-  count_changes(chain, x, changes);
-  Bracket stack[64];
-  int depth = 0;
-  double first[kLanes];
-  int first_changes[kLanes];
-  for (int j = 0; j < kLanes; ++j) first[j] = -bound;
-  count_changes(chain, first, first_changes);
-  int before = first_changes[0];
-  for (int j = 1; j < num_cuts; ++j) {
-    const int here = changes[j - 1];
-    if (before > here) stack[depth++] = {cuts[j - 1], cuts[j], before, here};
-    before = here;
-  }
+  std::fill(x + num_cuts, x + kCuts, bound);
+  count_changes<kCuts>(chain, x, changes);
+  Bracket stack[kStack], whole{-bound, bound, 0, changes[kCuts - 1]};
+  count_changes<1>(chain, &whole.low, &whole.changes_low);
+  split(whole, x, changes, stack, depth);
   double low[kMaxDegree + kTogether], high[kMaxDegree + kTogether];
-  int found = 0;
   while (depth > 0 && found < kMaxDegree) {
     const Bracket b = stack[--depth];
     const int count = b.changes_low - b.changes_high;
@@ -253,17 +239,9 @@ EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
       high[found++] = b.high;
       continue;
     }
-    for (int j = 0; j < kLanes; ++j) x[j] = b.low + (b.high - b.low) * (j + 1) / (kLanes + 1);
-    count_changes(chain, x, changes);
-    double from = b.low;
-    int above = b.changes_low;
-    for (int j = 0; j <= kLanes; ++j) {
-      const double to = j < kLanes ? x[j] : b.high;
-      const int below = j < kLanes ? changes[j] : b.changes_high;
-      if (above > below && depth < 64) stack[depth++] = {from, to, above, below};
-      from = to;
-      above = below;
-    }
+    for (int j = 0; j < kCuts; ++j) x[j] = b.low + (b.high - b.low) * (j + 1) / (kCuts + 1);
+    count_changes<kCuts>(chain, x, changes);
+    split(b, x, changes, stack, depth);
   }
   if (found == 0) return 0;
   for (int j = found; j < found + kTogether; ++j) {  // lanes that nobody reads
@@ -297,9 +275,8 @@ int real_roots(const double* coefficients, int degree, double* roots) {
   // than all the rest.
   double exponent = -1000.0;
   for (int k = 0; k < degree; ++k) {
-    std::uint64_t bits;
-    std::memcpy(&bits, &c[k], sizeof bits);
-    const double above = static_cast<double>((bits >> 52) & 0x7ff) - 1022.0;  // |c[k]| < 2^above
+    const double above =
+        static_cast<double>((bits_of(c[k]) >> 52) & 0x7ff) - 1022.0;  // |c[k]| < 2^above
     exponent = std::max(exponent, above * kInverse[degree - k]);
   }
   const double bound = std::ldexp(2.0, static_cast<int>(std::ceil(exponent)));
@@ -309,11 +286,11 @@ int real_roots(const double* coefficients, int degree, double* roots) {
     if (count >= 0) return count;
   }
   const SturmChain chain(c, degree);
-  Interval stack[64];
+  Bracket stack[kStack];
   int depth = 0, found = 0;
   stack[depth++] = {-bound, bound, chain.sign_changes(-bound), chain.sign_changes(bound)};
   while (depth > 0 && found < degree) {
-    const Interval i = stack[--depth];
+    const Bracket i = stack[--depth];
     const int count = i.changes_low - i.changes_high;
     if (count <= 0) continue;
     const double middle = cut(i.low, i.high);

@@ -2,7 +2,15 @@
 // Real roots of a polynomial by Sturm's theorem.
 #pragma once
 
+#include "core/multiversion.h"
+
 namespace epi360 {
+
+EPI360_INLINE double evaluate(const double* coefficients, int degree, double x) {
+  double value = coefficients[degree];
+  for (int k = degree - 1; k >= 0; --k) value = value * x + coefficients[k];
+  return value;
+}
 
 // coefficients[k] belongs to x^k, degree <= 10. Writes the distinct real roots, in ascending
 // order, and returns their number.

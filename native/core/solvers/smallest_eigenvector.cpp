@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "core/solvers/smallest_eigenvector.h"
-
 #include <cmath>
 #include <limits>
 
 #include "core/multiversion.h"
+#include "core/solvers/gram.h"
 
 namespace epi360 {
 namespace {

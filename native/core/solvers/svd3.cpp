@@ -43,10 +43,7 @@ void sort_columns(Svd3& svd) {
 // vectors and the values s2 s3, s1 s3 and s1 s2: the wanted one dominates P = C^T C, and ever more
 // its powers. False where s2 and s3 are too close for that.
 bool smallest_direction(const Eigen::Matrix3d& M, Eigen::Vector3d* v) {
-  Eigen::Matrix3d C;
-  C.col(0) = M.col(1).cross(M.col(2));
-  C.col(1) = M.col(2).cross(M.col(0));
-  C.col(2) = M.col(0).cross(M.col(1));
+  const Eigen::Matrix3d C = cofactors(M);
   Eigen::Matrix3d P = C.transpose() * C;
   constexpr int kMaxSquarings = 12;
   for (int k = 0; k < kMaxSquarings; ++k) {
@@ -63,6 +60,12 @@ bool smallest_direction(const Eigen::Matrix3d& M, Eigen::Vector3d* v) {
 }
 
 }  // namespace
+
+Eigen::Matrix3d cofactors(const Eigen::Matrix3d& M) {
+  Eigen::Matrix3d C;
+  for (int k = 0; k < 3; ++k) C.col(k) = M.col((k + 1) % 3).cross(M.col((k + 2) % 3));
+  return C;
+}
 
 Svd3 svd3(const Eigen::Matrix3d& M) {
   Svd3 svd{M, Eigen::Matrix3d::Identity(), Eigen::Vector3d::Zero()};

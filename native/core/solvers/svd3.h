@@ -14,6 +14,8 @@ struct Svd3 {
   Eigen::Vector3d lengths;
 };
 
+Eigen::Matrix3d cofactors(const Eigen::Matrix3d& M);
+
 Svd3 svd3(const Eigen::Matrix3d& M);
 
 // M without its smallest singular value, scaled to ||M||_F = sqrt 2.

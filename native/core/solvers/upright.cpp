@@ -8,24 +8,16 @@
 namespace epi360 {
 namespace {
 
-// Ry(theta) b1 x b2 = constant + cosine cos(theta) + sine sin(theta).
-struct Row {
-  Eigen::Vector3d constant, cosine, sine;
-};
-
-Row row_of(const Eigen::Vector3d& b1, const Eigen::Vector3d& b2) {
-  return {Eigen::Vector3d(0.0, b1.y(), 0.0).cross(b2),
-          Eigen::Vector3d(b1.x(), 0.0, b1.z()).cross(b2),
-          Eigen::Vector3d(b1.z(), 0.0, -b1.x()).cross(b2)};
-}
-
-// With q = tan(theta / 2), (1 + q^2) times a row is c0 + c1 q + c2 q^2.
+// (1 + q^2) Ry(theta) b1 x b2 = c0 + c1 q + c2 q^2 with q = tan(theta / 2).
 struct Quadratic {
   Eigen::Vector3d c[3];
 };
 
-Quadratic in_half_angle(const Row& row) {
-  return {{row.constant + row.cosine, 2.0 * row.sine, row.constant - row.cosine}};
+Quadratic row_of(const Eigen::Vector3d& b1, const Eigen::Vector3d& b2) {
+  const Eigen::Vector3d constant = Eigen::Vector3d(0.0, b1.y(), 0.0).cross(b2);
+  const Eigen::Vector3d cosine = Eigen::Vector3d(b1.x(), 0.0, b1.z()).cross(b2);
+  const Eigen::Vector3d sine = Eigen::Vector3d(b1.z(), 0.0, -b1.x()).cross(b2);
+  return {{constant + cosine, 2.0 * sine, constant - cosine}};
 }
 
 Eigen::Vector3d at(const Quadratic& p, double q) { return (p.c[2] * q + p.c[1]) * q + p.c[0]; }
@@ -48,7 +40,7 @@ int upright_three_point(const Eigen::Matrix3d& bearings1, const Eigen::Matrix3d&
                         RelativePose* poses) {
   Quadratic rows[3];
   for (int i = 0; i < 3; ++i) {
-    rows[i] = in_half_angle(row_of(upright1 * bearings1.col(i), upright2 * bearings2.col(i)));
+    rows[i] = row_of(upright1 * bearings1.col(i), upright2 * bearings2.col(i));
   }
   // All rows are across t: their determinant, of degree six in q, vanishes.
   double det[7] = {0.0};
@@ -59,12 +51,8 @@ int upright_three_point(const Eigen::Matrix3d& bearings1, const Eigen::Matrix3d&
     }
   }
   // It has the factor 1 + q^2, which no real angle fulfils.
-  double quartic[5];
-  quartic[4] = det[6];
-  quartic[3] = det[5];
-  quartic[2] = det[4] - quartic[4];
-  quartic[1] = det[3] - quartic[3];
-  quartic[0] = det[2] - quartic[2];
+  const double square = det[4] - det[6];
+  const double quartic[5] = {det[2] - square, det[3] - det[5], square, det[5], det[6]};
   double roots[4];
   const int num_roots = real_roots(quartic, 4, roots);
   int count = 0;
