@@ -34,23 +34,7 @@ EXPERIMENTS = tuple(_HOMES)
 
 
 def load_experiment(name: str) -> Experiment:
-    """Function that runs an experiment.
-
-    Parameters
-    ----------
-    name : str
-        One of `EXPERIMENTS`.
-
-    Returns
-    -------
-    run : callable
-        Takes `ReproduceOptions` and a `Progress`, returns an `Outcome`.
-
-    Raises
-    ------
-    ValueError
-        If there is no experiment of this name.
-    """
+    """Function that runs an experiment; ``ValueError`` if `EXPERIMENTS` has no such name."""
     if name not in _HOMES:
         raise ValueError(f"name must be one of {', '.join(EXPERIMENTS)}, got {name!r}")
     module, _, function = _HOMES[name].partition(":")

@@ -26,12 +26,8 @@ class DoubleSphere(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`, but near the axis one radian is fx / (1 + xi) pixels.
     xi : float
         Distance of the spheres, between -1 and 1; mostly a small negative number.
     alpha : float

@@ -66,17 +66,7 @@ class Equirectangular(Camera):
 
     @classmethod
     def for_image(cls, width: int, height: int) -> Equirectangular:
-        """Return the camera of a full panorama of this size.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the image in pixels; 2:1 within half a percent.
-
-        Returns
-        -------
-        camera : Equirectangular
-            Camera of the full sphere.
+        """Return the camera of a full panorama of this size in pixels; 2:1 within half a percent.
 
         Raises
         ------

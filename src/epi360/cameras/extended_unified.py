@@ -27,12 +27,8 @@ class ExtendedUnified(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels (per radian on the axis).
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`; on the axis one radian is fx pixels.
     alpha : float
         From 0 (pinhole) to 1 (orthographic).
     beta : float

@@ -98,19 +98,11 @@ class GPano:
         return np.array([level * math.sin(roll), level * math.cos(roll), -math.sin(pitch)])
 
     def camera(self, width: int, height: int) -> Equirectangular:
-        """Camera of the image.
+        """Camera of the image, of its size in pixels; a resized part still shows the same angles.
 
-        Parameters
-        ----------
-        width, height : int
-            Size of the image; a resized part still shows the same angles.
-
-        Returns
-        -------
-        camera : Equirectangular
-            That of the part. That of a whole panorama if the file states no part, or if the image
-            is 2:1 and the part has another shape: then somebody filled the rest in and left the
-            metadata.
+        It is that of the part. It is that of a whole panorama if the file states no part, or if the
+        image is 2:1 and the part has another shape: then somebody filled the rest in and left the
+        metadata.
 
         Raises
         ------

@@ -32,12 +32,8 @@ class KannalaBrandt(FocalCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels (per radian on the axis).
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`; on the axis one radian is fx pixels.
     k1, k2, k3, k4 : float
         Coefficients of the polynomial.
     max_angle_deg : float, optional

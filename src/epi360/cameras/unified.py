@@ -31,12 +31,8 @@ class UnifiedCamera(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`, but near the axis one radian is fx / (1 + xi) pixels.
     xi : float
         Distance of the pinhole from the centre of the sphere, above -1; 0 is a pinhole camera.
     k1, k2, p1, p2 : float

@@ -56,18 +56,11 @@ class EightPointSolution:
 
 
 def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Return the matrix A with A vec(E) = 0 (paper eq. 4).
+    """Return the matrix A (N, 9) with A vec(E) = 0 (paper eq. 4).
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-
-    Returns
-    -------
-    A : ndarray, shape (N, 9)
-        Row i is the Kronecker product b2 (x) b1, and vec(E) has the rows of E one after the other.
-        The order q1 (x) q2 that the paper prints belongs to E^T.
+    Row i is the Kronecker product b2 (x) b1 of the directions in rows i of ``bearings1`` and
+    ``bearings2``, both (N, 3); vec(E) has the rows of E one after the other. The order q1 (x) q2
+    that the paper prints belongs to E^T.
 
     Raises
     ------
@@ -104,11 +97,6 @@ def eight_point(
         or constraint: a weight of 3 counts like three copies, 0 removes a match.
     sk_search : str
         How "sk" is searched: "line" or "lm".
-
-    Returns
-    -------
-    solution : EightPointSolution
-        E, and the normalisation with which it was computed.
 
     Raises
     ------

@@ -49,13 +49,7 @@ class Features:
         return len(self.keypoints)
 
     def first(self, count: int) -> Features:
-        """Return the strongest of what `extract_features` found.
-
-        Parameters
-        ----------
-        count : int
-            How many.
-        """
+        """Return the ``count`` strongest of what `extract_features` found."""
         return Features(self.keypoints[:count], self.descriptors[:count], self.sizes_px[:count])
 
 
@@ -69,7 +63,7 @@ def extract_features(
     max_features: int = 10000,
     contrast_threshold: float = CONTRAST_THRESHOLD,
 ) -> Features:
-    """SIFT key points and RootSIFT descriptors of an image, strongest first.
+    """SIFT key points and RootSIFT descriptors of an image, strongest first, or none.
 
     Parameters
     ----------
@@ -88,11 +82,6 @@ def extract_features(
         The strongest are kept.
     contrast_threshold : float
         Least contrast of a key point, as SIFT measures it; lower finds more.
-
-    Returns
-    -------
-    features : Features
-        Possibly none.
 
     Raises
     ------
@@ -118,10 +107,7 @@ def extract_features(
 
 @dataclass(frozen=True)
 class SiftKeypoints:
-    """Key points of one image as SIFT finds them, strongest first.
-
-    Pixels and sizes are those of the original image, descriptors whole numbers from 0 to 255.
-    """
+    """Key points as SIFT finds them, strongest first, in pixels of the original image."""
 
     pixels: Array
     sizes: Array
@@ -207,10 +193,7 @@ def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
 
 
 def _merged(parts: list[SiftKeypoints], camera: Camera, pixel: float) -> SiftKeypoints:
-    """All views' key points, without those that an earlier view found too.
-
-    Twins would be each other's runner-up and fail the ratio test.
-    """
+    """All views' key points, without twins, which would be each other's runner-up."""
     if not parts:
         return _NOTHING
     merged = parts[0]

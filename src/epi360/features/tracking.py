@@ -132,10 +132,6 @@ def track_features(
     redetect : bool
         Whether new corners replace lost points; their earlier frames are NaN.
 
-    Returns
-    -------
-    tracks : Tracks
-
     Raises
     ------
     FileNotFoundError

@@ -75,11 +75,7 @@ class Face(View):
 
 
 def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
-    """Views that together show everything that the camera of the original image sees.
-
-    A full panorama has strips around the horizon and faces at the poles. Any other image is one
-    view.
-    """
+    """Views that together show what the camera sees: strips and pole faces of a full panorama."""
     height, width = grey.shape
     if not isinstance(camera, Equirectangular):
         yield View(grey, _lens_mask(camera, height, width))

@@ -13,15 +13,8 @@ from epi360.extras import extra_library
 def colmap_camera(camera: Camera) -> Any:
     """Return a ``pycolmap.Camera`` with the same rays, of the simplest model that is exactly equal.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera to convert. The ``max_angle_deg`` of a fisheye is lost: COLMAP has no such number.
-
-    Returns
-    -------
-    camera : pycolmap.Camera
-        Camera without an id, whose focal length counts as known.
+    It has no id, and its focal length counts as known. The ``max_angle_deg`` of a fisheye is lost:
+    COLMAP has no such number.
 
     Raises
     ------
@@ -48,17 +41,7 @@ def colmap_camera(camera: Camera) -> Any:
 
 
 def camera_from_colmap(camera: Any) -> Camera:
-    """Return the camera with the same rays as one of pycolmap.
-
-    Parameters
-    ----------
-    camera : pycolmap.Camera
-        Camera to convert.
-
-    Returns
-    -------
-    camera : Camera
-        One of our models.
+    """Return the camera with the same rays as a ``pycolmap.Camera``.
 
     Raises
     ------

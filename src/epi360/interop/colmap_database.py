@@ -100,24 +100,16 @@ def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> No
 
     COLMAP keeps key points in single precision. Cameras and images are numbered in the order of the
     graph, and image 1 of a pair in the file has the smaller number. Descriptors are not written.
-
-    Parameters
-    ----------
-    path : path-like
-        A file that does not exist yet.
-    graph : MatchGraph
-        Images that share a ``frame`` become a frame of a rig if their cameras are in
-        ``cam_from_rig``; every other image is a frame of its own.
+    Images that share a ``frame`` become a frame of a rig if their cameras are in ``cam_from_rig``;
+    every other image is a frame of its own.
 
     Raises
     ------
     ValueError
         If the file exists already, an image has no camera, COLMAP lacks the model of a camera, or a
         frame has two images of one camera.
-    FileNotFoundError
-        If the folder does not exist.
     OSError
-        If the file cannot be written.
+        If the folder does not exist, or the file cannot be written.
     ImportError
         If pycolmap is missing.
     """
@@ -183,19 +175,17 @@ def read_colmap_database(
 ) -> MatchGraph:
     """Return the match graph of a COLMAP database, which is not changed.
 
+    Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
+    matches of a pair with a geometry but without matches are the inliers. If a geometry has no
+    pose, its pose is computed from E and the bearings of its inliers. The pose of a camera is
+    relative to the reference camera of its own rig.
+
     Parameters
     ----------
     path : path-like
         A database of COLMAP 3 or 4, to which nothing may write while it is read.
     with_descriptors : bool
         Whether to read the descriptors too, usually the largest part of the file.
-
-    Returns
-    -------
-    graph : MatchGraph
-        Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
-        matches of a pair with a geometry but without matches are the inliers. The pose of a camera
-        is relative to the reference camera of its own rig.
 
     Raises
     ------
@@ -204,10 +194,6 @@ def read_colmap_database(
     ValueError
         If the file is no COLMAP database, is truncated or damaged, or has a camera with a model
         that epi360 lacks.
-
-    Notes
-    -----
-    If a geometry has no pose, its pose is computed from E and the bearings of its inliers.
     """
     with ColmapPairs(path) as pairs:
         cam_from_rig, frames = read_rigs(pairs)

@@ -26,22 +26,10 @@ _XMP_IN_PNG = b"XML:com.adobe.xmp\0"
 
 
 def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
-    """GPano metadata of a JPEG, PNG or TIFF file.
+    """GPano metadata of a JPEG, PNG or TIFF file, of which only the header is read.
 
-    Parameters
-    ----------
-    path : path-like
-        Only its header is read.
-
-    Returns
-    -------
-    gpano : GPano or None
-        None if the file has none, or an XMP packet that cannot be read.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    None if the file has none, or an XMP packet that cannot be read. ``OSError`` if the file
+    cannot be read.
     """
     return parse_gpano(read_image_header(path).xmp)
 
@@ -53,20 +41,11 @@ def gpano_packet(
     pitch_deg: float | None = None,
     roll_deg: float | None = None,
 ) -> bytes:
-    """XMP packet with the GPano metadata of a panorama or a part of one.
+    """XMP packet with the GPano metadata of a panorama or a part of one, for `with_gpano`.
 
-    Parameters
-    ----------
-    camera : Equirectangular
-        Camera of the image.
-    heading_deg, pitch_deg, roll_deg : float, optional
-        How the camera was held, see `GPano`; None is not written.
-
-    Returns
-    -------
-    packet : bytes
-        What `with_gpano` takes. It states whole pixels: if the borders of this camera lie between
-        pixels, the camera that it describes is off by up to half a pixel.
+    It states whole pixels: if the borders of this camera lie between pixels, the camera that it
+    describes is off by up to half a pixel. The angles say how the camera was held, see `GPano`;
+    None is not written.
 
     Raises
     ------
@@ -111,19 +90,7 @@ def _part_of(camera: Equirectangular) -> PanoramaPart:
 
 
 def with_gpano(image: bytes, packet: bytes) -> bytes:
-    """Content of an image file with an XMP packet in it.
-
-    Parameters
-    ----------
-    image : bytes
-        Content of a JPEG or PNG file without XMP.
-    packet : bytes
-        What `gpano_packet` returns.
-
-    Returns
-    -------
-    image : bytes
-        The same picture, to be written to a file.
+    """Content of an image file, JPEG or PNG, with a packet of `gpano_packet` in it.
 
     Raises
     ------

@@ -32,6 +32,8 @@ def read_hloc(
 ) -> MatchGraph:
     """Return the images, key points and matches of hloc's files.
 
+    The graph has all images of the features file, sorted by name, also those that are in no pair.
+
     Parameters
     ----------
     features, matches : path-like
@@ -45,11 +47,6 @@ def read_hloc(
         is a full panorama if it is 2:1, else its camera is None.
     with_descriptors : bool, optional
         Whether to read the descriptors too, by far the largest part of the features.
-
-    Returns
-    -------
-    graph : MatchGraph
-        All images of the features file, sorted by name, also those that are in no pair.
 
     Raises
     ------
@@ -119,16 +116,9 @@ def write_hloc(
 ) -> None:
     """Write the key points and matches of a graph as hloc's two files, both or neither.
 
-    These files hold no poses, and only the image sizes of the cameras.
-
-    Parameters
-    ----------
-    features, matches : path-like
-        HDF5 files, which are replaced if they exist.
-    graph : MatchGraph
-        Graph of which every match is written, not only the inliers of a pose.
-    pairs : path-like, optional
-        Pairs file to write as well, which hloc needs beside the other two.
+    Files that exist are replaced. They hold no poses, and only the image sizes of the cameras.
+    Every match is written, not only the inliers of a pose. ``pairs`` is a pairs file to write as
+    well, which hloc needs beside the other two.
 
     Raises
     ------

@@ -43,14 +43,9 @@ class MatchedImage:
 class TwoViewGeometry:
     """Relative pose of a pair of images and the matches that agree with it.
 
-    Attributes
-    ----------
-    status : str
-        One of the values of ``RelativePoseResult.status``.
-    cam2_from_cam1 : Pose
-        Pose with |t| = 1, or NaN if the pair does not determine it.
-    inliers : ndarray, shape (K, 2), int
-        Matches that agree with the pose: (key point in image 1, key point in image 2).
+    ``status`` is one of those of ``RelativePoseResult``. ``cam2_from_cam1`` has |t| = 1, or is NaN
+    if the pair does not determine it. ``inliers`` (K, 2) are the matches that agree with
+    the pose: (key point in image 1, key point in image 2).
     """
 
     status: str
@@ -60,16 +55,10 @@ class TwoViewGeometry:
 
 @dataclass(frozen=True, eq=False)
 class MatchedPair:
-    """Two images and the matches between them.
+    """Two images, named in the order that the pose has, and the matches between them.
 
-    Attributes
-    ----------
-    image1, image2 : str
-        Names of the images, in the order that the pose has.
-    matches : ndarray, shape (M, 2), int
-        Each row is (key point in image 1, key point in image 2).
-    geometry : TwoViewGeometry, optional
-        None if the pair was not verified.
+    Each row of ``matches`` (M, 2) is (key point in image 1, key point in image 2); ``geometry`` is
+    None if the pair was not verified.
     """
 
     image1: str

@@ -45,18 +45,9 @@ INTRINSICS = ("camera_model", *SIZE, *FOCUS, *DISTORTION, "p1", "p2")
 def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> Reconstruction:
     """Return the cameras, poses and points of a ``transforms.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    images : str
-        Folder that is left out of the image names if every ``file_path`` begins with it.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Reconstruction in the original world: an ``applied_transform`` is undone. Cameras are called
-        "1", "2", ... in the order in which frames use them.
+    They are in the original world: an ``applied_transform`` is undone. Cameras are called "1", "2",
+    ... in the order in which frames use them. The folder ``images`` is left out of the image names
+    if every ``file_path`` begins with it.
 
     Raises
     ------
@@ -90,15 +81,15 @@ def write_nerfstudio(
 ) -> None:
     """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
 
+    Files are replaced: ``path`` and, if there are points, ``sparse_pc.ply`` in its folder.
+    Observations and time stamps are left out. The world is not turned. The file says so with the
+    identity as ``applied_transform``, because nerfstudio would turn the world if it found a COLMAP
+    model beside the file.
+
     Parameters
     ----------
-    path : path-like
-        File to write or replace. If there are points, ``sparse_pc.ply`` in its folder is written or
-        replaced too.
-    reconstruction : Reconstruction
-        What to write; observations and time stamps are left out. The world is not turned. The file
-        says so with the identity as ``applied_transform``, because nerfstudio would turn the world
-        if it found a COLMAP model beside the file.
+    path, reconstruction
+        File to write, and what to write.
     images : str
         Folder of the images, relative to the folder of the file.
     masks : mapping of str to str, optional

@@ -35,17 +35,10 @@ WHAT = "a reconstruction.json of OpenSfM"
 def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
     """Return the largest reconstruction of a ``reconstruction.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        The file. If it holds several reconstructions, which have no common frame, the one with the
-        most shots is returned, and a warning says how many shots are left out.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Images have the names of the shots. Their time stamps are ``capture_time`` in seconds, or
-        None if all of these are 0. There are no observations: OpenSfM keeps them in another file.
+    If it holds several reconstructions, which have no common frame, a warning says how many shots
+    are left out. Images have the names of the shots. Their time stamps are ``capture_time`` in
+    seconds, or None if all of these are 0. There are no observations: OpenSfM keeps them in another
+    file.
 
     Raises
     ------
@@ -78,14 +71,10 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
 
 
 def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
-    """Write cameras, poses and points as a ``reconstruction.json``.
+    """Write cameras, poses and points, but no observations, as a ``reconstruction.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    reconstruction : Reconstruction
-        What to write; observations are left out.
+    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
+    ``brown``, and `KannalaBrandt` becomes ``fisheye_opencv``, which has no ``max_angle_deg``.
 
     Raises
     ------
@@ -93,11 +82,6 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
         If an image has no camera or no pose, or OpenSfM has no model for a camera.
     OSError
         If the file cannot be written.
-
-    Notes
-    -----
-    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
-    ``brown``, and `KannalaBrandt` becomes ``fisheye_opencv``, which has no ``max_angle_deg``.
     """
     document = {
         "cameras": {

@@ -39,11 +39,6 @@ def read_pairs_file(
         Whether a pair may be listed in both orders. It is then returned once, in the first order.
         hloc writes such files, because its retrieval finds most pairs from either image.
 
-    Returns
-    -------
-    pairs : list of (str, str)
-        Names of image 1 and image 2 of each pair.
-
     Raises
     ------
     FileNotFoundError
@@ -72,12 +67,7 @@ def read_pairs_file(
 def write_pairs_file(path: str | os.PathLike[str], pairs: Iterable[tuple[str, str]]) -> None:
     """Write pairs of image names, one pair a line; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    pairs : iterable of (str, str)
-        Names of image 1 and image 2 of each pair. Names with blanks are put into double quotes.
+    A file that exists is replaced. Names with blanks are put into double quotes.
 
     Raises
     ------

@@ -14,20 +14,9 @@ UNIT_TOLERANCE = 1e-2  # of a quaternion's length; files hold four digits or mor
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a text file, not yet taken for numbers.
+    """Rows of a text file, not yet taken for numbers, and the line of each as an editor counts.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        What each row holds.
-    header : str
-        First line where that is a comment or starts with a letter, else "".
-    lines : tuple of int
-        Line of each row, as an editor counts.
-    cells : tuple of list of str
-        Cells of each row, one per column.
+    ``header`` is the first line if that is a comment or starts with a letter, else "".
     """
 
     path: Path
@@ -73,28 +62,7 @@ class Table:
 
 
 def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> Table:
-    """Rows of a text file, without empty lines, comments ("#") and the header.
-
-    Parameters
-    ----------
-    path : Path
-        Text file.
-    columns : tuple of str
-        What a row must hold.
-    delimiter : str, optional
-        None: any white space.
-
-    Returns
-    -------
-    table : Table
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no text, has no rows, or a row has another number of cells.
-    """
+    """Rows of a text file without empty lines, "#" comments and header; None is any white space."""
     names = ",".join(columns)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()

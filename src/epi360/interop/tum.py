@@ -22,15 +22,7 @@ COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
     """Return the poses of a trajectory; each image is named by its time stamp.
 
-    Parameters
-    ----------
-    path : path-like
-        Text file with rows ``timestamp tx ty tz qx qy qz qw``; "#" begins a comment.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Posed images without cameras and points.
+    "#" begins a comment. There are neither cameras nor points.
 
     Raises
     ------
@@ -59,13 +51,8 @@ def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
 def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
     """Write the poses of the images as a trajectory, in the order of the images.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    reconstruction : Reconstruction
-        What to write; cameras, points and image names are left out. If any image has no time stamp,
-        every row gets the index of its image, from 0, in place of the time.
+    Cameras, points and image names are left out. If any image has no time stamp, every row gets the
+    index of its image, from 0, in place of the time. A file that exists is replaced.
 
     Raises
     ------

@@ -23,11 +23,7 @@ def epipolar_curve(
     start: NDArray[np.float64],
     num_samples: int = CURVE_SAMPLES,
 ) -> NDArray[np.float64]:
-    """Great circle with a plane normal (``E b1`` in view 2, ``E^T b2`` in view 1) as a polyline.
-
-    The sample nearest to ``start`` is exact, so that the curve passes through its match. Rows of
-    NaN break the line where the circle leaves the field of view or jumps across the seam.
-    """
+    """Great circle with a plane normal as a polyline that passes through ``start``."""
     normal = normal / np.linalg.norm(normal)
     first = start - (start @ normal) * normal
     if np.linalg.norm(first) < 1e-9:  # the start is the pole of the circle: begin anywhere on it
@@ -50,11 +46,7 @@ def epipolar_curve(
 def match_residuals_deg(
     bearings1: NDArray[np.float64], bearings2: NDArray[np.float64], result: RelativePoseResult
 ) -> NDArray[np.float64]:
-    """Angle by which each match misses the pose, per axis and view: the Sampson distance.
-
-    After a pure rotation it is the angle between ``R b1`` and b2 over sqrt 2, which is the same
-    unit. Without a pose it is NaN.
-    """
+    """Angle by which each match misses the pose, per axis and view: the Sampson distance."""
     if result.status == "pure_rotation":
         turned = bearings1 @ result.cam2_from_cam1.rotation.T
         sine = np.linalg.norm(np.cross(turned, bearings2), axis=1)
@@ -69,10 +61,7 @@ def spread_matches(
     inlier_mask: NDArray[np.bool_],
     count: int,
 ) -> NDArray[np.intp]:
-    """At most ``count`` inliers that are far apart and whose epipolar planes are far apart.
-
-    They are found by farthest-point sampling; normals of NaN (no translation) do not count.
-    """
+    """At most ``count`` inliers that are far apart and whose epipolar planes are far apart."""
     candidates = np.flatnonzero(inlier_mask & np.isfinite(bearings).all(axis=1))
     if not len(candidates):
         return candidates

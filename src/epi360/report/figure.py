@@ -87,7 +87,8 @@ def draw_pair(
 
     Inliers are coloured by residual, outliers are faint crosses. A few inliers are numbered;
     the curve of the same colour in the other image is where each must lie. Without a translation
-    (pure rotation, failure) there are no curves and the title says why.
+    (pure rotation, failure) there are no curves and the title says why. The figure is independent
+    of pyplot, so that it needs no closing.
 
     Parameters
     ----------
@@ -99,11 +100,6 @@ def draw_pair(
         Estimate with key points in pixels of these images; any status.
     path : str or path, optional
         Where to write the picture, 1400 px wide; the extension names the format.
-
-    Returns
-    -------
-    figure : matplotlib.figure.Figure
-        Independent of pyplot; it needs no closing.
 
     Raises
     ------

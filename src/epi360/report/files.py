@@ -14,17 +14,8 @@ FIGURE_FORMATS = ("png", "jpg", "jpeg", "webp", "pdf", "svg")
 def check_writable(path: str | os.PathLike[str], *, name: str = "path") -> None:
     """Raise if a file could not be written there, so that long work is not lost at its end.
 
-    Parameters
-    ----------
-    path : str or path
-        File that will be written; it may exist.
-    name : str
-        What the message calls it.
-
-    Raises
-    ------
-    ValueError
-        If the path is a folder or a read-only file, or its folder is missing or not writable.
+    It may exist, and ``name`` is what the message calls it. ``ValueError`` if the path is a folder
+    or a read-only file, or its folder is missing or not writable.
     """
     path = Path(path)
     if path.is_dir():

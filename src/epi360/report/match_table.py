@@ -23,11 +23,7 @@ _MAX_LISTED = 10
 
 
 def pairs_csv(run: MatchRun) -> bytes:
-    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
-
-    ``qw`` to ``tz`` are cam2_from_cam1. ``num_triangles`` counts those with two other accepted
-    pairs, ``num_contradicted`` those of them that do not close.
-    """
+    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)

@@ -21,18 +21,10 @@ PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5,
 
 
 def pair_record(result: RelativePoseResult) -> dict[str, Any]:
-    """Everything a result says, as values that strict JSON can hold.
+    """Everything a result of any status says, as values that strict JSON can hold.
 
-    Parameters
-    ----------
-    result : RelativePoseResult
-        Any status. The key points of an `ImagePairResult` are included.
-
-    Returns
-    -------
-    record : dict
-        Plain lists, numbers and strings; NaN is None (null). Angles in degrees where the name
-        says so; ``covariance`` in radians squared.
+    Plain lists, numbers and strings; NaN is None (null). Angles are in degrees where the name says
+    so; ``covariance`` is in radians squared. The key points of an `ImagePairResult` are included.
     """
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     record: dict[str, Any] = {
@@ -67,18 +59,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:
-    """Rotation, quaternion and translation of a pose, as plain lists.
-
-    Parameters
-    ----------
-    pose : Pose
-        May hold NaN.
-
-    Returns
-    -------
-    record : dict
-        Keys ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None.
-    """
+    """Plain lists ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None."""
     return {
         "rotation": _plain(pose.rotation),
         "quaternion_wxyz": _plain(pose.quaternion_wxyz),
@@ -96,14 +77,7 @@ def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a record as strict JSON, one key a line, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or path
-        Written or replaced.
-    record : mapping
-        Plain values, such as `pair_record` returns.
+    """Write a record of plain values as strict JSON, one key a line, whole or not at all.
 
     Raises
     ------

@@ -43,22 +43,9 @@ STATUS_SENTENCES: dict[Status, str] = {
 def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     """Plain-text lines that tell a person the pose, its uncertainty and the verdict.
 
-    Parameters
-    ----------
-    result : RelativePoseResult
-        What the estimator returned; any status.
-    truth : Pose, optional
-        True ``cam2_from_cam1``, of any scale: printed beside the estimate with the errors.
-
-    Returns
-    -------
-    text : str
-        Lines without a trailing newline. What is NaN reads "not determined".
-
-    Notes
-    -----
-    Angles of directions are azimuth (positive to the right of the optical axis, or of the image
-    centre of a panorama) and elevation (positive up).
+    ``truth`` is the true ``cam2_from_cam1``, of any scale: it is printed beside the estimate with
+    the errors. What is NaN reads "not determined". Angles of directions are azimuth (positive to the
+    right of the optical axis, or of the image centre of a panorama) and elevation (positive up).
     """
     rows = [("Status", describe_status(result.status))]
     rows += [("Warning", warning) for warning in result.warnings]
@@ -72,18 +59,7 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
 
 
 def describe_status(status: Status) -> str:
-    """Status with its reason and, where there is one, the remedy.
-
-    Parameters
-    ----------
-    status : str
-        Status of a `RelativePoseResult`.
-
-    Returns
-    -------
-    sentence : str
-        One line, such as "ok: the matches determine the pose".
-    """
+    """Status with its reason and, where there is one, the remedy, in one line."""
     return f"{status}: {STATUS_SENTENCES[status]}"
 
 
@@ -106,10 +82,7 @@ def azimuth_elevation_deg(direction: NDArray[np.float64]) -> tuple[float, float]
 
 
 def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Axis and angle in degrees; the axis is NaN if the angle is too small for one.
-
-    They are found by the quaternion, which keeps the axis near 180 degrees.
-    """
+    """Axis and angle in degrees; the axis is NaN if the angle is too small for one."""
     w, *xyz = Pose(rotation, np.zeros(3)).quaternion_wxyz
     vector = np.array(xyz)
     length = float(np.linalg.norm(vector))
@@ -119,11 +92,7 @@ def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
-    """One-sigma errors to expect of the rotation and of the translation's direction.
-
-    Each is the root of the trace of its block of the covariance: the root mean square of what
-    `rotation_error_deg` and `translation_error_deg` measure.
-    """
+    """Expected root mean square errors of the rotation and of the translation's direction."""
     variances = np.diag(result.covariance)
     rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
     return float(rotation), float(translation)

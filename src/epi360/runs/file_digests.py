@@ -19,11 +19,10 @@ Entry = tuple[list[int], str]
 
 
 class FileDigests:
-    """Hashes of the contents of files; what an earlier run has read is not read again.
+    """Hashes of the contents of files, which ``memory``, a JSON file, keeps for later runs.
 
     A file counts as unchanged while its size, its time of change and its inode's time of change,
-    which nobody can set, are the same. ``memory`` is a JSON file that keeps the hashes; a damaged
-    one counts as missing.
+    which nobody can set, are the same.
     """
 
     def __init__(self, memory: Path | None = None) -> None:

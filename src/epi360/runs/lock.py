@@ -20,11 +20,9 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)
 def only_run(output: str | os.PathLike[str]) -> Iterator[None]:
     """Hold the lock of an output: a file beside it, which is removed at the end.
 
-    The system gives the lock back when the process ends, however it ends, so that a killed run
-    blocks nobody. On a disk without locks the run goes on without: since files appear whole, two
-    runs at once cannot mix their results, but one of them may miss parts.
-
-    If another run holds it, a ValueError says which process on which machine.
+    If another run holds it, a ValueError says which process on which machine. On a disk without
+    locks the run goes on without: since files appear whole, two runs at once cannot mix their
+    results, but one of them may miss parts.
     """
     filelock = extra_library("filelock", extra="batch", purpose="batches")
     target = Path(os.path.realpath(output))

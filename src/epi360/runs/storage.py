@@ -92,11 +92,7 @@ def file_size(path: str) -> int:
 
 
 def fingerprint_of_file(path: str, extra: Iterable[object] = ()) -> str:
-    """Hash of a file that may be too large to be read as a whole, and of what else tells it apart.
-
-    Hashed are the size, 16 evenly spaced blocks of 4 KiB with the first and the last, and the
-    extra. A change that leaves all of these as they are is not noticed.
-    """
+    """Hash of a file's size, of 16 blocks of 4 KiB spread over it, and of the extra."""
     size = file_size(path)
     last = max(size - _SAMPLE_BYTES, 0)
     starts = sorted({last * k // (_NUM_SAMPLES - 1) for k in range(_NUM_SAMPLES)})

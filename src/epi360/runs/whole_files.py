@@ -49,8 +49,7 @@ def whole_file(path: PathLike, *, make_folder: bool = False) -> Iterator[IO[byte
 def whole_path(path: PathLike, *, make_folder: bool = False) -> Iterator[Path]:
     """Temporary path, for the block to write, that takes the place of a file when the block ends.
 
-    If the block fails, nothing is left of it. A symbolic link is followed. An error that says the
-    file cannot be written names the path that was asked for.
+    If the block fails, nothing is left of it. A symbolic link is followed.
     """
     with whole_paths(path, make_folder=make_folder) as (temporary,):
         yield temporary

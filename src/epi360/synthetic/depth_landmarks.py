@@ -19,7 +19,7 @@ def landmarks_from_depth(
     *,
     density: Density = "pixels",
 ) -> NDArray[np.float64]:
-    """Points on the surfaces that a depth image shows, in the frame of its camera.
+    """Points (num, 3) on the surfaces that a depth image shows, in metres in its camera's frame.
 
     Parameters
     ----------
@@ -33,11 +33,6 @@ def landmarks_from_depth(
     density : {"pixels", "sphere"}
         "pixels" takes every pixel with the same probability, as the authors do: in a panorama the
         poles get more than their share. "sphere" weighs pixels by their solid angle.
-
-    Returns
-    -------
-    points : ndarray, shape (num, 3)
-        Metres. `scene_from_points` makes matches of them.
 
     Raises
     ------

@@ -36,10 +36,6 @@ def add_metric_noise(
         Concentration of a scalar von Mises variable whose radians are taken for metres, as in the
         authors' code; nearly Gaussian of ``1 / sqrt(kappa)`` m, 4.5 cm for 500.
 
-    Returns
-    -------
-    noisy : ndarray, shape (N, 3)
-
     Raises
     ------
     ValueError
@@ -64,7 +60,7 @@ def replace_with_outliers(
     model: OutlierModel = "uniform",
     uniform_directions: Sampler | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Bearings of view 2 with a share of wrong ones, and which are right.
+    """Bearings (N, 3) of view 2 with a share of wrong ones, and the mask (N,) of the right ones.
 
     Parameters
     ----------
@@ -82,12 +78,6 @@ def replace_with_outliers(
     uniform_directions : callable, optional
         Makes the directions (count, 3) of "uniform" from the generator and their number; by
         default they cover the whole sphere.
-
-    Returns
-    -------
-    disturbed : ndarray, shape (N, 3)
-    inlier_mask : ndarray, shape (N,), bool
-        False where the row was changed.
 
     Raises
     ------

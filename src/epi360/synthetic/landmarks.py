@@ -88,10 +88,6 @@ def two_view_scene(
         See `replace_with_outliers`. "uniform" directions of the layout "cone" are those of the
         cone turned with the camera, so that both views see a cone.
 
-    Returns
-    -------
-    scene : TwoViewScene
-
     Raises
     ------
     ValueError
@@ -135,6 +131,8 @@ def scene_from_points(
 ) -> TwoViewScene:
     """Matches of two cameras that see given landmarks, such as those of `landmarks_from_depth`.
 
+    The options that are not below are those of `two_view_scene`.
+
     Parameters
     ----------
     rng : numpy.random.Generator
@@ -143,19 +141,9 @@ def scene_from_points(
         Landmarks in the frame of camera 1, in metres.
     cam2_from_cam1 : Pose
         Metric, such as that of `sample_relative_pose`.
-    kappa : float, optional
-        Concentration of the noise; without it there is none.
     noise : {"bearings", "points"}
         "bearings": von Mises-Fisher noise on the sphere, as the paper says. "points": noise in
         metres on the points in the frame of the camera, see `add_metric_noise`, as its code does.
-    noise_in_both_views : bool
-        Disturbs view 1 as well; by default view 2 only.
-    outlier_ratio, outlier_model : float, {"uniform", "shuffled", "authors"}
-        See `replace_with_outliers`.
-
-    Returns
-    -------
-    scene : TwoViewScene
 
     Raises
     ------
@@ -189,22 +177,11 @@ def _seen(
 def sample_relative_pose(
     rng: np.random.Generator, *, max_translation_m: float = 1.0, max_angle_deg: float = 45.0
 ) -> Pose:
-    """Random ``cam2_from_cam1`` as in section 5.1 of the Robust 360-8PA paper.
+    """Random metric ``cam2_from_cam1`` as in section 5.1 of the Robust 360-8PA paper.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the random numbers.
-    max_translation_m : float
-        Each coordinate of the translation is uniform in plus or minus this, in metres.
-    max_angle_deg : float
-        Each Euler angle is uniform in plus or minus this (45 in the paper, 10 in the authors'
-        code); R = Rz Ry Rx (the paper leaves the order open, their code has this one).
-
-    Returns
-    -------
-    cam2_from_cam1 : Pose
-        With a metric translation.
+    Each coordinate of the translation is uniform in plus or minus ``max_translation_m``, each Euler
+    angle in plus or minus ``max_angle_deg`` (45 in the paper, 10 in the authors' code).
+    R = Rz Ry Rx: the paper leaves the order open, their code has this one.
     """
     translation = rng.uniform(-max_translation_m, max_translation_m, 3)
     angles = np.radians(rng.uniform(-max_angle_deg, max_angle_deg, 3))

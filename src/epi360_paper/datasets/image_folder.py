@@ -19,7 +19,7 @@ from epi360_paper.datasets.sequence import ImageSequence
 def load_image_folder(
     folder: str | os.PathLike[str], camera: Camera | None = None, *, frames_per_s: float = 30.0
 ) -> ImageSequence:
-    """Sequence of the images of a folder, in the order of their names.
+    """Sequence, without poses, of the images of a folder, in the order of their names.
 
     Parameters
     ----------
@@ -31,11 +31,6 @@ def load_image_folder(
         part of one that its GPano metadata state.
     frames_per_s : float
         Rate for the timestamps, which start at 0.
-
-    Returns
-    -------
-    sequence : ImageSequence
-        Sequence without poses.
 
     Raises
     ------

@@ -20,17 +20,9 @@ POSES_FILE = "frm_ref.txt"
 def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
     """Sequence of a scene in the layout of 360-MP3D-VO, which `epi360 render` writes too.
 
-    Parameters
-    ----------
-    scene : path-like
-        Folder with ``rgb/1.png``, ``rgb/2.png``, ..., optionally ``depth/tiff/1.tiff``, ... (range
-        along the ray, 0 = none), and ``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of
-        world_from_cam. The k-th row, from 0, belongs to the files k + 1.
-
-    Returns
-    -------
-    sequence : ImageSequence
-        Sequence with a full equirectangular camera.
+    The folder has ``rgb/1.png``, ``rgb/2.png``, ..., optionally ``depth/tiff/1.tiff``, ... (range
+    along the ray, 0 = none), and ``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of
+    world_from_cam. The k-th row, from 0, belongs to the files k + 1.
 
     Raises
     ------
@@ -60,21 +52,9 @@ def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
 
 
 def find_mp3d_vo_scenes(folder: str | os.PathLike[str]) -> list[Path]:
-    """Scenes in a folder: itself, or those below it that hold ``frm_ref.txt``, sorted.
+    """Scenes in a folder: itself, or those at any depth that hold ``frm_ref.txt``, sorted.
 
-    Parameters
-    ----------
-    folder : path-like
-        A scene, or a folder of scenes at any depth.
-
-    Returns
-    -------
-    scenes : list of Path
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist or there is no scene in it.
+    ``FileNotFoundError`` if the folder does not exist or there is no scene in it.
     """
     folder = existing_folder(folder, "MP3D-VO folder")
     scenes = sorted(path.parent for path in folder.rglob(POSES_FILE))

@@ -67,16 +67,7 @@ class ImageSequence:
         return len(self.image_paths)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """Picture of a frame as 8-bit RGB.
-
-        Parameters
-        ----------
-        index : int
-            Number of the frame, from 0.
-
-        Returns
-        -------
-        image : ndarray, shape (H, W, 3), uint8
+        """Picture of a frame as 8-bit RGB, (H, W, 3).
 
         Raises
         ------
@@ -91,17 +82,7 @@ class ImageSequence:
         return image
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Range along the ray of each pixel of a frame.
-
-        Parameters
-        ----------
-        index : int
-            Number of the frame, from 0.
-
-        Returns
-        -------
-        depth : ndarray, shape (H, W), float32
-            Metres; 0 where there is none.
+        """Range along the ray of each pixel of a frame in metres, (H, W); 0 where there is none.
 
         Raises
         ------

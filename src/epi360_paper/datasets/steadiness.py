@@ -17,20 +17,10 @@ class SkipRule:
     """When the step from one frame to the next is too violent to be tracked.
 
     The paper (section 5.3) skips frames of TUM-VI "due to drastic camera movements and severe
-    changes in illumination" and gives no numbers; these are ours.
-
-    Parameters
-    ----------
-    max_rotation_deg_per_s : float
-        At 20 images per second 120 deg/s are 6 deg or 20 px of TUM-VI's 512-pixel images per
-        frame, and about 1 px of blur in 3 ms of exposure.
-    max_brightness_ratio : float
-        Largest ratio of the mean grey values of the two frames, the brighter to the darker.
-
-    Raises
-    ------
-    ValueError
-        If the rate is not positive or the ratio not above 1.
+    changes in illumination" and gives no numbers; these are ours: at 20 images per second 120 deg/s
+    are 6 deg or 20 px of TUM-VI's 512-pixel images per frame, and about 1 px of blur in 3 ms of
+    exposure. ``max_brightness_ratio`` compares the mean grey values of the two frames, the brighter
+    to the darker. A rate that is not positive or a ratio not above 1 raises ``ValueError``.
     """
 
     max_rotation_deg_per_s: float = 120.0
@@ -47,24 +37,10 @@ class SkipRule:
 
 
 def steady_segments(sequence: ImageSequence, rule: SkipRule | None = None) -> list[range]:
-    """Runs of frames with known poses between which every step is calm.
+    """Runs of at least two frames with known poses between which every step is calm.
 
-    Parameters
-    ----------
-    sequence : ImageSequence
-        Its images are read if the rule has a brightness ratio to test.
-    rule : SkipRule, optional
-        When a step is too violent. By default only a missing pose ends a run.
-
-    Returns
-    -------
-    segments : list of range
-        Frame indices, at least two in each; the frame after a violent step starts a new one.
-
-    Raises
-    ------
-    ValueError
-        If an image is damaged.
+    By default only a missing pose ends a run. The frame after a violent step starts a new one. The
+    images are read, and may be found damaged, if the rule has a brightness ratio to test.
     """
     starts = [0]
     brightness = np.nan

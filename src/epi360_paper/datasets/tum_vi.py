@@ -32,7 +32,7 @@ def load_tum_vi(
     *,
     max_gap_s: float = MAX_GAP_S,
 ) -> ImageSequence:
-    """Sequence of camera 0 of a scene in the layout of TUM-VI.
+    """Sequence of camera 0 of a scene in the layout of TUM-VI; the mask leaves out the black rim.
 
     Parameters
     ----------
@@ -47,12 +47,6 @@ def load_tum_vi(
         Largest time between the two motion-capture poses that an image lies between; beyond it
         the image has no pose.
 
-    Returns
-    -------
-    sequence : ImageSequence
-        world_from_cam = world_from_imu @ cam_from_imu^-1, with Kalibr's ``T_cam_imu`` as
-        cam_from_imu. The mask leaves out the black rim.
-
     Raises
     ------
     FileNotFoundError
@@ -62,6 +56,7 @@ def load_tum_vi(
 
     Notes
     -----
+    world_from_cam = world_from_imu @ cam_from_imu^-1 with Kalibr's ``T_cam_imu`` as cam_from_imu.
     The authors' own code multiplies with ``T_cam_imu`` itself where its inverse belongs.
     """
     scene = existing_folder(scene, "TUM-VI scene")
@@ -83,23 +78,11 @@ def load_tum_vi(
 
 
 def find_tum_vi_rooms(folder: str | os.PathLike[str]) -> list[Path]:
-    """Scenes room1 to room6 in a folder, or the folder itself if it is a scene.
+    """Scenes room1 to room6 in a folder by their numbers, or the folder itself if it is a scene.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder with ``dataset-room1_512_16`` and so on, or ``room1``. Only the rooms have poses
-        throughout (paper section 5.3); other scenes are left out.
-
-    Returns
-    -------
-    scenes : list of Path
-        In the order of the rooms' numbers.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist or there is no room in it.
+    Folders are called ``dataset-room1_512_16`` and so on, or ``room1``. Only the rooms have poses
+    throughout (paper section 5.3); other scenes are left out. ``FileNotFoundError`` if the folder
+    does not exist or there is no room in it.
     """
     folder = existing_folder(folder, "TUM-VI folder")
     if (folder / "mav0").is_dir():

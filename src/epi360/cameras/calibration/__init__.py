@@ -72,17 +72,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Return the one camera of a calibration file.
-
-    Parameters
-    ----------
-    path : path-like
-        A file that `load_cameras` reads and that holds a single camera.
-
-    Returns
-    -------
-    camera : Camera
-        The only one in the file.
+    """Return the one camera of a calibration file that `load_cameras` reads.
 
     Raises
     ------

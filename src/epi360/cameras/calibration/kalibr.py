@@ -43,13 +43,8 @@ SUPPORTED = ", ".join("-".join(key) for key in MODELS)
 class KalibrCamera(NamedTuple):
     """Camera of a Kalibr camchain and where it sits on the IMU.
 
-    Parameters
-    ----------
-    camera : Camera
-        Model of the camera.
-    cam_from_imu : Pose or None
-        Kalibr's ``T_cam_imu`` in metres, which maps points from the IMU to the camera; None if the
-        file does not say.
+    ``cam_from_imu`` is Kalibr's ``T_cam_imu`` in metres, which maps points from the IMU to the
+    camera; None if the file does not say.
     """
 
     camera: Camera
@@ -57,18 +52,10 @@ class KalibrCamera(NamedTuple):
 
 
 def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
-    """Return the cameras of a Kalibr camchain and their poses on the IMU.
+    """Return the cameras of a Kalibr camchain by name, and their poses on the IMU.
 
-    Parameters
-    ----------
-    path : path-like
-        A camchain that `load_cameras` reads.
-
-    Returns
-    -------
-    rig : dict of str to KalibrCamera
-        Cameras by name, in the order of the file. ``cam_from_imu`` is ``T_cam_imu`` if the camera
-        has one; else it follows from ``T_cn_cnm1`` and the camera before, or is None.
+    ``cam_from_imu`` is ``T_cam_imu`` if the camera has one; else it follows from ``T_cn_cnm1`` and
+    the camera before, or is None.
 
     Raises
     ------
