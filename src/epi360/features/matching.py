@@ -73,7 +73,7 @@ def _passes(
 def _two_nearest(
     queries: NDArray[np.float32], targets: NDArray[np.float32]
 ) -> tuple[NDArray[np.int64], Similarities, Similarities, Similarities]:
-    """Nearest target of each query, its similarity, the runner-up's, and the targets' runner-up's."""
+    """Nearest target of each query, its similarity, and the runner-up's for queries and targets."""
     nearest = np.zeros(len(queries), dtype=np.int64)
     best = np.zeros(len(queries), dtype=np.float32)
     second = np.full(len(queries), -1.0, dtype=np.float32)

@@ -17,9 +17,9 @@ from epi360.poses import Pose
 class PosedImage:
     """An image and where it was taken.
 
-    ``name`` and ``frame`` are as in `MatchedImage`; the name may also be the time stamp of a
-    trajectory's row. ``camera`` is a key in the reconstruction's cameras; ``cam_from_world`` has the
-    axes x right, y down, z forward. What the file does not say is None.
+    ``name``, ``camera`` and ``frame`` are as in `MatchedImage`; the name may also be the time stamp
+    of a trajectory's row. ``cam_from_world`` has the axes x right, y down, z forward. What the file
+    does not say is None.
     """
 
     name: str

@@ -44,8 +44,8 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     """Plain-text lines that tell a person the pose, its uncertainty and the verdict.
 
     ``truth`` is the true ``cam2_from_cam1``, of any scale: it is printed beside the estimate with
-    the errors. What is NaN reads "not determined". Angles of directions are azimuth (positive to the
-    right of the optical axis, or of the image centre of a panorama) and elevation (positive up).
+    the errors. What is NaN reads "not determined". Directions are azimuth (positive to the right of
+    the optical axis, or of the image centre of a panorama) and elevation (positive up).
     """
     rows = [("Status", describe_status(result.status))]
     rows += [("Warning", warning) for warning in result.warnings]
