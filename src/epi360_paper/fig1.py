@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 1: the key points of a panorama, from above, on the sphere and on the ovoid."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 2: the normalised eight-point algorithm from two panoramas to the pose."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 3: internal angles and parallax on the sphere and on ovoids, and the error over (S, K)."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

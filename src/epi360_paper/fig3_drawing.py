@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How Fig. 3 is drawn: the geometry, three coloured ovoids, the surface and its section."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

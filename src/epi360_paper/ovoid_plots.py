@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Unit spheres and the ovoids that a normalisation makes of them, drawn without perspective."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@
 It is not the package's robust estimator: it does not refine, test depths or choose a threshold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal

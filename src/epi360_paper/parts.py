@@ -57,11 +57,9 @@ class Trials:
     seconds: float = 0.0  # processor time of all parts together
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(next(iter(self.columns.values()), []))
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return one column, shape (N,)."""
         return self.columns[column]
 
     def where(self, **equal: str | int | float) -> Trials:

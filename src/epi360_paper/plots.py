@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Drawing that the figures share: colours, panels, panoramas, a room seen from above."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

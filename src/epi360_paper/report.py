@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The pages of a run collected into a document, so that no number is typed by hand."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re

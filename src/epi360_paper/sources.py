@@ -5,8 +5,6 @@ Rendered sequences have a file of their own. Every source gives the pairs of a t
 landmarks, those of a sequence, or those of a stretch of a recording.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 3: quartiles of the errors on sequences, full panoramas and a fisheye lens."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, get_args
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 4: RANSAC at a tight and a loose threshold, then the paper's methods on what it keeps."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

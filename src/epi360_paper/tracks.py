@@ -6,8 +6,6 @@ section 5.2); that is a pair. Tracks are kept in files named by what they depend
 tables and every later run share them.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import zipfile

@@ -6,8 +6,6 @@ of workers nor an interruption changes a number. A part is a chunk of trials of 
 is written under a temporary name and renamed, and a later run reads it instead of computing it.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What camera models have in common: pixels to bearings and back."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -42,7 +40,6 @@ class Camera(ABC):
     height: int
 
     def __post_init__(self) -> None:
-        """Check and convert the numbers of the model."""
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is None and field.default is None:
@@ -131,7 +128,6 @@ class FocalCamera(Camera):
     cy: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_positive(self, "fx", "fy")
 

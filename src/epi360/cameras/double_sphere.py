@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The double sphere camera of Usenko, Demmel and Cremers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +48,6 @@ class DoubleSphere(LiftedCamera):
     alpha: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_alpha(self.alpha)
         if not -1 < self.xi < 1:

@@ -49,7 +49,6 @@ class Equirectangular(Camera):
     center_latitude_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the ranges of the angles."""
         super().__post_init__()
         check_positive(self, "horizontal_fov_deg", "vertical_fov_deg")
         for name, limit in (("horizontal_fov_deg", 360), ("vertical_fov_deg", 180)):

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The extended (enhanced) unified camera of Khomutenko, Garcia and Martinet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +47,6 @@ class ExtendedUnified(LiftedCamera):
     beta: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_alpha(self.alpha)
         check_positive(self, "beta")

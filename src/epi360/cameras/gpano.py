@@ -4,8 +4,6 @@
 Source: Google, Photo Sphere XMP Metadata, https://developers.google.com/streetview/spherical-metadata.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from xml.etree import ElementTree

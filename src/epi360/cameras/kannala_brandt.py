@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The fisheye model of Kannala and Brandt with four coefficients."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,7 +55,6 @@ class KannalaBrandt(FocalCamera):
     max_angle_deg: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         if self.max_angle_deg is not None and not 0 < self.max_angle_deg <= 180:
             raise ValueError(f"max_angle_deg must be in (0, 180], got {self.max_angle_deg}")

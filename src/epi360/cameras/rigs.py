@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rigs: cameras that are fixed to each other, and the calibration files that say where they sit."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -38,7 +36,6 @@ class Rig:
     cam_from_rig: Mapping[str, Pose]
 
     def __post_init__(self) -> None:
-        """Check that every camera has a pose."""
         if self.cameras.keys() != self.cam_from_rig.keys():
             raise ValueError(
                 f"cam_from_rig must have the cameras {', '.join(self.cameras)}, "

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The unified camera of Mei and Rives: a sphere, a shifted pinhole and lens distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,7 +54,6 @@ class UnifiedCamera(LiftedCamera):
     p2: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         if self.xi <= -1:
             raise ValueError(f"xi must be above -1, got {self.xi}")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The essential matrix, the four poses in it, and the depths of matches along their rays."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

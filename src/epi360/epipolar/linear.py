@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The eight-point algorithm on bearing vectors, normalised or not (paper sections 3 and 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Normalising matrices N of the eight-point family: q^ = N q (paper eq. 5, 6 and Table 1)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

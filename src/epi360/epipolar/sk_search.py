@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Search for the normalisation (S, K) of least sum of |residuals| (paper eq. 14)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How well matches determine an essential matrix (paper section 4.2, eq. 10 to 12)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property

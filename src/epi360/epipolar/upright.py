@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Relative pose from three matches where the direction of gravity is known in both cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray

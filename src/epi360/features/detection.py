@@ -45,7 +45,6 @@ class Features:
     sizes_px: Array
 
     def __len__(self) -> int:
-        """Return the number of key points."""
         return len(self.keypoints)
 
     def first(self, count: int) -> Features:

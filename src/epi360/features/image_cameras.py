@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The camera of an image: the one place where it is found."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

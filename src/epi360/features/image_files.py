@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Image files to pixels, refusing what OpenCV would decode in part, noisily or without a limit."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

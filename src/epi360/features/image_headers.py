@@ -5,8 +5,6 @@ Its formats are opened by their own classes: `PIL.Image.open` would refuse panor
 for decompression bombs, by a limit of the whole process, before their size is known.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures and masks: any image file or array in, 8-bit RGB and booleans out, or a clear reason."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Descriptors of two images to matches: ratio test and mutual nearest neighbours."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Key points followed through an image sequence: Shi-Tomasi corners, pyramidal Lucas-Kanade."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Our cameras to pycolmap's and back; `epi360.cameras.calibration.colmap` pairs the models."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from epi360.cameras import Camera

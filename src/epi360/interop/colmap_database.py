@@ -17,8 +17,6 @@ The reader takes UNCALIBRATED and CALIBRATED_RIG for "ok", PLANAR_OR_PANORAMIC f
 verified if its row has neither pose nor E, or is MULTIPLE or UNDEFINED.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Iterator

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """COLMAP's sparse models: folders of cameras, rigs, frames, images and points, binary or text."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ A frame has one pose, from which the poses of its images follow. An image is nev
 if its pose does not agree with the others of its frame, it gets a frame of its own.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from itertools import count

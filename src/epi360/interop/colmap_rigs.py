@@ -5,8 +5,6 @@ Each frame of COLMAP 4 belongs to a rig. A single camera is a rig of one sensor,
 images is a frame. The coordinate frame of a rig is that of its reference sensor.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar

@@ -6,8 +6,6 @@ tables of an older COLMAP, and fails if the file is read-only. Tables and blobs 
 https://colmap.github.io/database.html.
 """
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from collections.abc import Iterator
@@ -53,11 +51,9 @@ class ColmapTables:
             raise
 
     def __enter__(self) -> Self:
-        """Return the open database."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
         self.close()
 
     def close(self) -> None:

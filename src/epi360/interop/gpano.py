@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """GPano metadata in image files; what they mean for a camera is in `epi360.cameras.gpano`."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """hloc's features and matches (HDF5) to a match graph and back; the layout: `hloc_layout`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager

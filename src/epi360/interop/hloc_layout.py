@@ -10,8 +10,6 @@ and "/" between them, or "_" in older files. Its ``matches0`` (N,) holds for eac
 1 the key point of image 2, or -1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """hloc's files, opened to be read a pair at a time."""
 
-from __future__ import annotations
-
 import os
 from contextlib import ExitStack
 from pathlib import Path
@@ -57,11 +55,9 @@ class HlocPairs:
             self._files = files.pop_all()
 
     def __enter__(self) -> Self:
-        """Return the open files."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the files."""
         self.close()
 
     def close(self) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Images, key points and matched pairs: every match database is read into these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -96,7 +94,6 @@ class MatchGraph:
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together."""
         for image in self.images.values():
             check_image(image.name, image.camera, self.cameras)
         listed: set[frozenset[str]] = set()

@@ -12,8 +12,6 @@ Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio
 nerfstudio_dataparser.py.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import posixpath

@@ -7,8 +7,6 @@ forward. The observations are not in this file but in tracks.csv. Frames and mod
 https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import warnings

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Cameras, poses and points: every reconstruction and trajectory is read into these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -72,7 +70,6 @@ class Reconstruction:
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together."""
         names = set()
         for image in self.images:
             check_image(image.name, image.camera, self.cameras)

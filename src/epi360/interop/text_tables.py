@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables in text files; an error message names the bad row by its file and line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -5,8 +5,6 @@ A row is the pose world_from_cam, with the camera's axes x right, y down, z forw
 seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Great circles as curves in an image, and which matches to show them for."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

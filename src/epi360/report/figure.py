@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One picture of an image pair: matches, epipoles and epipolar great circles."""
 
-from __future__ import annotations
-
 import os
 import textwrap
 from collections.abc import Sequence

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Output files: checked before the work, complete or absent after it."""
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Mapping

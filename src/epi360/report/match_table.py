@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Matched pairs as a table for programs and a summary for people."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections import Counter

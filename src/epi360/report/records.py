@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A relative pose as a JSON record for programs."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

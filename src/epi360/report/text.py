@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A relative pose in plain words."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np

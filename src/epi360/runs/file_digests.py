@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hashes of files, remembered while the files stay as they are."""
 
-from __future__ import annotations
-
 import json
 import time
 from contextlib import suppress

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One run at a time for an output."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What results were made from: records beside them, hashes, and whether both are still the same."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from hashlib import blake2b

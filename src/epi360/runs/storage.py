@@ -5,8 +5,6 @@ To a URL a file is written as a temporary local file and then put, which object 
 step: there too it appears whole or not at all.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence

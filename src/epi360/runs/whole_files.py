@@ -6,8 +6,6 @@ to the disk and renamed. A killed run leaves its temporary files behind; the nex
 writes into the folder removes those of processes of this machine that have ended.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets

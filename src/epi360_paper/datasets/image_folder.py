@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A folder of images without poses."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

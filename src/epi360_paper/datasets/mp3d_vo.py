@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """360-MP3D-VO: panoramas with depth and poses, rendered from Matterport3D (paper section 5)."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

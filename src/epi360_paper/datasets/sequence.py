@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What every reader returns: the images of one moving camera and what is known of each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,7 +48,6 @@ class ImageSequence:
     levels: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that every frame has each of its parts."""
         counts = {
             "images": len(self.image_paths),
             "timestamps": len(self.timestamps_s),
@@ -63,7 +60,6 @@ class ImageSequence:
             raise ValueError(f"{self.name} must have one of each per frame, got {found}")
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.image_paths)
 
     def image(self, index: int) -> NDArray[np.uint8]:

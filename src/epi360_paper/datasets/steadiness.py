@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which frames of a sequence can be tracked, and the rule that skips violent motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +25,6 @@ class SkipRule:
     max_brightness_ratio: float = 1.25
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not self.max_rotation_deg_per_s > 0:
             rate = self.max_rotation_deg_per_s
             raise ValueError(f"max_rotation_deg_per_s must be positive, got {rate}")

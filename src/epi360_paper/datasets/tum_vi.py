@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """TUM-VI: fisheye images of a hand-held rig with poses of its IMU (Schubert et al., IROS 2018)."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -5,8 +5,6 @@ Layout and the order of the numbers: https://github.com/ethz-asl/kalibr/wiki/yam
 https://github.com/ethz-asl/kalibr/wiki/supported-models.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -7,8 +7,6 @@ of the first one, have (w - 1) / 2 there. Formulas of the models and of the coor
 https://opensfm.org/docs/geometry.html.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
