@@ -17,10 +17,7 @@ TWO_NAMES = re.compile(rf"(?:{NAME})[ \t]+(?:{NAME})")
 
 
 def read_pairs_file(
-    path: str | os.PathLike[str],
-    *,
-    names: Collection[str] | None = None,
-    both_orders: bool = False,
+    path: str | os.PathLike[str], *, names: Collection[str] | None = None, both_orders: bool = False
 ) -> list[tuple[str, str]]:
     """Return the pairs of image names in a file, in its order.
 

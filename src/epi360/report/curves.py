@@ -8,6 +8,8 @@ from epi360.cameras import Camera
 from epi360.epipolar import sampson_residuals
 from epi360.estimation.result import RelativePoseResult
 
+Array = NDArray[np.float64]
+
 # A quarter of a degree: 0.7 px of a panorama 1024 px wide.
 CURVE_SAMPLES = 1440
 SEAM_SAMPLES = 64
@@ -16,11 +18,8 @@ MIN_EPIPOLE_SINE = 0.3
 
 
 def epipolar_curve(
-    camera: Camera,
-    normal: NDArray[np.float64],
-    start: NDArray[np.float64],
-    num_samples: int = CURVE_SAMPLES,
-) -> NDArray[np.float64]:
+    camera: Camera, normal: Array, start: Array, num_samples: int = CURVE_SAMPLES
+) -> Array:
     """Great circle with a plane normal as a polyline that passes through ``start``."""
     normal = normal / np.linalg.norm(normal)
     first = start - (start @ normal) * normal
@@ -29,7 +28,7 @@ def epipolar_curve(
     first = first / np.linalg.norm(first)
     second = np.cross(normal, first)
 
-    def pixels_at(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels_at(angles: Array) -> Array:
         directions = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
         return camera.pixels_from_bearings(directions)
 
@@ -41,9 +40,7 @@ def epipolar_curve(
     return np.insert(pixels, _jumps(pixels, camera.width) + 1, np.nan, axis=0)
 
 
-def match_residuals_deg(
-    bearings1: NDArray[np.float64], bearings2: NDArray[np.float64], result: RelativePoseResult
-) -> NDArray[np.float64]:
+def match_residuals_deg(bearings1: Array, bearings2: Array, result: RelativePoseResult) -> Array:
     """Angle by which each match misses the pose, per axis and view: the Sampson distance."""
     if result.status == "pure_rotation":
         turned = bearings1 @ result.cam2_from_cam1.rotation.T
@@ -54,10 +51,7 @@ def match_residuals_deg(
 
 
 def spread_matches(
-    bearings: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    inlier_mask: NDArray[np.bool_],
-    count: int,
+    bearings: Array, normals: Array, inlier_mask: NDArray[np.bool_], count: int
 ) -> NDArray[np.intp]:
     """At most ``count`` inliers that are far apart and whose epipolar planes are far apart."""
     candidates = np.flatnonzero(inlier_mask & np.isfinite(bearings).all(axis=1))
@@ -79,6 +73,6 @@ def spread_matches(
     return candidates[np.unique(chosen)]
 
 
-def _jumps(pixels: NDArray[np.float64], width: int) -> NDArray[np.intp]:
+def _jumps(pixels: Array, width: int) -> NDArray[np.intp]:
     """Where a polyline jumps: steps longer than half the image's width."""
     return np.flatnonzero(np.linalg.norm(np.diff(pixels, axis=0), axis=1) > width / 2.0)

@@ -23,11 +23,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult
 from epi360.features.picture_writing import encode_figure
-from epi360.report.curves import (
-    epipolar_curve,
-    match_residuals_deg,
-    spread_matches,
-)
+from epi360.report.curves import epipolar_curve, match_residuals_deg, spread_matches
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.text import (
     CONVENTION,
@@ -37,6 +33,8 @@ from epi360.report.text import (
     rotation_axis_angle,
 )
 from epi360.runs.whole_files import write_file
+
+Array = NDArray[np.float64]
 
 MAX_IMAGE_WIDTH = 2048
 MAX_DRAWN_MATCHES = 4000  # of each kind: more only cover each other and slow the drawing
@@ -67,10 +65,10 @@ class _View:
     other: str
     image: NDArray[np.uint8]
     camera: Camera
-    keypoints: NDArray[np.float64]
-    bearings: NDArray[np.float64]
-    curve_normals: NDArray[np.float64]
-    epipole: NDArray[np.float64]
+    keypoints: Array
+    bearings: Array
+    curve_normals: Array
+    epipole: Array
 
 
 def draw_pair(
@@ -187,10 +185,7 @@ def _draw_image(axes: Axes, view: _View) -> None:
 
 
 def _draw_matches(
-    axes: Axes,
-    view: _View,
-    inlier_mask: NDArray[np.bool_],
-    residuals_deg: NDArray[np.float64],
+    axes: Axes, view: _View, inlier_mask: NDArray[np.bool_], residuals_deg: Array
 ) -> PathCollection | None:
     """Outliers as faint crosses, inliers coloured by residual, the worst on top."""
     outliers = _thinned(np.flatnonzero(~inlier_mask))

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from epi360.estimation.result import RelativePoseResult, Status
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
+Array = NDArray[np.float64]
+
 CONVENTION = "x2 = R x1 + t, x right, y down, z forward"
 UNKNOWN = "not determined"
 LABEL_WIDTH, LINE_WIDTH = 14, 100
@@ -61,7 +63,7 @@ def describe_status(status: Status) -> str:
     return f"{status}: {STATUS_SENTENCES[status]}"
 
 
-def describe_direction(direction: NDArray[np.float64]) -> str:
+def describe_direction(direction: Array) -> str:
     """Azimuth and elevation of a direction, such as "azimuth +34.2 deg (right), elevation ..."."""
     if not np.isfinite(direction).all():
         return UNKNOWN
@@ -73,13 +75,13 @@ def describe_direction(direction: NDArray[np.float64]) -> str:
     return f"{azimuth_text}, elevation {_signed(elevation)} deg ({vertical})"
 
 
-def azimuth_elevation_deg(direction: NDArray[np.float64]) -> tuple[float, float]:
+def azimuth_elevation_deg(direction: Array) -> tuple[float, float]:
     """Azimuth (positive to the right) and elevation (positive up) of a direction."""
     x, y, z = direction
     return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(-y, np.hypot(x, z))))
 
 
-def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def rotation_axis_angle(rotation: Array) -> tuple[Array, float]:
     """Axis and angle in degrees; the axis is NaN if the angle is too small for one."""
     w, *xyz = Pose(rotation, np.zeros(3)).quaternion_wxyz
     vector = np.array(xyz)
@@ -146,7 +148,7 @@ def _rotation_text(pose: Pose) -> str:
     return f"{angle:.3f} deg{about}"
 
 
-def _heading_text(rotation: NDArray[np.float64]) -> str:
+def _heading_text(rotation: Array) -> str:
     """Where camera 2 looks, seen from camera 1, and how it leans about that direction."""
     if not np.isfinite(rotation).all():
         return UNKNOWN
@@ -174,7 +176,7 @@ def _signed(angle_deg: float) -> str:
     return f"{rounded:+.1f}" if rounded else "0.0"
 
 
-def _vector_text(vector: NDArray[np.float64]) -> str:
+def _vector_text(vector: Array) -> str:
     if not np.isfinite(vector).all():
         return UNKNOWN
     return "(" + ", ".join(f"{value + 0.0:.4f}" for value in np.round(vector, 4)) + ")"

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
 
+Array = NDArray[np.float64]
+
 Density = Literal["pixels", "sphere"]
 
 
@@ -18,7 +20,7 @@ def landmarks_from_depth(
     rng: np.random.Generator,
     *,
     density: Density = "pixels",
-) -> NDArray[np.float64]:
+) -> Array:
     """Points (num, 3) on the surfaces that a depth image shows, in metres in its camera's frame.
 
     Parameters
@@ -58,11 +60,9 @@ def landmarks_from_depth(
     return bearings * ranges[rows, columns][:, None]
 
 
-def _solid_angles(
-    camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _solid_angles(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
     """Shares of the pixels' solid angles in their sum."""
     jacobians = camera.bearing_jacobians(np.stack([columns, rows], axis=1) + 0.5)
     areas = np.linalg.norm(np.cross(jacobians[:, :, 0], jacobians[:, :, 1]), axis=1)
-    shares: NDArray[np.float64] = areas / areas.sum()
+    shares: Array = areas / areas.sum()
     return shares

@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from epi360.synthetic.directions import cap_directions
 
-Sampler = Callable[[np.random.Generator, int], NDArray[np.float64]]
+Array = NDArray[np.float64]
+
+Sampler = Callable[[np.random.Generator, int], Array]
 OutlierModel = Literal["uniform", "shuffled", "authors"]
 
 
 def add_metric_noise(
     rng: np.random.Generator,
-    points: NDArray[np.float64],
+    points: Array,
     *,
     sigma_m: float | None = None,
     kappa: float | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Points in the frame of a camera with independent noise on each coordinate, in metres.
 
     This is what the authors' published code does to the points of view 2 in place of von
@@ -54,12 +56,12 @@ def add_metric_noise(
 
 def replace_with_outliers(
     rng: np.random.Generator,
-    bearings2: NDArray[np.float64],
+    bearings2: Array,
     ratio: float,
     *,
     model: OutlierModel = "uniform",
     uniform_directions: Sampler | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+) -> tuple[Array, NDArray[np.bool_]]:
     """Bearings (N, 3) of view 2 with a share of wrong ones, and the mask (N,) of the right ones.
 
     Parameters
@@ -112,7 +114,7 @@ def check_outliers(ratio: float, model: str) -> None:
         raise ValueError(f"outlier_model must be one of {known}, got {model!r}")
 
 
-def _all_around(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
+def _all_around(rng: np.random.Generator, num: int) -> Array:
     return cap_directions(rng, num, np.pi)
 
 

@@ -18,6 +18,8 @@ from epi360.synthetic.disturbances import (
 from epi360.synthetic.layouts import Layout, sample_points
 from epi360.synthetic.von_mises_fisher import sample_von_mises_fisher
 
+Array = NDArray[np.float64]
+
 Noise = Literal["bearings", "points"]
 
 
@@ -37,9 +39,9 @@ class TwoViewScene:
         False where the match was made an outlier.
     """
 
-    bearings1: NDArray[np.float64]
-    bearings2: NDArray[np.float64]
-    points: NDArray[np.float64]
+    bearings1: Array
+    bearings2: Array
+    points: Array
     cam2_from_cam1: Pose
     inlier_mask: NDArray[np.bool_]
 
@@ -120,7 +122,7 @@ def two_view_scene(
 
 def scene_from_points(
     rng: np.random.Generator,
-    points: NDArray[np.float64],
+    points: Array,
     cam2_from_cam1: Pose,
     *,
     kappa: float | None = None,
@@ -163,9 +165,7 @@ def scene_from_points(
     return TwoViewScene(bearings1, bearings2, points, cam2_from_cam1, inlier_mask)
 
 
-def _seen(
-    rng: np.random.Generator, points: NDArray[np.float64], kappa: float | None, noise: Noise
-) -> NDArray[np.float64]:
+def _seen(rng: np.random.Generator, points: Array, kappa: float | None, noise: Noise) -> Array:
     """Bearings of points in the frame of a camera."""
     if kappa is None:
         return unit(points)
@@ -188,21 +188,21 @@ def sample_relative_pose(
     return Pose(rotation_from_euler(angles), translation)
 
 
-def rotation_from_euler(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_from_euler(angles_rad: Array) -> Array:
     """Rotation matrix Rz Ry Rx of three angles about the fixed axes x, y, z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles_rad), np.sin(angles_rad)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    rotation: NDArray[np.float64] = about_z @ about_y @ about_x
+    rotation: Array = about_z @ about_y @ about_x
     return rotation
 
 
-def rotation_from_heading(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_from_heading(angles_rad: Array) -> Array:
     """World-from-camera rotation of a camera that is tilted first and then turned to a heading."""
     pitch, heading, roll = angles_rad
     tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
-    rotation: NDArray[np.float64] = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
+    rotation: Array = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
     return rotation
 
 
