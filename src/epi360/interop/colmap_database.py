@@ -37,13 +37,9 @@ from epi360.poses import Pose, pose_from_quaternion
 from epi360.runs.whole_files import whole_path
 
 __all__ = [
-    "ColmapPairs",
-    "open_colmap_database",
-    "read_colmap_database",
-    "two_view_geometry_to_colmap",
-    "whole_database",
-    "write_colmap_database",
-]
+    "ColmapPairs", "open_colmap_database", "read_colmap_database", "two_view_geometry_to_colmap",
+    "whole_database", "write_colmap_database",
+]  # fmt: skip
 
 CONFIG_OF_STATUS = {"ok": "CALIBRATED", "planar_ambiguous": "PLANAR", "pure_rotation": "PANORAMIC"}
 FAILURE = "DEGENERATE"
