@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 2: the normalised eight-point algorithm from two panoramas to the pose."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -55,9 +56,7 @@ NUM_NEAREST = 12  # the planes of panel d end at some of the points nearest to t
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 2 from a rendered pair: matches, spheres, ovoids, essential matrix and pose."""
     room = furnished_room(options.seed)
-    pair = track_pair(
-        room, options.image_width, options.seed, lambda *frames: progress("fig2", *frames)
-    )
+    pair = track_pair(room, options, partial(progress, "fig2"))
     unit, best = solutions(pair)
     outcome = save_outcome(
         "fig2",
@@ -167,7 +166,6 @@ def _draw_number(
     shift: tuple[float, float],
     facing: bool = True,
 ) -> None:
-    """Draw the dot of a match in its colour, with its number if it faces the reader."""
     colour = MATCH_COLOURS[number]
     axes.plot(
         *point, "o", markersize=7, color=colour, markeredgecolor="black", zorder=6,
@@ -264,7 +262,6 @@ def _pose_words(pair: TrackedPair, pose: Pose) -> str:
 
 
 def _draw_step(figure: Figure, left: float, label: str) -> None:
-    """Draw an arrow from one stage to the next."""
     y = 1 - 3.55 / HEIGHT_IN
     arrow = FancyArrowPatch(
         (left / WIDTH_IN, y), ((left + 0.34) / WIDTH_IN, y), transform=figure.transFigure,

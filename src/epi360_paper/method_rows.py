@@ -165,7 +165,6 @@ def run_comparison(table: Comparison, options: ReproduceOptions, progress: Progr
 
 
 def _comparison_sections(table: Comparison, trials: Trials, unit: str) -> list[str]:
-    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree."""
     printed = table.printed
     ours = {method: _medians(trials.where(method=method), table.measured) for method in printed}
     rows = {

@@ -140,7 +140,6 @@ def _read_columns(path: Path, kinds: Mapping[str, str]) -> dict[str, NDArray[Any
 
 
 def _kind(values: Sequence[float | int | str]) -> str:
-    """Type of a column; truth values are written as 0 and 1."""
     if any(isinstance(value, str) for value in values):
         return "str"
     whole = all(isinstance(value, int | np.integer | np.bool_) for value in values)

@@ -46,7 +46,6 @@ def _section(page: Path) -> str:
 
 
 def _place(name: str) -> tuple[int, str]:
-    """Sort key of a folder: first its experiment in the paper's order, then its name."""
     experiment = name.partition("-")[0]
     known = EXPERIMENTS.index(experiment) if experiment in EXPERIMENTS else len(EXPERIMENTS)
     return known, name

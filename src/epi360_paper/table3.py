@@ -132,7 +132,6 @@ def _quartiles(heading: str, trials: Trials, dataset: str, what: str) -> list[st
 
 
 def _gain(trials: Trials) -> str:
-    """Sentence on what the two proposed methods gain at the median."""
     median = {
         (method, column): in_thousandths(trials.where(method=method)[f"{column}_error"])
         for method in METHODS

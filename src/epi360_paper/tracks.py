@@ -98,7 +98,9 @@ def pairs_of_frames(
             pixels = tracks.keypoints[[0, -1]][:, tracks.visible[-1]][:, : rule.num_tracks]
             if pixels.shape[1] >= rule.min_tracks:
                 b1, b2 = map(camera.bearings_from_pixels, pixels)
-                truth = _relative_pose(world_from_cam[start], world_from_cam[stop])
+                world_from_cam1, world_from_cam2 = world_from_cam[start], world_from_cam[stop]
+                assert world_from_cam1 is not None and world_from_cam2 is not None  # by _far_frame
+                truth = world_from_cam2.inverse() @ world_from_cam1
                 pairs.append(BearingPair(start, stop, b1, b2, truth))
     return pairs
 
@@ -144,11 +146,6 @@ def _far_frame(
     return None
 
 
-def _relative_pose(world_from_cam1: Pose | None, world_from_cam2: Pose | None) -> Pose:
-    assert world_from_cam1 is not None and world_from_cam2 is not None  # by _far_frame
-    return world_from_cam2.inverse() @ world_from_cam1
-
-
 def _write_pairs(path: Path, pairs: list[BearingPair]) -> None:
     poses = [pair.cam2_from_cam1.matrix() for pair in pairs]
     buffer = io.BytesIO()
@@ -165,7 +162,6 @@ def _write_pairs(path: Path, pairs: list[BearingPair]) -> None:
 
 
 def _read_pairs(path: Path) -> list[BearingPair] | None:
-    """Pairs of a file; None where it is missing or damaged."""
     try:
         with np.load(path) as arrays:
             frames, counts, bearings, poses = (

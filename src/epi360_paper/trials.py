@@ -57,8 +57,6 @@ TrialFunction = Callable[[Any, Trial], Row | Sequence[Row]]
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A range of trials of one cell and the file that keeps it."""
-
     path: Path
     fingerprint: Fingerprint
     function: TrialFunction
@@ -137,7 +135,6 @@ def _fingerprint(
 
 
 def _compute(chunks: Sequence[_Chunk], num_workers: int) -> Iterator[int]:
-    """Trials done, chunk by chunk as they finish."""
     if num_workers <= 1:
         for chunk in chunks:
             yield chunk.compute()

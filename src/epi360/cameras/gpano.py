@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """GPano metadata: which part of a panorama an image is, and how its camera was held.
 
-Source: Google, Photo Sphere XMP Metadata, https://developers.google.com/streetview/spherical-metadata.
+Source: Google, Photo Sphere XMP Metadata,
+https://developers.google.com/streetview/spherical-metadata.
 """
 
 import math

@@ -61,12 +61,10 @@ class KannalaBrandt(FocalCamera):
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
         """Return whether the centre of each pixel has a ray, shape (height, width)."""
-        mask: NDArray[np.bool_] = np.hypot(*self._plane_grid()) <= self._max_radius
-        return mask
+        return np.asarray(np.hypot(*self._plane_grid()) <= self._max_radius)
 
     @cached_property
     def _max_angle(self) -> float:
-        """Largest angle in radians for which the model holds."""
         limit = np.pi if self.max_angle_deg is None else np.deg2rad(self.max_angle_deg)
         squares = np.roots([9 * self.k4, 7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0])
         extrema = np.sqrt(squares.real[(np.abs(squares.imag) < 1e-12) & (squares.real > 0)])
@@ -86,7 +84,6 @@ class KannalaBrandt(FocalCamera):
         return angles * self._stretch(angles)
 
     def _slopes(self, angles: Array) -> Array:
-        """dr/da."""
         a2 = angles * angles
         k1, k2, k3, k4 = 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4
         return 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))

@@ -19,8 +19,7 @@ class LiftedCamera(FocalCamera):
     def field_of_view_mask(self) -> NDArray[np.bool_]:
         """Return whether the centre of each pixel has a ray, shape (height, width)."""
         x, y = self._plane_grid()
-        mask: NDArray[np.bool_] = x * x + y * y <= self._largest_square
-        return mask
+        return np.asarray(x * x + y * y <= self._largest_square)
 
     @property
     @abstractmethod

@@ -83,7 +83,6 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def _rig(cameras: dict[str, Camera], cam_from_body: dict[str, Pose]) -> Rig:
-    """Rig with the first camera as its frame, from poses in any one frame."""
     first, *others = cameras
     body_from_first = cam_from_body[first].inverse()
     cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # without rounding

@@ -102,7 +102,6 @@ def _format_of_source(source: Path) -> str:
 
 
 def _check_kinds(source: Path, source_name: str, target: Path, target_name: str) -> None:
-    """Raise where no conversion exists, saying what would be needed."""
     from epi360.interop.formats import FORMATS
 
     kind = "matches" if source_name == MATCH_FOLDER else FORMATS[source_name].kind

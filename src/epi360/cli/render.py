@@ -113,7 +113,6 @@ def render(
 
 
 def _check_words(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> None:
-    """Raise before the work where the words of the command do not fit together."""
     if what.mesh is not None and what.scene is not None:
         raise ValueError("give --mesh or --scene, not both: each is a scene of its own")
     if picture.camera is not None and picture.width is not None:

@@ -95,7 +95,6 @@ def reproduce(
 
 
 def _attempt(name: str, options: ReproduceOptions) -> int:
-    """Run one of several; a failure is said and does not stop the others."""
     try:
         _show(_run(name, options))
     except Exception as error:

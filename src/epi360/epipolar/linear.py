@@ -21,15 +21,9 @@ CONSTRAINTS = ("unit", "taubin")
 class EightPointSolution:
     """Linear estimate of the essential matrix.
 
-    Attributes
-    ----------
-    E : ndarray, shape (3, 3)
-        Matrix of rank 2 with Frobenius norm sqrt(2). Its two singular values may differ, and its
-        sign is arbitrary.
-    normalizer1, normalizer2 : ndarray, shape (3, 3)
-        N of each view: the estimate was made from the vectors N b (paper eq. 6).
-    S, K : float or None
-        Parameters of eq. 5, or None if the normalisation has none.
+    ``E`` has rank 2 and Frobenius norm sqrt(2). Its two singular values may differ, and its sign is
+    arbitrary. It was made from the vectors N b with ``normalizer1`` and ``normalizer2`` (paper eq.
+    6). ``S`` and ``K`` are the parameters of eq. 5, or None if the normalisation has none.
     """
 
     E: Array

@@ -17,14 +17,8 @@ def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) 
     """Return Hartley's similarity of the plane, applied to bearings as they are: Table 1 (a).
 
     It is [[s, 0, -s x], [0, s, -s y], [0, 0, 1]] with the mean bearing (x, y, z) and the scale
-    s = sqrt 2 over the root mean square distance of the bearings from it.
-
-    Parameters
-    ----------
-    bearings : array_like, shape (N, 3)
-        Bearings of one view; rows with NaN are left out.
-    weights : array_like, shape (N,), optional
-        Weights of the rows in the sums.
+    s = sqrt 2 over the root mean square distance of the bearings from it. Rows of the
+    bearings (N, 3) with NaN are left out; ``weights`` (N,) count in the sums.
 
     Raises
     ------
@@ -97,15 +91,9 @@ def normalizers(
 ) -> tuple[Array, Array]:
     """Return the matrices N1 and N2, both (3, 3), of a named normalisation.
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-    normalization : str or tuple (S, K)
-        "none", "isotropic", "non_isotropic", "isotropic+non_isotropic" or the two numbers of
-        eq. 5, which serve both views. "sk" is refused: `search_sk` finds its numbers first.
-    weights : array_like, shape (N,), optional
-        Weights of the matches.
+    It is "none", "isotropic", "non_isotropic", "isotropic+non_isotropic" or the two numbers of eq.
+    5, which serve both views. "sk" is refused: `search_sk` finds its numbers first. Bearings and
+    weights are those of `eight_point`.
 
     Raises
     ------

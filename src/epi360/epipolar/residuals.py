@@ -132,17 +132,9 @@ def pose_residuals(
 ) -> Array:
     """Return the named residual of every match under a pose, shape (N,).
 
-    Parameters
-    ----------
-    cam2_from_cam1 : Pose
-        Pose with x2 = R x1 + t.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-    residual : str
-        "paper" (sines), "angular" or "sampson" (radians), "tangent_sampson" (pixels) or
-        "solarte2021", see `solarte2021_residuals`.
-    jacobians1, jacobians2 : array_like, shape (N, 3, 2), optional
-        Derivatives of the bearings by their pixels; only "tangent_sampson" needs them.
+    It is "paper" (sines), "angular" or "sampson" (radians), "tangent_sampson" (pixels), which alone
+    needs Jacobians, or "solarte2021". The arguments are those of the function of that name, with a
+    pose x2 = R x1 + t in place of E.
 
     Raises
     ------

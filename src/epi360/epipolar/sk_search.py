@@ -40,16 +40,9 @@ def search_sk(
 ) -> tuple[float, float, float, int]:
     """Return S*, K*, the sum of |residuals| there and the number of its evaluations (eq. 14).
 
-    The sum is weighted, and the evaluations include those for derivatives.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        At least eight matches; rows with NaN are left out.
-    search : str
-        "line" searches u = ln(K / S) with S = 1; "lm" searches S and K, as the paper prints it.
-    weights : array_like, shape (N,), optional
-        Weights of the matches, both in the eight-point solution and in the sum.
+    The sum is weighted, and the evaluations include those for derivatives. "line" searches u = ln(K
+    / S) with S = 1; "lm" searches S and K, as the paper prints it. Bearings and weights are those
+    of `eight_point`.
 
     Raises
     ------

@@ -78,7 +78,6 @@ def _normals(b1: Array, b2: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 
 def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
-    """Return the headings theta at which the three normals are linearly dependent."""
     # z (n0 + z n1 + conj(n1) / z), component by component
     a, b, c = (
         [Polynomial([n1.conjugate(), n0, n1]) for n0, n1 in zip(*row, strict=True)]
@@ -98,7 +97,6 @@ def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
 
 
 def _perpendicular_to(normals: Array) -> Array:
-    """Return the unit vector perpendicular to three of one plane, NaN if they are parallel."""
     products = np.cross(normals, np.roll(normals, -1, axis=0))
     lengths = np.linalg.norm(products, axis=1)
     longest = int(np.argmax(lengths))

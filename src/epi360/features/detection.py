@@ -121,7 +121,9 @@ class SiftKeypoints:
 
     def features(self) -> Features:
         """Return what is matched: unit descriptors."""
-        return Features(self.pixels, _root_sift(self.descriptors), self.sizes)
+        values = np.asarray(self.descriptors, np.float32)
+        sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)  # RootSIFT
+        return Features(self.pixels, np.sqrt(values / sums).astype(np.float32), self.sizes)
 
     def num_above(self, contrast_threshold: float) -> int:
         """Return how many of them a search at a higher threshold would find: the first so many."""
@@ -178,7 +180,6 @@ _NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0
 
 
 def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
-    """Key points of a view, in pixels of the original image."""
     points, descriptors = sift.detectAndCompute(view.picture, view.mask)
     if not points:
         return _NOTHING
@@ -239,7 +240,6 @@ def _kept(
     mask_nadir_deg: float,
     max_features: int,
 ) -> NDArray[np.int64]:
-    """Indices of the usable key points, strongest first, limited in number."""
     order = np.argsort(-found.strengths, kind="stable")
     if mask is not None:
         columns = np.clip(found.pixels[order, 0].astype(int), 0, camera.width - 1)
@@ -249,9 +249,3 @@ def _kept(
         down = camera.bearings_from_pixels(found.pixels[order])[:, 1]
         order = order[down < np.cos(np.radians(mask_nadir_deg))]
     return order[:max_features]
-
-
-def _root_sift(descriptors: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
-    values = np.asarray(descriptors, np.float32)
-    sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
-    return np.asarray(np.sqrt(values / sums), dtype=np.float32)

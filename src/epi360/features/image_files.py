@@ -103,11 +103,9 @@ def _check_png(data: bytes) -> None:
 
 
 def _check_jpeg(data: bytes) -> None:
-    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B).
-
-    Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
-    phones and 360 cameras append videos and their own data after the end.
-    """
+    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B)."""
+    # Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
+    # phones and 360 cameras append videos and their own data after the end.
     at = 2
     while marker := _JPEG_MARKER.search(data, at):
         if data[marker.start() + 1] == _END_OF_JPEG:

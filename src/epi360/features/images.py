@@ -165,7 +165,6 @@ def _is_disc_on_black(half: NDArray[np.uint8]) -> bool:
 
 
 def _rgb_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 from any array that `read_image` takes."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:

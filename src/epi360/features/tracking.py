@@ -62,8 +62,6 @@ class _Options:
 
 @dataclass(frozen=True)
 class _View:
-    """What all frames share: the camera, the pixels to use, and the wrapped margin."""
-
     camera: Camera
     mask: NDArray[np.bool_]
     margin: int  # columns repeated on both sides, 0 where the image has an edge there
@@ -173,7 +171,6 @@ def _keypoints_of_frames(
     mask: ImageSource | None,
     options: _Options,
 ) -> Iterator[Array]:
-    """Pixels of all points so far, frame by frame."""
     view: _View | None = None
     previous, pixels = np.empty((0, 0), dtype=np.uint8), np.empty((0, 2))
     for index, source in enumerate(images):

@@ -34,7 +34,7 @@ from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_frames
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
-from epi360.runs.whole_files import whole_path
+from epi360.runs.whole_files import PathLike, whole_path
 
 __all__ = [
     "ColmapPairs", "open_colmap_database", "read_colmap_database", "two_view_geometry_to_colmap",
@@ -56,7 +56,7 @@ STATUS_OF_CONFIG = {  # the numbers are COLMAP's TwoViewGeometry::ConfigurationT
 TYPES_OF_BYTES = (-1, 0)  # descriptors of unknown type and of SIFT; networks make floats
 
 
-def open_colmap_database(path: str | os.PathLike[str]) -> Any:
+def open_colmap_database(path: PathLike) -> Any:
     """Return a database opened by pycolmap to write to it; COLMAP upgrades older tables."""
     pycolmap = pycolmap_library()
     with ColmapTables(path):
@@ -89,7 +89,7 @@ def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
     return colmap_geometry
 
 
-def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> None:
+def write_colmap_database(path: PathLike, graph: MatchGraph) -> None:
     """Write a match graph to a new database of COLMAP 4, the whole of it or nothing.
 
     COLMAP keeps key points in single precision. Cameras and images are numbered in the order of the
@@ -164,9 +164,7 @@ def _write(database: Any, graph: MatchGraph) -> None:
             database.write_two_view_geometry(*ids, two_view_geometry_to_colmap(pair.geometry))
 
 
-def read_colmap_database(
-    path: str | os.PathLike[str], *, with_descriptors: bool = False
-) -> MatchGraph:
+def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> MatchGraph:
     """Return the match graph of a COLMAP database, which is not changed.
 
     Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
@@ -214,7 +212,6 @@ def read_colmap_database(
 
 
 def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
-    """Descriptors (N, D), or None if the image has none."""
     has_type = pairs.has_columns("descriptors", "type")
     query = (
         f"SELECT {'type' if has_type else '0'}, rows, cols, data FROM descriptors "
@@ -236,7 +233,6 @@ def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
 def _geometries(
     pairs: ColmapPairs,
 ) -> Iterator[tuple[tuple[str, str], NDArray[np.int64], TwoViewGeometry | None]]:
-    """Names, inliers and geometry of each row."""
     columns = [
         name if pairs.has_columns("two_view_geometries", name) else f"NULL AS {name}"
         for name in ("E", "qvec", "tvec")

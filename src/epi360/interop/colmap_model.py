@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """COLMAP's sparse models: folders of cameras, rigs, frames, images and points, binary or text."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,10 +18,10 @@ from epi360.interop.colmap_model_files import (
 )
 from epi360.interop.colmap_model_rigs import poses_and_frames
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
-from epi360.runs.whole_files import whole_paths
+from epi360.runs.whole_files import PathLike, whole_paths
 
 
-def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
+def read_colmap_model(folder: PathLike) -> Reconstruction:
     """Return the reconstruction of a folder with ``cameras``, ``images`` and ``points3D``.
 
     The files are .bin or .txt; those of rigs and frames may be missing. A text file may call its
@@ -55,7 +54,7 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
 
 
 def write_colmap_model(
-    folder: str | os.PathLike[str], reconstruction: Reconstruction, *, text: bool = False
+    folder: PathLike, reconstruction: Reconstruction, *, text: bool = False
 ) -> None:
     """Write cameras, rigs, frames, images and points of a reconstruction, all files or none.
 

@@ -124,7 +124,6 @@ def _agreeing_frames(frames: Frames, cam_from_rig: Mapping[str, Pose]) -> Frames
 
 
 def _agrees(first: PosedImage, other: PosedImage, cam_from_rig: Mapping[str, Pose]) -> bool:
-    """Whether the pose of another image follows from the pose of the first and the rig."""
     other_from_first = cam_from_rig[str(other.camera)] @ cam_from_rig[str(first.camera)].inverse()
     expected, pose = other_from_first @ first.cam_from_world, other.cam_from_world
     rotation = np.abs(expected.rotation - pose.rotation).max()

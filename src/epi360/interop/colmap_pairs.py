@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Images and matched pairs of a COLMAP database, read one at a time."""
 
-import os
 from collections import OrderedDict
 from collections.abc import Iterator
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number
 from epi360.interop.colmap_tables import Blob, ColmapTables
+from epi360.runs.whole_files import PathLike
 
 LARGEST_IMAGE_ID = 2147483647  # a pair's id is this times the smaller image id, plus the larger
 CACHED_IMAGES = 64  # consecutive pairs share images, so that few images are in use at a time
@@ -19,7 +19,7 @@ CACHED_IMAGES = 64  # consecutive pairs share images, so that few images are in 
 class ColmapPairs(ColmapTables):
     """COLMAP database whose key points and matches are read when asked for, without pycolmap."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: PathLike) -> None:
         super().__init__(path)
         try:
             # Camera keys are ids as text; images have their camera's key by name, in order of ids.

@@ -2,7 +2,6 @@
 """GPano metadata in image files; what they mean for a camera is in `epi360.cameras.gpano`."""
 
 import io
-import os
 import struct
 import zlib
 from dataclasses import astuple
@@ -15,6 +14,7 @@ from epi360.features.image_headers import (
     parse_image_header,
     read_image_header,
 )
+from epi360.runs.whole_files import PathLike
 
 __all__ = ["GPano", "PanoramaPart", "gpano_packet", "parse_gpano", "read_gpano", "with_gpano"]
 
@@ -23,7 +23,7 @@ _XMP_IN_JPEG = b"http://ns.adobe.com/xap/1.0/\0"
 _XMP_IN_PNG = b"XML:com.adobe.xmp\0"
 
 
-def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
+def read_gpano(path: PathLike) -> GPano | None:
     """GPano metadata of a JPEG, PNG or TIFF file, of which only the header is read.
 
     None if the file has none, or an XMP packet that cannot be read. ``OSError`` if the file

@@ -15,16 +15,16 @@ from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
 from epi360.interop.pairs_file import write_pairs_file
-from epi360.runs.whole_files import whole_paths
+from epi360.runs.whole_files import PathLike, whole_paths
 
 __all__ = ["HlocPairs", "camera_of_image", "read_hloc", "write_hloc"]
 
 
 def read_hloc(
-    features: str | os.PathLike[str],
-    matches: str | os.PathLike[str],
+    features: PathLike,
+    matches: PathLike,
     *,
-    pairs: str | os.PathLike[str] | None = None,
+    pairs: PathLike | None = None,
     cameras: Mapping[str, Camera] | None = None,
     with_descriptors: bool = False,
 ) -> MatchGraph:
@@ -106,11 +106,7 @@ def camera_of_image(
 
 
 def write_hloc(
-    features: str | os.PathLike[str],
-    matches: str | os.PathLike[str],
-    graph: MatchGraph,
-    *,
-    pairs: str | os.PathLike[str] | None = None,
+    features: PathLike, matches: PathLike, graph: MatchGraph, *, pairs: PathLike | None = None
 ) -> None:
     """Write the key points and matches of a graph as hloc's two files, both or neither.
 

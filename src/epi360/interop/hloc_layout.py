@@ -168,7 +168,6 @@ def _possible_groups(pair: tuple[str, str]) -> Iterator[tuple[str, bool]]:
 
 
 def _possible_pairs(path: str, by_flat_name: dict[str, list[str]]) -> list[tuple[str, str]]:
-    """Pairs of images whose group may have this path."""
     separator = "/" if "/" in path else "_"
     parts = path.split(separator)
     return [

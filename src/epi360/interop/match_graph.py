@@ -16,18 +16,11 @@ from epi360.poses import Pose
 class MatchedImage:
     """An image with its key points.
 
-    Attributes
-    ----------
-    name : str
-        Path of the image below the folder of the images, with "/" between its parts.
-    camera : str or None
-        Key in the graph's cameras; None if the file does not say.
-    keypoints : ndarray, shape (N, 2)
-        Continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
-    descriptors : ndarray, shape (N, D), optional
-        Descriptors of the key points, as they are in the file.
-    frame : str or None
-        Images of a rig that share a frame were taken at one moment; None is a frame of its own.
+    ``name`` is the path of the image below the folder of the images, with "/" between its parts,
+    and ``camera`` a key in the graph's cameras, or None if the file does not say. ``keypoints`` (N,
+    2) are continuous pixels, where the centre of the top-left pixel is (0.5, 0.5); ``descriptors``
+    (N, D) are as in the file. Images of a rig that share a ``frame`` were taken at one moment; None
+    is a frame of its own.
     """
 
     name: str
@@ -69,17 +62,9 @@ class MatchedPair:
 class MatchGraph:
     """Images and matched pairs.
 
-    Attributes
-    ----------
-    cameras : mapping of str to Camera
-        Cameras by name.
-    images : mapping of str to MatchedImage
-        Images by name; the order counts.
-    pairs : tuple of MatchedPair
-        Matched pairs; two images are a pair only once, in either order.
-    cam_from_rig : mapping of str to Pose
-        Pose of each camera on its rig, by the camera's name. If it is empty there is no rig, and
-        every image is a frame of its own.
+    Cameras and images are by name; the order of the images counts. Two images are a pair only once,
+    in either order. ``cam_from_rig`` has the pose of each camera on its rig, by the camera's name.
+    If it is empty there is no rig, and every image is a frame of its own.
 
     Raises
     ------

@@ -8,7 +8,6 @@ https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/O
 """
 
 import json
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,12 +24,12 @@ from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 
 
-def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
+def read_opensfm(path: PathLike) -> Reconstruction:
     """Return the largest reconstruction of a ``reconstruction.json``.
 
     If it holds several reconstructions, which have no common frame, a warning says how many shots
@@ -68,7 +67,7 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
     return reconstruction
 
 
-def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
+def write_opensfm(path: PathLike, reconstruction: Reconstruction) -> None:
     """Write cameras, poses and points, but no observations, as a ``reconstruction.json``.
 
     `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
@@ -101,7 +100,6 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
 
 
 def _largest(document: Any) -> Mapping[str, Any]:
-    """Reconstruction with the most shots, the first of these."""
     if not isinstance(document, list) or not document:
         raise ValueError(f"{WHAT} must be a list of reconstructions, with one at least")
     for number, part in enumerate(document):

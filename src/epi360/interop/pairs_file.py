@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pairs files: which images to match, one pair a line, as hloc and COLMAP take them."""
 
-import os
 import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 # A name may hold any character but these two; file names do hold other Unicode white space.
 BLANK = re.compile(r"[ \t]+")
@@ -17,7 +16,7 @@ TWO_NAMES = re.compile(rf"(?:{NAME})[ \t]+(?:{NAME})")
 
 
 def read_pairs_file(
-    path: str | os.PathLike[str], *, names: Collection[str] | None = None, both_orders: bool = False
+    path: PathLike, *, names: Collection[str] | None = None, both_orders: bool = False
 ) -> list[tuple[str, str]]:
     """Return the pairs of image names in a file, in its order.
 
@@ -59,7 +58,7 @@ def read_pairs_file(
     return list(pairs)
 
 
-def write_pairs_file(path: str | os.PathLike[str], pairs: Iterable[tuple[str, str]]) -> None:
+def write_pairs_file(path: PathLike, pairs: Iterable[tuple[str, str]]) -> None:
     """Write pairs of image names, one pair a line; the file appears whole or not at all.
 
     A file that exists is replaced. Names with blanks are put into double quotes.

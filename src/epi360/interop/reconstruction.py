@@ -42,18 +42,11 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Posed images, and points if there are any.
+    """Posed images in the order of the file, and points if there are any.
 
-    Attributes
-    ----------
-    cameras, cam_from_rig
-        As in `MatchGraph`.
-    images : tuple of PosedImage
-        Images in the order of the file.
-    points, colors : ndarray, shape (P, 3)
-        Positions in the world, in the unit of the poses, and their RGB colors (uint8).
-    observations : Observations, optional
-        Where the points are seen; None if the file does not say.
+    ``points`` (P, 3) are positions in the world, in the unit of the poses, and ``colors`` (P, 3)
+    their RGB values; ``observations`` is None if the file does not say where they are seen.
+    ``cameras`` and ``cam_from_rig`` are as in `MatchGraph`.
 
     Raises
     ------

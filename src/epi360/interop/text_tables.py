@@ -25,11 +25,14 @@ class Table:
 
     def integers(self, column: int) -> NDArray[np.int64]:
         """Whole numbers of a column; ``ValueError`` where a cell is none."""
-        try:
-            return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
-        except (ValueError, OverflowError):
-            bad = next(i for i, row in enumerate(self.cells) if not _is_int64(row[column]))
-            raise self.error(bad, f"a whole number as {self.columns[column]}") from None
+        numbers = np.empty(len(self.cells), np.int64)
+        for index, row in enumerate(self.cells):
+            try:
+                numbers[index] = int(row[column])
+            except (ValueError, OverflowError):
+                wanted = f"a whole number as {self.columns[column]}"
+                raise self.error(index, wanted) from None
+        return numbers
 
     def floats(self, start: int, stop: int) -> NDArray[np.float64]:
         """Finite numbers of some columns; ``ValueError`` where a cell is none."""
@@ -82,10 +85,3 @@ def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> T
         if len(row) != len(columns):
             raise table.error(index, f"{len(columns)} values {names}")
     return table
-
-
-def _is_int64(cell: str) -> bool:
-    try:
-        return -(2**63) <= int(cell) < 2**63
-    except ValueError:
-        return False

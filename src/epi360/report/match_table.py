@@ -73,7 +73,6 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
 
 
 def _reason(verdict: PairVerdict, run: MatchRun) -> str:
-    """Why a pair is accepted or not; if an image cannot be read, why."""
     if verdict.contradicted:
         return CONTRADICTED
     if verdict.status in STATUS_SENTENCES:
@@ -83,7 +82,6 @@ def _reason(verdict: PairVerdict, run: MatchRun) -> str:
 
 
 def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:
-    """The first few lines, one row each."""
     rows = [(label, line) for line in lines[:_MAX_LISTED]]
     if len(lines) > _MAX_LISTED:
         rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))

@@ -3,7 +3,6 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,7 +12,7 @@ from epi360.estimation.result import ImagePairResult, RelativePoseResult
 from epi360.extras import package_version
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5, 0.5)"
 
@@ -74,7 +73,7 @@ def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
     }
 
 
-def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
+def write_json(path: PathLike, record: Mapping[str, Any]) -> None:
     """Write a record of plain values as strict JSON, one key a line, whole or not at all.
 
     Raises
@@ -92,7 +91,6 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Value without arrays, NumPy scalars, tuples and NaN."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):

@@ -171,7 +171,6 @@ def _side(azimuth_deg: float) -> str:
 
 
 def _signed(angle_deg: float) -> str:
-    """One decimal with its sign; zero has none."""
     rounded = round(angle_deg, 1)
     return f"{rounded:+.1f}" if rounded else "0.0"
 

@@ -9,13 +9,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from epi360.extras import extra_library
+from epi360.runs.whole_files import PathLike
 
 # What a file system that has no locks answers, as some network disks do.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)
 
 
 @contextmanager
-def only_run(output: str | os.PathLike[str]) -> Iterator[None]:
+def only_run(output: PathLike) -> Iterator[None]:
     """Hold the lock of an output: a file beside it, which is removed at the end.
 
     If another run holds it, a ValueError says which process on which machine. On a disk without

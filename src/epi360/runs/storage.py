@@ -121,7 +121,6 @@ def remove_folder(folder: str) -> None:
 
 
 def _filesystem(url: str) -> tuple[Any, str]:
-    """File system of a URL and the name of the file in it."""
     core = extra_library("fsspec.core", extra="batch", purpose="paths with ://")
     files, name = core.url_to_fs(url)
     # Another machine may have written since this process last listed the folder.

@@ -61,8 +61,6 @@ def landmarks_from_depth(
 
 
 def _solid_angles(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
-    """Shares of the pixels' solid angles in their sum."""
     jacobians = camera.bearing_jacobians(np.stack([columns, rows], axis=1) + 0.5)
     areas = np.linalg.norm(np.cross(jacobians[:, :, 0], jacobians[:, :, 1]), axis=1)
-    shares: Array = areas / areas.sum()
-    return shares
+    return np.asarray(areas / areas.sum())

@@ -2,6 +2,7 @@
 """Wrong matches by a stated model, and noise in metres as in the code of the paper's authors."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -97,7 +98,8 @@ def replace_with_outliers(
         return disturbed, np.asarray((disturbed == bearings2).all(axis=1))
     rows = rng.choice(num, count, replace=False)
     if model == "uniform":
-        disturbed[rows] = (uniform_directions or _all_around)(rng, count)
+        all_around = partial(cap_directions, half_angle=np.pi)
+        disturbed[rows] = (uniform_directions or all_around)(rng, count)
     else:
         disturbed[rows] = bearings2[_other_rows(rng, rows, num)]
     inlier_mask = np.ones(num, dtype=np.bool_)
@@ -114,12 +116,7 @@ def check_outliers(ratio: float, model: str) -> None:
         raise ValueError(f"outlier_model must be one of {known}, got {model!r}")
 
 
-def _all_around(rng: np.random.Generator, num: int) -> Array:
-    return cap_directions(rng, num, np.pi)
-
-
 def _other_rows(rng: np.random.Generator, rows: NDArray[np.intp], num: int) -> NDArray[np.intp]:
-    """For each of these rows, in random order, another row whose bearing it takes."""
     if len(rows) != 1:
         return np.roll(rows, 1)
     if num == 1:

@@ -166,7 +166,6 @@ def scene_from_points(
 
 
 def _seen(rng: np.random.Generator, points: Array, kappa: float | None, noise: Noise) -> Array:
-    """Bearings of points in the frame of a camera."""
     if kappa is None:
         return unit(points)
     if noise == "points":
@@ -194,16 +193,14 @@ def rotation_from_euler(angles_rad: Array) -> Array:
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    rotation: Array = about_z @ about_y @ about_x
-    return rotation
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def rotation_from_heading(angles_rad: Array) -> Array:
     """World-from-camera rotation of a camera that is tilted first and then turned to a heading."""
     pitch, heading, roll = angles_rad
     tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
-    rotation: Array = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
-    return rotation
+    return np.asarray(rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt)
 
 
 def _check_options(
@@ -221,7 +218,6 @@ def _check_options(
 
 
 def _concentration(noise_deg: float | None, kappa: float | None) -> float | None:
-    """Kappa of the noise, None for exact bearings."""
     if noise_deg is not None and kappa is not None:
         raise ValueError("give noise_deg or kappa, not both: kappa = 1 / radians(noise_deg)**2")
     if noise_deg is not None and not 0.0 <= noise_deg < np.inf:

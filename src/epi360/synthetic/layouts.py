@@ -53,7 +53,6 @@ def sample_points(
 
 
 def _room_points(rng: np.random.Generator, num: int, center2: Array) -> Array:
-    """Points uniform over the six inner faces of a box that holds both cameras."""
     low = np.minimum(-np.array(ROOM_HALF_M), center2 - WALL_CLEARANCE_M)
     high = np.maximum(ROOM_HALF_M, center2 + WALL_CLEARANCE_M)
     size = high - low
@@ -71,13 +70,11 @@ def _plane_sampler(rng: np.random.Generator, center2: Array) -> Sampler:
     span = np.concatenate(tangents(normal))
 
     def sample(rng: np.random.Generator, num: int) -> Array:
-        points: Array = distance * normal + rng.uniform(-4, 4, (num, 2)) @ span
-        return points
+        return np.asarray(distance * normal + rng.uniform(-4, 4, (num, 2)) @ span)
 
     return sample
 
 
 def _ranged(rng: np.random.Generator, directions: Array) -> Array:
     ranges = np.exp(rng.uniform(np.log(NEAREST_M), np.log(FARTHEST_M), (len(directions), 1)))
-    points: Array = ranges * directions
-    return points
+    return np.asarray(ranges * directions)

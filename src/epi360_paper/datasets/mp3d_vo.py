@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """360-MP3D-VO: panoramas with depth and poses, rendered from Matterport3D (paper section 5)."""
 
-import os
 from pathlib import Path
 
 from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
+from epi360.runs.whole_files import PathLike
 from epi360_paper.datasets.image_folder import panorama_camera
 from epi360_paper.datasets.intensities import intensity_levels
 from epi360_paper.datasets.sequence import ImageSequence
@@ -15,7 +15,7 @@ COLUMNS = ("t", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 POSES_FILE = "frm_ref.txt"
 
 
-def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
+def load_mp3d_vo(scene: PathLike) -> ImageSequence:
     """Sequence of a scene in the layout of 360-MP3D-VO, which `epi360 render` writes too.
 
     The folder has ``rgb/1.png``, ``rgb/2.png``, ..., optionally ``depth/tiff/1.tiff``, ... (range
@@ -49,7 +49,7 @@ def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
     )
 
 
-def find_mp3d_vo_scenes(folder: str | os.PathLike[str]) -> list[Path]:
+def find_mp3d_vo_scenes(folder: PathLike) -> list[Path]:
     """Scenes in a folder: itself, or those at any depth that hold ``frm_ref.txt``, sorted.
 
     ``FileNotFoundError`` if the folder does not exist or there is no scene in it.
@@ -77,7 +77,6 @@ def _depth_files(scene: Path, count: int) -> tuple[Path, ...]:
 
 
 def _numbered_files(folder: Path, suffix: str) -> tuple[Path, ...]:
-    """Files 1, 2, ... of a folder, without a gap."""
     numbers = {int(path.stem) for path in folder.glob(f"*{suffix}") if path.stem.isdecimal()}
     if not numbers:
         raise FileNotFoundError(f"{folder} has no images 1{suffix}, 2{suffix}, ...")

@@ -60,7 +60,6 @@ def _is_calm(
     brightness: float,
     rule: SkipRule | None,
 ) -> bool:
-    """Whether the step to a frame from the one before it can be tracked."""
     before, after = sequence.world_from_cam[index - 1 : index + 1]
     if before is None or after is None:
         return False

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """TUM-VI: fisheye images of a hand-held rig with poses of its IMU (Schubert et al., IROS 2018)."""
 
-import os
 import re
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from epi360.cameras import Camera, load_kalibr_rig
 from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import Table, read_table
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.whole_files import PathLike
 from epi360_paper.datasets.intensities import intensity_levels, lens_circle_mask
 from epi360_paper.datasets.sequence import ImageSequence
 from epi360_paper.datasets.trajectories import poses_at_times
@@ -25,25 +25,15 @@ MAX_GAP_S = 0.05  # motion capture has 120 Hz: six lost samples
 
 
 def load_tum_vi(
-    scene: str | os.PathLike[str],
-    calibration: str | os.PathLike[str] | None = None,
-    *,
-    max_gap_s: float = MAX_GAP_S,
+    scene: PathLike, calibration: PathLike | None = None, *, max_gap_s: float = MAX_GAP_S
 ) -> ImageSequence:
     """Sequence of camera 0 of a scene in the layout of TUM-VI; the mask leaves out the black rim.
 
-    Parameters
-    ----------
-    scene : path-like
-        Folder with ``mav0/cam0/data.csv`` (nanoseconds, file in ``mav0/cam0/data``) and poses
-        of the IMU in ``dso/gt_imu.csv`` or ``mav0/mocap0/data.csv``
-        (``t,x,y,z,qw,qx,qy,qz``, nanoseconds).
-    calibration : path-like, optional
-        Kalibr file with ``T_cam_imu``. By default the paper's ``omni_calib.yaml`` (unified model)
-        if the folder above holds it, else ``dso/camchain.yaml`` (equidistant model).
-    max_gap_s : float
-        Largest time between the two motion-capture poses that an image lies between; beyond it
-        the image has no pose.
+    The folder has ``mav0/cam0/data.csv`` (nanoseconds, file in ``mav0/cam0/data``) and poses of the
+    IMU in ``dso/gt_imu.csv`` or ``mav0/mocap0/data.csv`` (``t,x,y,z,qw,qx,qy,qz``, nanoseconds). By
+    default the calibration, a Kalibr file with ``T_cam_imu``, is the paper's ``omni_calib.yaml``
+    (unified model) if the folder above holds it, else ``dso/camchain.yaml`` (equidistant model). An
+    image between two motion-capture poses further than ``max_gap_s`` apart has no pose.
 
     Raises
     ------
@@ -75,7 +65,7 @@ def load_tum_vi(
     )
 
 
-def find_tum_vi_rooms(folder: str | os.PathLike[str]) -> list[Path]:
+def find_tum_vi_rooms(folder: PathLike) -> list[Path]:
     """Scenes room1 to room6 in a folder by their numbers, or the folder itself if it is a scene.
 
     Folders are called ``dataset-room1_512_16`` and so on, or ``room1``. Only the rooms have poses
@@ -94,7 +84,6 @@ def find_tum_vi_rooms(folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def _part(scene: Path, *names: str) -> Path:
-    """First of some files that exists."""
     for name in names:
         if (scene / name).is_file():
             return scene / name
@@ -143,7 +132,7 @@ def _check_header(table: Table) -> None:
         raise ValueError(f"the header of {table.path} must name {wanted}, got {table.header!r}")
 
 
-def _calibration(scene: Path, calibration: str | os.PathLike[str] | None) -> tuple[Camera, Pose]:
+def _calibration(scene: Path, calibration: PathLike | None) -> tuple[Camera, Pose]:
     """Camera 0 of a calibration and its pose cam_from_imu."""
     path = Path(calibration) if calibration is not None else _part(scene, *CALIBRATION_FILES)
     rig = load_kalibr_rig(path)

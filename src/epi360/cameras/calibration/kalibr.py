@@ -153,7 +153,6 @@ def _coefficients(entry: Mapping[str, Any], distortion_model: str) -> list[Any]:
 
 
 def _camera_and_poses(entry: Mapping[str, Any]) -> tuple[Camera, Pose | None, Pose | None]:
-    """Camera, its pose from the IMU, and its pose from the previous camera."""
     return _camera(entry), _pose(entry, "T_cam_imu"), _pose(entry, "T_cn_cnm1")
 
 
