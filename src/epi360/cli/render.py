@@ -85,11 +85,6 @@ def render(
     ----------
     out
         Folder of the sequence: new, or begun with the same options.
-
-    Returns
-    -------
-    code
-        Exit code.
     """
     from epi360_scenes.paths import handheld_path
     from epi360_scenes.sequence import check_folder, render_sequence

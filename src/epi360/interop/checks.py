@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, KannalaBrandt, Pinhole, UnifiedCamera
 from epi360.cameras.calibration import fields
+from epi360.interop.match_graph import MatchedImage
 from epi360.interop.reconstruction import PosedImage
 from epi360.poses import Pose, pose_from_quaternion
 
@@ -87,7 +88,7 @@ def known_pose(image: PosedImage) -> Pose:
     return pose
 
 
-def known_camera(image: PosedImage, what: str) -> str:
+def known_camera(image: MatchedImage | PosedImage, what: str) -> str:
     """Return the name of an image's camera; raise ``ValueError`` if it has none."""
     if image.camera is None:
         raise ValueError(f"{what} needs the camera of image {image.name}; give one (--camera)")

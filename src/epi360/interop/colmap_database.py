@@ -28,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar import essential_from_pose, pose_from_essential
+from epi360.interop.checks import known_camera
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_frames, write_rigs
+from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_rigs_and_frames
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
@@ -144,19 +145,16 @@ def whole_database(path: Path) -> Iterator[Path]:
 
 def _write(database: Any, graph: MatchGraph) -> None:
     pycolmap = pycolmap_library()
-    camera_ids: dict[str, int] = {}
-    for name, camera in graph.cameras.items():
-        camera_ids[name] = database.write_camera(colmap_camera(camera))
+    camera_ids: dict[str, int] = {
+        name: database.write_camera(colmap_camera(camera)) for name, camera in graph.cameras.items()
+    }
     image_ids: dict[str, int] = {}
     for image in graph.images.values():
-        if image.camera is None:
-            raise ValueError(
-                f"a COLMAP database needs the camera of image {image.name}; give one (--camera)"
-            )
-        colmap_image = pycolmap.Image(name=image.name, camera_id=camera_ids[image.camera])
+        camera_id = camera_ids[known_camera(image, "a COLMAP database")]
+        colmap_image = pycolmap.Image(name=image.name, camera_id=camera_id)
         image_ids[image.name] = database.write_image(colmap_image)
         database.write_keypoints(image_ids[image.name], image.keypoints.astype(np.float32))
-    write_frames(database, graph, image_ids, camera_ids, write_rigs(database, graph, camera_ids))
+    write_rigs_and_frames(database, graph, image_ids, camera_ids)
     for pair in graph.pairs:
         ids = image_ids[pair.image1], image_ids[pair.image2]
         database.write_matches(*ids, pair.matches.astype(np.uint32))
