@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The figures and tables of Robust 360-8PA (2021), one module each.
-
-An experiment is a function ``run(options, progress) -> Outcome``; its module is loaded when it
-runs.
-"""
+"""The figures and tables of Robust 360-8PA (2021), one module each, loaded when it runs."""
 
 from __future__ import annotations
 

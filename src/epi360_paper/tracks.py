@@ -2,8 +2,7 @@
 """Pairs of frames with key points tracked between them: the data of Tables 1 to 3.
 
 From a frame on, about 200 Shi-Tomasi corners are followed until the camera is 0.5 m away (paper
-section 5.2); that is a pair. Tracks are kept in files named by what they depend on, so that three
-tables and every later run share them.
+section 5.2). Tracks are kept in files named by what they depend on, for all tables and later runs.
 """
 
 import hashlib

@@ -2,8 +2,7 @@
 """Many random trials on several processes: finished parts are kept, the numbers do not change.
 
 A trial draws from generators seeded by (seed, experiment, cell, trial), so that neither the number
-of workers nor an interruption changes a number. A part is a chunk of trials of one cell; its file
-is written under a temporary name and renamed, and a later run reads it instead of computing it.
+of workers nor an interruption changes a number. A part is a chunk of trials of one cell.
 """
 
 import os

@@ -58,22 +58,11 @@ PART_NAMES = (  # in the order of the fields
 class GPano:
     """GPano metadata of an image.
 
-    The angles are those of the whole panorama: cropping it does not change them. An angle that the
-    file does not state, or that is no number, is None.
-
-    Attributes
-    ----------
-    projection : str
-        "equirectangular" if the file does not say.
-    part : PanoramaPart or None
-        None if the file does not state all six numbers.
-    heading_deg : float or None
-        Compass heading of the centre, clockwise from north.
-    pitch_deg : float or None
-        Elevation of the image's centre: with 10, the horizon runs below the centre.
-    roll_deg : float or None
-        Clockwise turn of the camera: with 10 its right side hangs down, and the horizon is turned
-        counter-clockwise in the picture.
+    The angles are those of the whole panorama: cropping it does not change them. What the file does
+    not state, or states as no number, is None; so is a part without all of its six numbers. The
+    heading is clockwise from north. With a pitch of 10 degrees the horizon runs below the centre of
+    the image; with a roll of 10 the right side of the camera hangs down, and the horizon is turned
+    counter-clockwise in the picture.
     """
 
     projection: str = "equirectangular"
@@ -84,10 +73,10 @@ class GPano:
 
     @property
     def down(self) -> NDArray[np.float64] | None:
-        """Unit direction of gravity in the camera frame, shape (3,).
+        """Unit direction (3,) of gravity in the camera frame; None without pitch and roll.
 
-        None if the file has neither pitch nor roll; if it has one of them, the other counts as 0.
-        Many programs write 0 for both without knowing.
+        If the file has one of them, the other counts as 0. Many programs write 0 for both without
+        knowing.
         """
         if self.pitch_deg is None and self.roll_deg is None:
             return None

@@ -20,13 +20,7 @@ def upright_three_point(
     """Return the poses cam2_from_cam1 that fit three matches and turn gravity into gravity.
 
     They are up to four poses with |t| = 1, where -t is as good as t; none if a bearing is NaN.
-
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (3, 3)
-        Directions of any length; row i of both is one match.
-    gravity1, gravity2 : array_like, shape (3,)
-        Direction of gravity in each camera, of any length.
+    Bearings, both (3, 3), and directions of gravity (3,) may have any length.
 
     Raises
     ------

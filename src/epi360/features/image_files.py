@@ -36,8 +36,7 @@ _END_OF_JPEG = 0xD9
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     """Pixels of a complete file, (H, W, 3) BGR or (H, W, 4) BGRA of the file's own type.
 
-    They are upright unless some are transparent. A file that is missing, incomplete, no image or
-    larger than ``max_pixels`` raises `read_image`'s errors, which call it ``name``.
+    They are upright unless some are transparent. The errors are those of `read_image`.
     """
     data = _read_bytes(path, name)
     try:

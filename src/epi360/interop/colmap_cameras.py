@@ -11,8 +11,9 @@ from epi360.extras import extra_library
 def colmap_camera(camera: Camera) -> Any:
     """Return a ``pycolmap.Camera`` with the same rays, of the simplest model that is exactly equal.
 
-    It has no id, and its focal length counts as known. The ``max_angle_deg`` of a fisheye is lost:
-    COLMAP has no such number.
+    It has no id, and its focal length counts as known. The ``max_angle_deg`` of a fisheye is lost.
+    In COLMAP 4.2 only panoramas have rays behind the camera; pixels of a fisheye that look 90
+    degrees or more from the axis have no ray there, or a wrong one.
 
     Raises
     ------
@@ -21,11 +22,6 @@ def colmap_camera(camera: Camera) -> Any:
         with xi other than 0.
     ImportError
         If pycolmap is missing.
-
-    Notes
-    -----
-    In COLMAP 4.2 only panoramas have rays behind the camera. Pixels of a fisheye that look 90
-    degrees or more from the axis have no ray there, or a wrong one.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="COLMAP cameras")
     model, parameters = model_of_camera(camera)

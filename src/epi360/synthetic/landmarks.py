@@ -27,16 +27,10 @@ Noise = Literal["bearings", "points"]
 class TwoViewScene:
     """Matches of two central cameras and the truth behind them.
 
-    Attributes
-    ----------
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Unit bearing vectors with noise and outliers; row i of both is one match.
-    points : ndarray, shape (N, 3)
-        True landmarks in the frame of camera 1, in metres (also of the rows that are outliers).
-    cam2_from_cam1 : Pose
-        True pose with its **metric** translation (normalise it to compare with an estimate).
-    inlier_mask : ndarray, shape (N,), bool
-        False where the match was made an outlier.
+    Row i of the unit bearings, both (N, 3), is one match with noise, or an outlier where
+    ``inlier_mask`` (N,) is False. ``points`` (N, 3) are the true landmarks in the frame of camera
+    1, in metres, those of outliers too. The translation of ``cam2_from_cam1`` is **metric**:
+    normalise it to compare it with an estimate.
     """
 
     bearings1: Array

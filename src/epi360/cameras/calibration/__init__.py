@@ -70,7 +70,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Return the one camera of a calibration file that `load_cameras` reads.
+    """Return the one camera of a calibration file, whose ``path`` is as in `load_cameras`.
 
     Raises
     ------
