@@ -120,12 +120,12 @@ def _draw_frame(axes: Axes, N: Array, center: Array, eye: Eye, length: float) ->
         )  # fmt: skip
 
 
-def great_circle(normal: Array, num: int = 181) -> Array:
-    """Unit vectors once around the great circle with a normal, shape (num, 3)."""
+def great_circle(normal: Array) -> Array:
+    """Unit vectors once around the great circle with a normal, shape (181, 3)."""
     unit = normal / np.linalg.norm(normal)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     first /= np.linalg.norm(first)
-    angles = np.linspace(0.0, 2.0 * np.pi, num)[:, None]
+    angles = np.linspace(0.0, 2.0 * np.pi, 181)[:, None]
     return np.asarray(np.cos(angles) * first + np.sin(angles) * np.cross(unit, first))
 
 

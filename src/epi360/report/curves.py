@@ -17,9 +17,7 @@ SEAM_SAMPLES = 64
 MIN_EPIPOLE_SINE = 0.3
 
 
-def epipolar_curve(
-    camera: Camera, normal: Array, start: Array, num_samples: int = CURVE_SAMPLES
-) -> Array:
+def epipolar_curve(camera: Camera, normal: Array, start: Array) -> Array:
     """Great circle with a plane normal as a polyline that passes through ``start``."""
     normal = normal / np.linalg.norm(normal)
     first = start - (start @ normal) * normal
@@ -32,7 +30,7 @@ def epipolar_curve(
         directions = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
         return camera.pixels_from_bearings(directions)
 
-    angles = np.linspace(0.0, 2.0 * np.pi, num_samples + 1)
+    angles = np.linspace(0.0, 2.0 * np.pi, CURVE_SAMPLES + 1)
     jumps = _jumps(pixels_at(angles), camera.width)
     # Finer where the curve jumps, so that it reaches the image's border on both sides.
     finer = np.linspace(angles[jumps], angles[jumps + 1], SEAM_SAMPLES + 1)[1:-1]
