@@ -58,11 +58,12 @@ def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     room = furnished_room(options.seed)
     pair = track_pair(room, options, partial(progress, "fig2"))
     unit, best = solutions(pair)
+    matrix = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in best.E)
     outcome = save_outcome(
         "fig2",
         TITLE,
         pair_line(options),
-        [_table(pair, unit, best), _matrix_words(best)],
+        [_table(pair, unit, best), f"E after denormalisation, row by row: {matrix}."],
         Trials(_columns(pair, unit, best)),
         options,
         figure=png_of(_draw(pair, best)),
@@ -103,11 +104,6 @@ def _table(pair: TrackedPair, unit: EightPointSolution, best: EightPointSolution
         "translation error (deg)", "median angle out of plane (deg)",
     ]  # fmt: skip
     return markdown_table(heading, rows)
-
-
-def _matrix_words(best: EightPointSolution) -> str:
-    rows = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in best.E)
-    return f"E after denormalisation, row by row: {rows}."
 
 
 def _draw(pair: TrackedPair, best: EightPointSolution) -> Figure:

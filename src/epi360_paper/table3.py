@@ -53,7 +53,8 @@ HEADINGS = {
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Run Table 3."""
     # A wrong folder is an error now, not after the hour that the rendered sequences take.
-    recorded = {name: _cells(name, folder, options) for name, folder in _folders(options).items()}
+    given: dict[DatasetName, Path | None] = {"mp3d_vo": options.mp3d_vo, "tum_vi": options.tum_vi}
+    recorded = {name: _cells(name, folder, options) for name, folder in given.items() if folder}
     parts = {"table3": _rendered(options, progress)}
     for dataset, cells in recorded.items():
         name = f"table3-{dataset}"
@@ -83,11 +84,6 @@ def _rendered(options: ReproduceOptions, progress: Progress) -> Trials:
     }
     count = num_sequences(options)
     return run_sequences("table3", cells, evaluate, count, options, progress)
-
-
-def _folders(options: ReproduceOptions) -> dict[DatasetName, Path]:
-    given = {"mp3d_vo": options.mp3d_vo, "tum_vi": options.tum_vi}
-    return {name: folder for name in get_args(DatasetName) if (folder := given[name]) is not None}
 
 
 def _cells(dataset: DatasetName, folder: Path, options: ReproduceOptions) -> dict[str, Cell]:

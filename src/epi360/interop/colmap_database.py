@@ -1,20 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """COLMAP databases: write a match graph to a new one, and read one as a match graph.
 
-| status                                   | config in COLMAP | pose, E            |
-| ---------------------------------------- | ---------------- | ------------------ |
-| ok                                       | CALIBRATED       | both               |
-| planar_ambiguous                         | PLANAR           | both               |
-| pure_rotation                            | PANORAMIC        | pose with t = 0    |
-| every other: no inlier is written        | DEGENERATE       | none               |
-| the pair was not verified                | no row           |                    |
-
-COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all other pairs. The
+COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all other pairs, so
+that a failed pair is written without inliers, and a pair that was not verified without a row. The
 incremental mapper computes poses itself; the global one takes the rotation of the pose, or of E.
-
-The reader takes UNCALIBRATED and CALIBRATED_RIG for "ok", PLANAR_OR_PANORAMIC for
-"planar_ambiguous", and DEGENERATE and WATERMARK for "too_few_inliers". A pair counts as not
-verified if its row has neither pose nor E, or is MULTIPLE or UNDEFINED.
+When a database is read, a pair counts as not verified if its row has neither pose nor E, or is
+MULTIPLE or UNDEFINED.
 """
 
 import errno
