@@ -21,12 +21,7 @@ if TYPE_CHECKING:
         load_camera,
         load_cameras,
     )
-    from epi360.epipolar import (
-        Stability,
-        pose_from_essential,
-        stability,
-        triangulate,
-    )
+    from epi360.epipolar import Stability, pose_from_essential, stability, triangulate
     from epi360.estimation import (
         ImagePairResult,
         RansacOptions,
@@ -74,42 +69,14 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Camera",
-    "DoubleSphere",
-    "Equirectangular",
-    "ExtendedUnified",
-    "Features",
-    "ImagePairResult",
-    "KannalaBrandt",
-    "Pinhole",
-    "Pose",
-    "RansacOptions",
-    "RefinementResult",
-    "RelativePoseResult",
-    "Stability",
-    "Tracks",
-    "UnifiedCamera",
-    "eight_point",
-    "epipolar",
-    "estimate_relative_pose",
-    "estimate_relative_poses",
-    "extract_features",
-    "load_camera",
-    "load_cameras",
-    "match_features",
-    "paper_pose",
-    "pose_from_essential",
-    "read_image",
-    "read_mask",
-    "refine_pose",
-    "relative_pose_of_images",
-    "residual_weights",
-    "rotation_error_deg",
-    "stability",
-    "track_features",
-    "translation_error_deg",
-    "triangulate",
-]
+    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "Features", "ImagePairResult",
+    "KannalaBrandt", "Pinhole", "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult",
+    "Stability", "Tracks", "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
+    "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "match_features",
+    "paper_pose", "pose_from_essential", "read_image", "read_mask", "refine_pose",
+    "relative_pose_of_images", "residual_weights", "rotation_error_deg", "stability",
+    "track_features", "translation_error_deg", "triangulate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is installed: the libraries of the package's extras, and which version of the package."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 
 def extra_library(name: str, *, extra: str, purpose: str) -> Any:
-    """Module of a library that an extra of this package brings; ``purpose`` is in the plural.
-
-    If it is missing, the ImportError says which command installs it.
-    """
+    """Module of a library that an extra brings; the ImportError says which command installs it."""
     try:
         return import_module(name)
     except ImportError:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Folders of images: which files are images, and the order of their names."""
 
-from __future__ import annotations
-
 import os
+import re
 from pathlib import Path
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp")
@@ -21,11 +20,6 @@ def existing_folder(folder: str | os.PathLike[str], what: str) -> Path:
 
 def natural_order(path: Path) -> tuple[list[tuple[bool, int, str]], str]:
     """Sort key of a path by its name: digits as numbers, the rest as text."""
-    parts: list[str] = []
-    for character in path.stem:
-        if parts and parts[-1][-1].isdecimal() == character.isdecimal():
-            parts[-1] += character
-        else:
-            parts.append(character)
+    parts = re.findall(r"\d+|\D+", path.stem)
     key = [(not part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
     return key, path.name

@@ -40,7 +40,6 @@ class Pose:
     __array_ufunc__ = None  # pose @ array is a TypeError, not NumPy's guess
 
     def __post_init__(self) -> None:
-        """Check both arrays and keep read-only copies of them."""
         rotation = _checked(self.rotation, (3, 3), "rotation")
         translation = _checked(self.translation, (3,), "translation")
         _check_is_rotation(rotation)
@@ -55,17 +54,7 @@ class Pose:
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
-        """Return the pose of a transformation matrix.
-
-        Parameters
-        ----------
-        matrix : array_like, shape (3, 4) or (4, 4)
-            ``[R | t]``, with or without the last row (0, 0, 0, 1).
-
-        Returns
-        -------
-        pose : Pose
-            Pose with this R and t.
+        """Return the pose of a matrix ``[R | t]``, with or without the last row (0, 0, 0, 1).
 
         Raises
         ------
@@ -94,10 +83,8 @@ class Pose:
         """Return the pose ``a_from_c`` of this ``a_from_b`` and the other's ``b_from_c``."""
         if not isinstance(other, Pose):
             return NotImplemented
-        return Pose(
-            self.rotation @ other.rotation,
-            self.rotation @ other.translation + self.translation,
-        )
+        translation = self.rotation @ other.translation + self.translation
+        return Pose(self.rotation @ other.rotation, translation)
 
     @property
     def quaternion_wxyz(self) -> NDArray[np.float64]:
@@ -106,24 +93,9 @@ class Pose:
 
 
 def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.float64]) -> Pose:
-    """Return the pose whose rotation is given as a unit quaternion.
+    """Return the pose whose rotation is given as a unit quaternion, the scalar first.
 
-    Parameters
-    ----------
-    translation : ndarray, shape (3,)
-        Position of the origin in the frame that the pose maps to.
-    wxyz : ndarray, shape (4,)
-        Unit quaternion, the scalar first.
-
-    Returns
-    -------
-    pose : Pose
-        Pose with this rotation and translation.
-
-    Raises
-    ------
-    ValueError
-        If the quaternion does not have unit length, or a number is infinite.
+    ``ValueError`` if the quaternion does not have unit length, or a number is infinite.
     """
     w, x, y, z = wxyz
     rotation = [
@@ -141,10 +113,8 @@ def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
     half_turns = float(np.linalg.norm(axis_angle)) / (2 * np.pi)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     # Rodrigues' formula with (1 - cos a) / a^2 = sinc(a / 2)^2 / 2, exact down to a zero angle.
-    rotation: NDArray[np.float64] = (
-        np.eye(3) + np.sinc(2 * half_turns) * cross + 0.5 * np.sinc(half_turns) ** 2 * cross @ cross
-    )
-    return rotation
+    squared = np.sinc(half_turns) ** 2
+    return np.asarray(np.eye(3) + np.sinc(2 * half_turns) * cross + 0.5 * squared * cross @ cross)
 
 
 def vector_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
@@ -158,17 +128,12 @@ def vector_from_rotation(rotation: ArrayLike) -> NDArray[np.float64]:
 
 
 def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
-    """Return the angle of the rotation that takes one rotation to another.
+    """Return the angle in [0, 180] degrees of the rotation that takes one rotation to another.
 
     Parameters
     ----------
     a, b : Pose or array_like of shape (3, 3)
-        Two poses, or their rotations.
-
-    Returns
-    -------
-    angle : float
-        Degrees in [0, 180]; NaN if either rotation is NaN.
+        Two poses, or their rotations. The angle is NaN if either is NaN.
 
     Raises
     ------
@@ -186,17 +151,13 @@ def rotation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
 
 
 def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
-    """Return the angle between the directions of two translations.
+    """Return the angle in [0, 180] degrees between the directions of two translations.
 
     Parameters
     ----------
     a, b : Pose or array_like of shape (3,)
-        Two poses, or their translations of any length.
-
-    Returns
-    -------
-    angle : float
-        Degrees in [0, 180]; NaN if either translation is NaN, or zero and so without a direction.
+        Two poses, or their translations of any length. The angle is NaN if either is NaN, or zero
+        and so without a direction.
 
     Raises
     ------
@@ -212,7 +173,6 @@ def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
 
 
 def _checked(array: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
-    """Return a float64 copy of an array; refuse another shape and infinite numbers."""
     copy = np.array(array, dtype=np.float64)
     if copy.shape != shape:
         raise ValueError(f"{name} must have shape {shape}, got {copy.shape}")
@@ -235,7 +195,6 @@ def _check_is_rotation(matrix: NDArray[np.float64]) -> None:
 
 
 def _unit(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the direction of a vector, NaN if it has none."""
     largest = float(np.abs(vector).max())
     scaled = vector / largest if largest > 0 else np.full(3, np.nan)  # no over- or underflow
     return scaled / float(np.linalg.norm(scaled))

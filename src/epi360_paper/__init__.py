@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The figures and tables of Robust 360-8PA (2021), one module each.
-
-An experiment is a function ``run(options, progress) -> Outcome``; its module is loaded when it
-runs.
-"""
+"""The figures and tables of Robust 360-8PA (2021), one module each, loaded when it runs."""
 
 from __future__ import annotations
 
@@ -34,23 +30,7 @@ EXPERIMENTS = tuple(_HOMES)
 
 
 def load_experiment(name: str) -> Experiment:
-    """Function that runs an experiment.
-
-    Parameters
-    ----------
-    name : str
-        One of `EXPERIMENTS`.
-
-    Returns
-    -------
-    run : callable
-        Takes `ReproduceOptions` and a `Progress`, returns an `Outcome`.
-
-    Raises
-    ------
-    ValueError
-        If there is no experiment of this name.
-    """
+    """Function that runs an experiment; ``ValueError`` if `EXPERIMENTS` has no such name."""
     if name not in _HOMES:
         raise ValueError(f"name must be one of {', '.join(EXPERIMENTS)}, got {name!r}")
     module, _, function = _HOMES[name].partition(":")

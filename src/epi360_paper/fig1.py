@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 1: the key points of a panorama, from above, on the sphere and on the ovoid."""
 
-from __future__ import annotations
-
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,9 +36,7 @@ TITLE = "Fig. 1: distribution of the key points of a panorama"
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 1 from a rendered pair: key points, top view, unit sphere, ovoid."""
     room = scene("studio", options.seed)
-    pair = track_pair(
-        room, options.image_width, options.seed, lambda *frames: progress("fig1", *frames)
-    )
+    pair = track_pair(room, options, partial(progress, "fig1"))
     unit, best = solutions(pair)
     outcome = save_outcome(
         "fig1",
@@ -105,7 +102,6 @@ def _row(name: str, pair: TrackedPair, solution: EightPointSolution, N: Array) -
 
 
 def _internal_angles_deg(pair: TrackedPair, N: Array) -> tuple[Array, Array]:
-    """Angles between all pairs of key points of view 1, on the sphere and on the ovoid."""
     pairs = np.triu_indices(len(pair.bearings1), 1)
     measured = [
         stability(pair.bearings1, pair.bearings2, normalization)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 2: the normalised eight-point algorithm from two panoramas to the pose."""
 
-from __future__ import annotations
-
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,15 +56,14 @@ NUM_NEAREST = 12  # the planes of panel d end at some of the points nearest to t
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Make figure 2 from a rendered pair: matches, spheres, ovoids, essential matrix and pose."""
     room = furnished_room(options.seed)
-    pair = track_pair(
-        room, options.image_width, options.seed, lambda *frames: progress("fig2", *frames)
-    )
+    pair = track_pair(room, options, partial(progress, "fig2"))
     unit, best = solutions(pair)
+    matrix = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in best.E)
     outcome = save_outcome(
         "fig2",
         TITLE,
         pair_line(options),
-        [_table(pair, unit, best), _matrix_words(best)],
+        [_table(pair, unit, best), f"E after denormalisation, row by row: {matrix}."],
         Trials(_columns(pair, unit, best)),
         options,
         figure=png_of(_draw(pair, best)),
@@ -106,11 +104,6 @@ def _table(pair: TrackedPair, unit: EightPointSolution, best: EightPointSolution
         "translation error (deg)", "median angle out of plane (deg)",
     ]  # fmt: skip
     return markdown_table(heading, rows)
-
-
-def _matrix_words(best: EightPointSolution) -> str:
-    rows = "; ".join(" ".join(f"{value:.4f}" for value in row) for row in best.E)
-    return f"E after denormalisation, row by row: {rows}."
 
 
 def _draw(pair: TrackedPair, best: EightPointSolution) -> Figure:
@@ -169,7 +162,6 @@ def _draw_number(
     shift: tuple[float, float],
     facing: bool = True,
 ) -> None:
-    """Draw the dot of a match in its colour, with its number if it faces the reader."""
     colour = MATCH_COLOURS[number]
     axes.plot(
         *point, "o", markersize=7, color=colour, markeredgecolor="black", zorder=6,
@@ -266,7 +258,6 @@ def _pose_words(pair: TrackedPair, pose: Pose) -> str:
 
 
 def _draw_step(figure: Figure, left: float, label: str) -> None:
-    """Draw an arrow from one stage to the next."""
     y = 1 - 3.55 / HEIGHT_IN
     arrow = FancyArrowPatch(
         (left / WIDTH_IN, y), ((left + 0.34) / WIDTH_IN, y), transform=figure.transFigure,

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 3: internal angles and parallax on the sphere and on ovoids, and the error over (S, K)."""
 
-from __future__ import annotations
-
-from functools import partial
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -103,7 +99,10 @@ def error_surface(scene: TwoViewScene, values: Array) -> Surface:
     # Each solution is computed, though E depends on K / S alone: N = S diag(1, 1, K / S), and a
     # common factor of all rows of A changes no singular vector.
     cost = SkCost(scene.bearings1, scene.bearings2)
-    errors_at = partial(_errors_at, scene, cost)
+
+    def errors_at(S: float, K: float) -> tuple[float, float]:
+        return _errors_deg(scene, cost.essential(S, K))
+
     errors = np.array([[errors_at(S, K) for K in values] for S in values])
     found = {"start": (1.0, 1.0, errors_at(1.0, 1.0)[1])}
     for search in ("line", "lm"):
@@ -116,10 +115,6 @@ def parallax_deg(scene: TwoViewScene, S: float, K: float) -> Array:
     """Motion parallax in the normalised domain: angle between N R q1 and N q2, shape (N,)."""
     measured = stability(scene.bearings1, scene.bearings2, (S, K), scene.cam2_from_cam1)
     return np.asarray(np.degrees(measured.normalized_parallax_rad))
-
-
-def _errors_at(scene: TwoViewScene, cost: SkCost, S: float, K: float) -> tuple[float, float]:
-    return _errors_deg(scene, cost.essential(S, K))
 
 
 def _errors_deg(scene: TwoViewScene, E: Array) -> tuple[float, float]:
@@ -164,7 +159,6 @@ def _parallax_table(parallax: dict[str, Array]) -> str:
 
 
 def _search_table(trials: Trials) -> str:
-    """One row for (1, 1), one for each search, one for the best of the grid: medians."""
     grid = trials.where(kind="grid")
     chosen = {
         "(1, 1): 8-PA": grid.where(K=1.0),
@@ -190,7 +184,6 @@ def _search_table(trials: Trials) -> str:
 
 
 def _words(trials: Trials, surface: Surface) -> str:
-    """What the surface of panel e shows, in sentences."""
     S, K = np.meshgrid(surface.values, surface.values, indexing="ij")
     ratio = np.log2(K / S).round(6)
     spread = max(np.ptp(surface.translation_deg[ratio == value]) for value in np.unique(ratio))
@@ -211,7 +204,6 @@ def _words(trials: Trials, surface: Surface) -> str:
 
 
 def _profile(trials: Trials) -> Profile:
-    """Curves over K/S of all problems."""
     # The rows of the grid come problem by problem, each in the order of RATIOS.
     grid = trials.where(kind="grid")
     translation = grid["translation_deg"].reshape(-1, len(RATIOS))

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How Fig. 3 is drawn: the geometry, three coloured ovoids, the surface and its section."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -112,7 +110,6 @@ def _panel_words(S: float, K: float, parallax: Array) -> str:
 
 
 def _draw_geometry(axes: Axes) -> None:
-    """Draw two cameras, two landmarks, the angles beta between them and the parallax alpha."""
     write_panel_title(axes, "a", "internal angles and motion parallax")
     centers = {"1": np.array([0.0, 0.0]), "2": np.array([2.5, 0.25])}
     points = {"i": np.array([0.55, 2.45]), "j": np.array([3.15, 2.75])}
@@ -143,7 +140,6 @@ def _draw_angle(
     axes: Axes, corner: Array, first: Array, second: Array, colour: str, label: str,
     radius: float, label_distance: float,
 ) -> None:  # fmt: skip
-    """Draw the arc at a corner from one direction to another, and its name outside of it."""
     angles = [np.arctan2(*(end - corner)[::-1]) for end in (first, second)]
     low, high = sorted(angles)
     arc = Arc(
@@ -194,7 +190,6 @@ def _draw_surface(figure: Figure, surface: Surface) -> None:
 
 
 def _draw_profile(axes: Axes, surface: Surface, profile: Profile, shown: int) -> None:
-    """Draw panel f: all points of the surface over K/S, and the median over the problems."""
     write_panel_title(axes, "f", "the same points over K/S alone, and the median over problems")
     S, K = np.meshgrid(surface.values, surface.values, indexing="ij")
     axes.scatter(
@@ -225,7 +220,6 @@ def _draw_profile(axes: Axes, surface: Surface, profile: Profile, shown: int) ->
 
 
 def _draw_legend(axes: Axes, other: Axes) -> None:
-    """Write what both axes of one panel show below it."""
     shown = [each.get_legend_handles_labels() for each in (axes, other)]
     axes.legend(
         [handle for handles, _ in shown for handle in handles],

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fig. 4: errors against the number of points (a), the noise (b) and the outliers (c)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -108,7 +106,6 @@ def _run(
 def _report(
     name: str, axis: str, groups: Mapping[str, Trials], trials: Trials, options: ReproduceOptions
 ) -> Outcome:
-    """Files of a panel: raw trials, curves, page, figure."""
     curves = Curves.from_trials(axis, groups, METHODS)
     return save_outcome(
         name,
@@ -123,7 +120,6 @@ def _report(
 
 
 def _sections(curves: Curves, groups: Mapping[str, Trials]) -> list[str]:
-    """Our medians, then what the better method of each pair gains, beside the paper's words."""
     heading = [curves.axis, "true outliers", *(f"{TITLES[m]} R / T" for m in METHODS)]
     rows = [
         [
@@ -170,7 +166,6 @@ def _percent_less(curves: Curves, level: int, kind: str, method: str, baseline: 
 
 
 def _orders(curves: Curves) -> str:
-    """How often each ordering that the paper claims is found."""
     found = []
     for method, baseline in CLAIMED_BETTER:
         better = [

@@ -48,8 +48,7 @@ class Curves:
 
     def median(self, kind: str, method: str) -> NDArray[np.float64]:
         """Medians of one method, shape (L,), in 1e-3."""
-        medians: NDArray[np.float64] = self.quartiles[kind, method][1]
-        return medians
+        return np.asarray(self.quartiles[kind, method][1])
 
 
 def csv_of_curves(curves: Curves) -> bytes:

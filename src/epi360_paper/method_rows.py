@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What Tables 1 to 3 share: rows of methods on the pairs of a trial, and what pages say of them."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -167,7 +165,6 @@ def run_comparison(table: Comparison, options: ReproduceOptions, progress: Progr
 
 
 def _comparison_sections(table: Comparison, trials: Trials, unit: str) -> list[str]:
-    """Table of the paper's numbers beside ours, the pairs behind it, and how the orders agree."""
     printed = table.printed
     ours = {method: _medians(trials.where(method=method), table.measured) for method in printed}
     rows = {

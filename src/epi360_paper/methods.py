@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The paper's methods by name under a protocol, and their errors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Options of a run of an experiment, and what the run has made."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +27,6 @@ class ReproduceOptions:
     image_width: int = 1024  # width of rendered panoramas in pixels
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if self.protocol not in get_args(ProtocolName):
             names = ", ".join(get_args(ProtocolName))
             raise ValueError(f"protocol must be one of {names}, got {self.protocol!r}")

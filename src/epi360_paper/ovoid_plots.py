@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Unit spheres and the ovoids that a normalisation makes of them, drawn without perspective."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,20 +65,16 @@ def draw_ovoid(
     _draw_frame(axes, N, place, eye, axis_length)
     paper, _ = eye.project(bearings @ N.T + place)
     facing = _faces_reader(bearings, N, eye)
-    style: dict[str, Any] = {"norm": norm, "cmap": cmap}
+    style: dict[str, Any] = {} if norm is None else {"norm": norm, "cmap": cmap}
+    per_point = not isinstance(colours, str) and np.shape(colours)[:1] == (len(bearings),)
 
     def scatter(mask: NDArray[np.bool_], **more: Any) -> PathCollection:
-        chosen = np.asarray(colours)[mask] if _is_per_point(colours, len(bearings)) else colours
-        used = style if norm is not None else {}
+        chosen = np.asarray(colours)[mask] if per_point else colours
         x, y = paper[mask].T
-        return axes.scatter(x, y, c=chosen, **used, **more)
+        return axes.scatter(x, y, c=chosen, **style, **more)
 
     scatter(~facing, s=0.45 * area, alpha=0.35, linewidths=0.0, zorder=AVERTED)
     return scatter(facing, s=area, linewidths=0.5, edgecolors=INK, zorder=FACING + 1)
-
-
-def _is_per_point(colours: Any, num: int) -> bool:
-    return not isinstance(colours, str) and np.ndim(colours) > 0 and len(colours) == num
 
 
 def _faces_reader(bearings: Array, N: Array, eye: Eye) -> NDArray[np.bool_]:
@@ -89,7 +83,6 @@ def _faces_reader(bearings: Array, N: Array, eye: Eye) -> NDArray[np.bool_]:
 
 
 def _draw_surface(axes: Axes, N: Array, center: Array, eye: Eye) -> None:
-    """Draw outline, meridians and parallels; lines behind the solid are fainter."""
     outline_normal = np.linalg.solve(N, eye.axes[2])
     outline, _ = eye.project(great_circle(outline_normal) @ N.T + center)
     axes.fill(*outline.T, facecolor="#f4f6f8", edgecolor=SOFT, linewidth=1.2, zorder=0)
@@ -107,7 +100,6 @@ def _draw_surface(axes: Axes, N: Array, center: Array, eye: Eye) -> None:
 
 
 def _draw_frame(axes: Axes, N: Array, center: Array, eye: Eye, length: float) -> None:
-    """Draw the camera's axes from the centre to outside of the solid."""
     origin, _ = eye.project(center)
     scale = float(np.linalg.norm(N, axis=0).min())
     for name, direction, colour in zip("xyz", np.eye(3), (VERMILION, GREEN, BLUE), strict=True):
@@ -128,14 +120,13 @@ def _draw_frame(axes: Axes, N: Array, center: Array, eye: Eye, length: float) ->
         )  # fmt: skip
 
 
-def great_circle(normal: Array, num: int = 181) -> Array:
-    """Unit vectors once around the great circle with a normal, shape (num, 3)."""
+def great_circle(normal: Array) -> Array:
+    """Unit vectors once around the great circle with a normal, shape (181, 3)."""
     unit = normal / np.linalg.norm(normal)
     first = np.cross(unit, np.eye(3)[np.argmin(np.abs(unit))])
     first /= np.linalg.norm(first)
-    angles = np.linspace(0.0, 2.0 * np.pi, num)[:, None]
-    circle: Array = np.cos(angles) * first + np.sin(angles) * np.cross(unit, first)
-    return circle
+    angles = np.linspace(0.0, 2.0 * np.pi, 181)[:, None]
+    return np.asarray(np.cos(angles) * first + np.sin(angles) * np.cross(unit, first))
 
 
 def _graticule() -> list[Array]:

@@ -4,8 +4,6 @@
 It is not the package's robust estimator: it does not refine, test depths or choose a threshold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -88,15 +86,10 @@ def _residuals_of_samples(
     """Residuals (B, N) of all matches for the models of up to B samples at a time."""
     A = observation_matrix(bearings1, bearings2)
     for first in range(0, num_samples, _BATCH):
-        samples = _draw_samples(rng, min(_BATCH, num_samples - first), len(A))
+        numbers = rng.random((min(_BATCH, num_samples - first), len(A)))
+        # (B, 8) indices, without repetition in a row
+        samples = np.argpartition(numbers, SAMPLE_SIZE - 1, axis=1)[:, :SAMPLE_SIZE]
         yield essential_residuals(_eight_points(A[samples]), bearings1, bearings2, residual)
-
-
-def _draw_samples(rng: np.random.Generator, count: int, num_matches: int) -> NDArray[np.intp]:
-    """Indices (count, 8), without repetition in a row."""
-    return np.argpartition(rng.random((count, num_matches)), SAMPLE_SIZE - 1, axis=1)[
-        :, :SAMPLE_SIZE
-    ]
 
 
 def _eight_points(A: Array) -> Array:
@@ -105,8 +98,7 @@ def _eight_points(A: Array) -> Array:
     null_vectors = np.linalg.qr(A.swapaxes(1, 2), mode="complete").Q[:, :, 8]
     U, s, Vt = np.linalg.svd(null_vectors.reshape(-1, 3, 3))
     s[:, 2] = 0.0
-    E: Array = U * s[:, None, :] @ Vt
-    return E
+    return np.asarray(U * s[:, None, :] @ Vt)
 
 
 def _samples_needed(inlier_share: float) -> int:

@@ -57,11 +57,9 @@ class Trials:
     seconds: float = 0.0  # processor time of all parts together
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(next(iter(self.columns.values()), []))
 
     def __getitem__(self, column: str) -> NDArray[Any]:
-        """Return one column, shape (N,)."""
         return self.columns[column]
 
     def where(self, **equal: str | int | float) -> Trials:
@@ -142,7 +140,6 @@ def _read_columns(path: Path, kinds: Mapping[str, str]) -> dict[str, NDArray[Any
 
 
 def _kind(values: Sequence[float | int | str]) -> str:
-    """Type of a column; truth values are written as 0 and 1."""
     if any(isinstance(value, str) for value in values):
         return "str"
     whole = all(isinstance(value, int | np.integer | np.bool_) for value in values)

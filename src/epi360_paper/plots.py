@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Drawing that the figures share: colours, panels, panoramas, a room seen from above."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,6 +13,7 @@ from epi360.features.picture_writing import encode_figure
 Array = NDArray[np.float64]
 
 DPI = 100
+CEILING_M, CELL_M = 0.9, 0.02  # of a top view: what is higher above the camera is left out
 # Colours of numbered matches: hues that most colour-blind readers can tell from each other
 # (Okabe & Ito 2008), brightened for pictures.
 MATCH_COLOURS = (
@@ -67,30 +64,20 @@ def draw_panorama(axes: Axes, image: NDArray[np.uint8], *, fade: float = 0.0) ->
     axes.spines[:].set_visible(False)
 
 
-def draw_keypoints(
-    axes: Axes, pixels: Array, colours: Any = LANDMARK, *, area: float = 26.0
-) -> None:
+def draw_keypoints(axes: Axes, pixels: Array, *, area: float = 26.0) -> None:
     """Mark key points with dots that stand out on any picture."""
     u, v = pixels.T
-    axes.scatter(u, v, s=area, c=colours, linewidths=0.7, edgecolors="black", zorder=4)
+    axes.scatter(u, v, s=area, c=LANDMARK, linewidths=0.7, edgecolors="black", zorder=4)
 
 
-def draw_top_view(
-    axes: Axes,
-    image: NDArray[np.uint8],
-    points: Array,
-    landmarks: Array,
-    *,
-    ceiling_m: float = 0.9,
-    cell_m: float = 0.02,
-) -> None:
+def draw_top_view(axes: Axes, image: NDArray[np.uint8], points: Array, landmarks: Array) -> None:
     """Draw points (H, W, 3) in the camera frame and landmarks from above, z up, x to the right."""
     flat, colours = points.reshape(-1, 3), image.reshape(-1, 3)
-    kept = np.flatnonzero(np.isfinite(flat).all(axis=1) & (flat[:, 1] > -ceiling_m))
+    kept = np.flatnonzero(np.isfinite(flat).all(axis=1) & (flat[:, 1] > -CEILING_M))
     order = kept[np.argsort(-flat[kept, 1], kind="stable")]  # y is down: the highest come last
     ground = flat[order][:, [0, 2]]
     low, high = np.percentile(ground, [0.1, 99.9], axis=0) + [[-0.2] * 2, [0.2] * 2]
-    top = _map_of(ground, colours[order], low, high, cell_m)
+    top = _map_of(ground, colours[order], low, high)
     axes.imshow(
         top, origin="lower", extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased"
     )
@@ -102,14 +89,14 @@ def draw_top_view(
 
 
 def _map_of(
-    ground: Array, colours: NDArray[np.uint8], low: Array, high: Array, cell_m: float
+    ground: Array, colours: NDArray[np.uint8], low: Array, high: Array
 ) -> NDArray[np.uint8]:
     """Image of cells; coarser cells fill gaps of finer ones, as points are sparse far away."""
     factor = 4
-    size = factor * np.ceil((high - low) / cell_m / factor).astype(int)
+    size = factor * np.ceil((high - low) / CELL_M / factor).astype(int)
     top = np.full((size[1], size[0], 3), 255, np.uint8)
     for scale in (factor, 2, 1):
-        cells = ((ground - low) / (cell_m * scale)).astype(int)
+        cells = ((ground - low) / (CELL_M * scale)).astype(int)
         inside = ((ground >= low) & (cells < size // scale)).all(axis=1)
         coarse = np.full((size[1] // scale, size[0] // scale, 3), 255, np.uint8)
         hit = np.zeros(coarse.shape[:2], np.bool_)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The synthetic problems of section 5.1 as printed, as in the authors' code, and corrected."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal

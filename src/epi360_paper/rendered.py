@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tracks in rendered sequences, which stand for MINOS + Matterport3D and TUM-VI."""
 
-from __future__ import annotations
-
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The pages of a run collected into a document, so that no number is typed by hand."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re
@@ -48,7 +46,6 @@ def _section(page: Path) -> str:
 
 
 def _place(name: str) -> tuple[int, str]:
-    """Sort key of a folder: first its experiment in the paper's order, then its name."""
     experiment = name.partition("-")[0]
     known = EXPERIMENTS.index(experiment) if experiment in EXPERIMENTS else len(EXPERIMENTS)
     return known, name

@@ -1,11 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the pairs of Tables 1 to 3 come from: landmarks, or folders of a data set.
-
-Rendered sequences have a file of their own. Every source gives the pairs of a trial: one pair of
-landmarks, those of a sequence, or those of a stretch of a recording.
-"""
-
-from __future__ import annotations
+"""Where the pairs of a trial of Tables 1 to 3 come from: landmarks, or folders of a data set."""
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

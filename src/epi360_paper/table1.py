@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 1: the eight-point algorithm under five normalisations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 2: the gold standard method with eight kinds of weights."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from epi360.progress import Progress

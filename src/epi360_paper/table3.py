@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 3: quartiles of the errors on sequences, full panoramas and a fisheye lens."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, get_args
 
@@ -55,7 +53,8 @@ HEADINGS = {
 def run(options: ReproduceOptions, progress: Progress) -> Outcome:
     """Run Table 3."""
     # A wrong folder is an error now, not after the hour that the rendered sequences take.
-    recorded = {name: _cells(name, folder, options) for name, folder in _folders(options).items()}
+    given: dict[DatasetName, Path | None] = {"mp3d_vo": options.mp3d_vo, "tum_vi": options.tum_vi}
+    recorded = {name: _cells(name, folder, options) for name, folder in given.items() if folder}
     parts = {"table3": _rendered(options, progress)}
     for dataset, cells in recorded.items():
         name = f"table3-{dataset}"
@@ -85,11 +84,6 @@ def _rendered(options: ReproduceOptions, progress: Progress) -> Trials:
     }
     count = num_sequences(options)
     return run_sequences("table3", cells, evaluate, count, options, progress)
-
-
-def _folders(options: ReproduceOptions) -> dict[DatasetName, Path]:
-    given = {"mp3d_vo": options.mp3d_vo, "tum_vi": options.tum_vi}
-    return {name: folder for name in get_args(DatasetName) if (folder := given[name]) is not None}
 
 
 def _cells(dataset: DatasetName, folder: Path, options: ReproduceOptions) -> dict[str, Cell]:
@@ -134,7 +128,6 @@ def _quartiles(heading: str, trials: Trials, dataset: str, what: str) -> list[st
 
 
 def _gain(trials: Trials) -> str:
-    """Sentence on what the two proposed methods gain at the median."""
     median = {
         (method, column): in_thousandths(trials.where(method=method)[f"{column}_error"])
         for method in METHODS

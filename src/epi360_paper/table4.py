@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Table 4: RANSAC at a tight and a loose threshold, then the paper's methods on what it keeps."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -170,7 +168,6 @@ def _within_by_eq13(scene: TwoViewScene, threshold: float) -> int:
 
 
 def _half(name: str, trials: Trials, setting: Setting) -> str:
-    """Heading and two tables for one threshold."""
     protocol = PROTOCOLS[setting.protocol]
     printed = PRINTED[name]
     iterations = Compared(setting.iterations, float(np.median(trials["iterations"])))
@@ -206,7 +203,6 @@ def _numbers(method: str, trials: Trials, printed: Printed) -> list[Compared]:
 
 
 def _reading(protocol: Protocol, trials: Trials) -> str:
-    """How the printed settings were read, with what they would mean to the letter."""
     within = float(np.median(trials.where(cell="tight")["within_by_eq13"]))
     loose = float(np.median(trials.where(cell="loose")["within_by_eq13"]))
     stop = "the authors' stopping rule" if protocol.adaptive_ransac else "the printed iterations"

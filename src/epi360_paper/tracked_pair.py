@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Two rendered panoramas with key points tracked between them: the data of Figs. 1 and 2."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -56,13 +54,11 @@ class TrackedPair:
 
 
 def track_pair(
-    room: Room, width: int, seed: int, progress: Callable[[int, int], None]
+    room: Room, options: ReproduceOptions, progress: Callable[[int, int], None]
 ) -> TrackedPair:
     """Two panoramas of a room, 0.5 m apart or more, with at most 200 key points tracked."""
-    if width % 2:
-        raise ValueError(f"image_width must be even, got {width}: a panorama is 2:1")
-    camera = Equirectangular(width=width, height=width // 2)
-    path = _path(room, np.random.Generator(np.random.PCG64([seed, 1])))
+    camera = Equirectangular(options.image_width, options.image_width // 2)
+    path = _path(room, np.random.Generator(np.random.PCG64([options.seed, 1])))
     views = []
     for index, world_from_cam in enumerate(path):
         progress(index, len(path))
@@ -101,7 +97,6 @@ def pair_line(options: ReproduceOptions) -> str:
 
 
 def _path(room: Room, rng: np.random.Generator) -> list[Pose]:
-    """World-from-camera poses of a straight step with a turn through free space."""
     shares = np.linspace(0.0, 1.0, NUM_FRAMES)[:, None]
     while True:
         first = room.sample_pose(rng)

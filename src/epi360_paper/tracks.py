@@ -2,11 +2,8 @@
 """Pairs of frames with key points tracked between them: the data of Tables 1 to 3.
 
 From a frame on, about 200 Shi-Tomasi corners are followed until the camera is 0.5 m away (paper
-section 5.2); that is a pair. Tracks are kept in files named by what they depend on, so that three
-tables and every later run share them.
+section 5.2). Tracks are kept in files named by what they depend on, for all tables and later runs.
 """
-
-from __future__ import annotations
 
 import hashlib
 import io
@@ -100,7 +97,9 @@ def pairs_of_frames(
             pixels = tracks.keypoints[[0, -1]][:, tracks.visible[-1]][:, : rule.num_tracks]
             if pixels.shape[1] >= rule.min_tracks:
                 b1, b2 = map(camera.bearings_from_pixels, pixels)
-                truth = _relative_pose(world_from_cam[start], world_from_cam[stop])
+                world_from_cam1, world_from_cam2 = world_from_cam[start], world_from_cam[stop]
+                assert world_from_cam1 is not None and world_from_cam2 is not None  # by _far_frame
+                truth = world_from_cam2.inverse() @ world_from_cam1
                 pairs.append(BearingPair(start, stop, b1, b2, truth))
     return pairs
 
@@ -146,11 +145,6 @@ def _far_frame(
     return None
 
 
-def _relative_pose(world_from_cam1: Pose | None, world_from_cam2: Pose | None) -> Pose:
-    assert world_from_cam1 is not None and world_from_cam2 is not None  # by _far_frame
-    return world_from_cam2.inverse() @ world_from_cam1
-
-
 def _write_pairs(path: Path, pairs: list[BearingPair]) -> None:
     poses = [pair.cam2_from_cam1.matrix() for pair in pairs]
     buffer = io.BytesIO()
@@ -167,7 +161,6 @@ def _write_pairs(path: Path, pairs: list[BearingPair]) -> None:
 
 
 def _read_pairs(path: Path) -> list[BearingPair] | None:
-    """Pairs of a file; None where it is missing or damaged."""
     try:
         with np.load(path) as arrays:
             frames, counts, bearings, poses = (

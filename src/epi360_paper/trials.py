@@ -2,11 +2,8 @@
 """Many random trials on several processes: finished parts are kept, the numbers do not change.
 
 A trial draws from generators seeded by (seed, experiment, cell, trial), so that neither the number
-of workers nor an interruption changes a number. A part is a chunk of trials of one cell; its file
-is written under a temporary name and renamed, and a later run reads it instead of computing it.
+of workers nor an interruption changes a number. A part is a chunk of trials of one cell.
 """
-
-from __future__ import annotations
 
 import os
 import signal
@@ -59,8 +56,6 @@ TrialFunction = Callable[[Any, Trial], Row | Sequence[Row]]
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A range of trials of one cell and the file that keeps it."""
-
     path: Path
     fingerprint: Fingerprint
     function: TrialFunction
@@ -139,7 +134,6 @@ def _fingerprint(
 
 
 def _compute(chunks: Sequence[_Chunk], num_workers: int) -> Iterator[int]:
-    """Trials done, chunk by chunk as they finish."""
     if num_workers <= 1:
         for chunk in chunks:
             yield chunk.compute()

@@ -22,7 +22,8 @@ WIDTH = 192
 
 @pytest.fixture(scope="module")
 def pair():
-    return track_pair(furnished_room(), WIDTH, 0, lambda done, total: None)
+    options = ReproduceOptions(image_width=WIDTH, seed=0)
+    return track_pair(furnished_room(), options, lambda done, total: None)
 
 
 @pytest.fixture(scope="module")

@@ -12,17 +12,6 @@ from epi360.cameras.rigs import Rig, load_rig
 from epi360.cameras.unified import UnifiedCamera
 
 __all__ = [
-    "Camera",
-    "DoubleSphere",
-    "Equirectangular",
-    "ExtendedUnified",
-    "KalibrCamera",
-    "KannalaBrandt",
-    "Pinhole",
-    "Rig",
-    "UnifiedCamera",
-    "load_camera",
-    "load_cameras",
-    "load_kalibr_rig",
-    "load_rig",
-]
+    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "KalibrCamera", "KannalaBrandt",
+    "Pinhole", "Rig", "UnifiedCamera", "load_camera", "load_cameras", "load_kalibr_rig", "load_rig",
+]  # fmt: skip

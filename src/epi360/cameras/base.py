@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What camera models have in common: pixels to bearings and back."""
 
-from __future__ import annotations
-
 import dataclasses
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -42,7 +40,6 @@ class Camera(ABC):
     height: int
 
     def __post_init__(self) -> None:
-        """Check and convert the numbers of the model."""
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is None and field.default is None:
@@ -51,18 +48,13 @@ class Camera(ABC):
             object.__setattr__(self, field.name, converted(value, field.name))
 
     def bearings_from_pixels(self, pixels: ArrayLike) -> Array:
-        """Return the directions in which pixels look.
+        """Return the directions in which pixels look, as unit vectors (N, 3).
 
         Parameters
         ----------
         pixels : array_like, shape (N, 2)
-            Continuous pixels (u, v). They may lie outside the image; the class says which of those
-            have a ray.
-
-        Returns
-        -------
-        bearings : ndarray, shape (N, 3)
-            Unit vectors; a row is NaN if the pixel is not finite or has no ray.
+            Continuous pixels (u, v), also outside the image; the class says which have a ray. A row
+            is NaN if its pixel is not finite or has no ray.
 
         Raises
         ------
@@ -73,17 +65,12 @@ class Camera(ABC):
         return self._bearings(u, v)
 
     def pixels_from_bearings(self, bearings: ArrayLike) -> Array:
-        """Return the pixels that look in given directions.
+        """Return the pixels (u, v) that look in given directions, shape (N, 2).
 
         Parameters
         ----------
         bearings : array_like, shape (N, 3)
-            Directions of any length.
-
-        Returns
-        -------
-        pixels : ndarray, shape (N, 2)
-            Continuous pixels (u, v) in the image; a row is NaN if the direction is outside the
+            Directions of any length. A row of the result is NaN if its direction is outside the
             field of view, not finite or of zero length.
 
         Raises
@@ -100,21 +87,8 @@ class Camera(ABC):
     def bearing_jacobians(self, pixels: ArrayLike) -> Array:
         """Return the first derivatives of the unit bearings with respect to the pixels.
 
-        Parameters
-        ----------
-        pixels : array_like, shape (N, 2)
-            Continuous pixels (u, v).
-
-        Returns
-        -------
-        jacobians : ndarray, shape (N, 3, 2)
-            ``jacobians[i, j, k]`` = d bearing_j / d pixel_k of row i in 1/px; NaN if the bearing
-            is NaN.
-
-        Raises
-        ------
-        ValueError
-            If ``pixels`` has another shape.
+        ``jacobians[i, j, k]`` = d bearing_j / d pixel_k of row i in 1/px, with shape (N, 3, 2);
+        NaN if the bearing is NaN. ``pixels`` of another shape than (N, 2) raise ``ValueError``.
         """
         u, v = _finite_columns(pixels, 2, "pixels")
         return self._jacobians(u, v)
@@ -154,7 +128,6 @@ class FocalCamera(Camera):
     cy: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_positive(self, "fx", "fy")
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The double sphere camera of Usenko, Demmel and Cremers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,12 +24,8 @@ class DoubleSphere(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`, but near the axis one radian is fx / (1 + xi) pixels.
     xi : float
         Distance of the spheres, between -1 and 1; mostly a small negative number.
     alpha : float
@@ -54,7 +48,6 @@ class DoubleSphere(LiftedCamera):
     alpha: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_alpha(self.alpha)
         if not -1 < self.xi < 1:

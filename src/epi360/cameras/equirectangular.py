@@ -49,7 +49,6 @@ class Equirectangular(Camera):
     center_latitude_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the ranges of the angles."""
         super().__post_init__()
         check_positive(self, "horizontal_fov_deg", "vertical_fov_deg")
         for name, limit in (("horizontal_fov_deg", 360), ("vertical_fov_deg", 180)):
@@ -66,17 +65,7 @@ class Equirectangular(Camera):
 
     @classmethod
     def for_image(cls, width: int, height: int) -> Equirectangular:
-        """Return the camera of a full panorama of this size.
-
-        Parameters
-        ----------
-        width, height : int
-            Size of the image in pixels; 2:1 within half a percent.
-
-        Returns
-        -------
-        camera : Equirectangular
-            Camera of the full sphere.
+        """Return the camera of a full panorama of this size in pixels; 2:1 within half a percent.
 
         Raises
         ------

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The extended (enhanced) unified camera of Khomutenko, Garcia and Martinet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,12 +25,8 @@ class ExtendedUnified(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels (per radian on the axis).
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`; on the axis one radian is fx pixels.
     alpha : float
         From 0 (pinhole) to 1 (orthographic).
     beta : float
@@ -53,7 +47,6 @@ class ExtendedUnified(LiftedCamera):
     beta: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         check_alpha(self.alpha)
         check_positive(self, "beta")

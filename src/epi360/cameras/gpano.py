@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """GPano metadata: which part of a panorama an image is, and how its camera was held.
 
-Source: Google, Photo Sphere XMP Metadata, https://developers.google.com/streetview/spherical-metadata.
+Source: Google, Photo Sphere XMP Metadata,
+https://developers.google.com/streetview/spherical-metadata.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -59,22 +58,11 @@ PART_NAMES = (  # in the order of the fields
 class GPano:
     """GPano metadata of an image.
 
-    The angles are those of the whole panorama: cropping it does not change them. An angle that the
-    file does not state, or that is no number, is None.
-
-    Attributes
-    ----------
-    projection : str
-        "equirectangular" if the file does not say.
-    part : PanoramaPart or None
-        None if the file does not state all six numbers.
-    heading_deg : float or None
-        Compass heading of the centre, clockwise from north.
-    pitch_deg : float or None
-        Elevation of the image's centre: with 10, the horizon runs below the centre.
-    roll_deg : float or None
-        Clockwise turn of the camera: with 10 its right side hangs down, and the horizon is turned
-        counter-clockwise in the picture.
+    The angles are those of the whole panorama: cropping it does not change them. What the file does
+    not state, or states as no number, is None; so is a part without all of its six numbers. The
+    heading is clockwise from north. With a pitch of 10 degrees the horizon runs below the centre of
+    the image; with a roll of 10 the right side of the camera hangs down, and the horizon is turned
+    counter-clockwise in the picture.
     """
 
     projection: str = "equirectangular"
@@ -85,10 +73,10 @@ class GPano:
 
     @property
     def down(self) -> NDArray[np.float64] | None:
-        """Unit direction of gravity in the camera frame, shape (3,).
+        """Unit direction (3,) of gravity in the camera frame; None without pitch and roll.
 
-        None if the file has neither pitch nor roll; if it has one of them, the other counts as 0.
-        Many programs write 0 for both without knowing.
+        If the file has one of them, the other counts as 0. Many programs write 0 for both without
+        knowing.
         """
         if self.pitch_deg is None and self.roll_deg is None:
             return None
@@ -98,19 +86,11 @@ class GPano:
         return np.array([level * math.sin(roll), level * math.cos(roll), -math.sin(pitch)])
 
     def camera(self, width: int, height: int) -> Equirectangular:
-        """Camera of the image.
+        """Camera of the image, of its size in pixels; a resized part still shows the same angles.
 
-        Parameters
-        ----------
-        width, height : int
-            Size of the image; a resized part still shows the same angles.
-
-        Returns
-        -------
-        camera : Equirectangular
-            That of the part. That of a whole panorama if the file states no part, or if the image
-            is 2:1 and the part has another shape: then somebody filled the rest in and left the
-            metadata.
+        It is that of the part. It is that of a whole panorama if the file states no part, or if the
+        image is 2:1 and the part has another shape: then somebody filled the rest in and left the
+        metadata.
 
         Raises
         ------

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The fisheye model of Kannala and Brandt with four coefficients."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,12 +30,8 @@ class KannalaBrandt(FocalCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels (per radian on the axis).
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`; on the axis one radian is fx pixels.
     k1, k2, k3, k4 : float
         Coefficients of the polynomial.
     max_angle_deg : float, optional
@@ -61,19 +55,16 @@ class KannalaBrandt(FocalCamera):
     max_angle_deg: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         if self.max_angle_deg is not None and not 0 < self.max_angle_deg <= 180:
             raise ValueError(f"max_angle_deg must be in (0, 180], got {self.max_angle_deg}")
 
     def field_of_view_mask(self) -> NDArray[np.bool_]:
         """Return whether the centre of each pixel has a ray, shape (height, width)."""
-        mask: NDArray[np.bool_] = np.hypot(*self._plane_grid()) <= self._max_radius
-        return mask
+        return np.asarray(np.hypot(*self._plane_grid()) <= self._max_radius)
 
     @cached_property
     def _max_angle(self) -> float:
-        """Largest angle in radians for which the model holds."""
         limit = np.pi if self.max_angle_deg is None else np.deg2rad(self.max_angle_deg)
         squares = np.roots([9 * self.k4, 7 * self.k3, 5 * self.k2, 3 * self.k1, 1.0])
         extrema = np.sqrt(squares.real[(np.abs(squares.imag) < 1e-12) & (squares.real > 0)])
@@ -93,7 +84,6 @@ class KannalaBrandt(FocalCamera):
         return angles * self._stretch(angles)
 
     def _slopes(self, angles: Array) -> Array:
-        """dr/da."""
         a2 = angles * angles
         k1, k2, k3, k4 = 3 * self.k1, 5 * self.k2, 7 * self.k3, 9 * self.k4
         return 1 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4)))

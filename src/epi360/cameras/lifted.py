@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the models that project through spheres and ellipsoids have in common."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from dataclasses import dataclass
 
@@ -21,8 +19,7 @@ class LiftedCamera(FocalCamera):
     def field_of_view_mask(self) -> NDArray[np.bool_]:
         """Return whether the centre of each pixel has a ray, shape (height, width)."""
         x, y = self._plane_grid()
-        mask: NDArray[np.bool_] = x * x + y * y <= self._largest_square
-        return mask
+        return np.asarray(x * x + y * y <= self._largest_square)
 
     @property
     @abstractmethod

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The pinhole camera without distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

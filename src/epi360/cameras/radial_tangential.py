@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Radial and tangential lens distortion with its inverse: OpenCV's k1, k2, p1, p2."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

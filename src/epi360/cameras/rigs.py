@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rigs: cameras that are fixed to each other, and the calibration files that say where they sit."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,27 +25,17 @@ FORMATS: tuple[Format, ...] = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras that are fixed to each other.
+    """Cameras that are fixed to each other, and their poses ``cam_from_rig``, both by name.
 
-    Attributes
-    ----------
-    cameras : mapping of str to Camera
-        Cameras by name, in the order of the file.
-    cam_from_rig : mapping of str to Pose
-        Their poses by the same names. The frame of the rig is that of its first camera, whose pose
-        is the identity. Translations have the unit of the file, usually metres.
-
-    Raises
-    ------
-    ValueError
-        If the names differ, or a pose is NaN.
+    The cameras are in the order of the file. The frame of the rig is that of its first camera,
+    whose pose is the identity. Translations have the unit of the file, usually metres. Names that
+    differ and poses that are NaN raise ``ValueError``.
     """
 
     cameras: Mapping[str, Camera]
     cam_from_rig: Mapping[str, Pose]
 
     def __post_init__(self) -> None:
-        """Check that every camera has a pose."""
         if self.cameras.keys() != self.cam_from_rig.keys():
             raise ValueError(
                 f"cam_from_rig must have the cameras {', '.join(self.cameras)}, "
@@ -64,7 +52,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     Parameters
     ----------
     path : path-like
-        One of
+        One of the following; the cameras have the names that `load_cameras` gives them.
 
         - our own YAML or JSON with several cameras, each but the first with
           ``cam_from_rig: {rotation: 3 rows, translation: [x, y, z]}`` or ``quaternion_wxyz``
@@ -73,11 +61,6 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
         - a calibration of basalt: ``T_imu_cam``;
         - COLMAP's ``rig_config.json`` of one rig, with ``camera_model_name`` and ``camera_params``,
           and the ``width`` and ``height`` that COLMAP takes from its database.
-
-    Returns
-    -------
-    rig : Rig
-        Its cameras have the names that `load_cameras` gives them.
 
     Raises
     ------
@@ -100,7 +83,6 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
 
 
 def _rig(cameras: dict[str, Camera], cam_from_body: dict[str, Pose]) -> Rig:
-    """Rig with the first camera as its frame, from poses in any one frame."""
     first, *others = cameras
     body_from_first = cam_from_body[first].inverse()
     cam_from_rig = {first: Pose(np.eye(3), np.zeros(3))}  # without rounding

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The unified camera of Mei and Rives: a sphere, a shifted pinhole and lens distortion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -31,12 +29,8 @@ class UnifiedCamera(LiftedCamera):
 
     Parameters
     ----------
-    width, height : int
-        Size of the image in pixels.
-    fx, fy : float
-        Focal lengths in pixels; near the axis one radian is fx / (1 + xi) pixels.
-    cx, cy : float
-        Principal point in continuous pixels: OpenCV's values plus 0.5, COLMAP's as they are.
+    width, height, fx, fy, cx, cy
+        As in `Pinhole`, but near the axis one radian is fx / (1 + xi) pixels.
     xi : float
         Distance of the pinhole from the centre of the sphere, above -1; 0 is a pinhole camera.
     k1, k2, p1, p2 : float
@@ -60,7 +54,6 @@ class UnifiedCamera(LiftedCamera):
     p2: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         super().__post_init__()
         if self.xi <= -1:
             raise ValueError(f"xi must be above -1, got {self.xi}")

@@ -60,11 +60,6 @@ def convert(
     pairs
         hloc's file of the pairs that were matched, beside the others; read or written. Without it
         the names of the matches must say which images they are of: hloc writes "-" for "/".
-
-    Returns
-    -------
-    code
-        Exit code.
     """
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import FORMATS, format_of_name
@@ -102,7 +97,6 @@ def _format_of_source(source: Path) -> str:
 
 
 def _check_kinds(source: Path, source_name: str, target: Path, target_name: str) -> None:
-    """Raise where no conversion exists, saying what would be needed."""
     from epi360.interop.formats import FORMATS
 
     kind = "matches" if source_name == MATCH_FOLDER else FORMATS[source_name].kind

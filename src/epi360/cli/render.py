@@ -85,11 +85,6 @@ def render(
     ----------
     out
         Folder of the sequence: new, or begun with the same options.
-
-    Returns
-    -------
-    code
-        Exit code.
     """
     from epi360_scenes.paths import handheld_path
     from epi360_scenes.sequence import check_folder, render_sequence
@@ -113,7 +108,6 @@ def render(
 
 
 def _check_words(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> None:
-    """Raise before the work where the words of the command do not fit together."""
     if what.mesh is not None and what.scene is not None:
         raise ValueError("give --mesh or --scene, not both: each is a scene of its own")
     if picture.camera is not None and picture.width is not None:

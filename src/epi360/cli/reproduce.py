@@ -67,11 +67,6 @@ def reproduce(
         there.
     into
         With "report": the document whose part between the marks is replaced, instead of printing.
-
-    Returns
-    -------
-    code
-        Exit code.
     """
     # Read by NumPy's libraries when they load: one worker process is one thread.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -95,7 +90,6 @@ def reproduce(
 
 
 def _attempt(name: str, options: ReproduceOptions) -> int:
-    """Run one of several; a failure is said and does not stop the others."""
     try:
         _show(_run(name, options))
     except Exception as error:

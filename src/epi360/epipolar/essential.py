@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The essential matrix, the four poses in it, and the depths of matches along their rays."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,35 +17,14 @@ def skew(vector: ArrayLike) -> Array:
 
 
 def essential_from_pose(cam2_from_cam1: Pose) -> Array:
-    """Return E = [t]x R with t scaled to unit length (paper eq. 3).
-
-    Parameters
-    ----------
-    cam2_from_cam1 : Pose
-        Pose with x2 = R x1 + t.
-
-    Returns
-    -------
-    E : ndarray, shape (3, 3)
-        Matrix with Frobenius norm sqrt(2), or NaN if the translation is zero.
-    """
+    """Return E = [t]x R with t scaled to unit length (paper eq. 3); NaN if t is zero."""
     t = cam2_from_cam1.translation
     norm = float(np.linalg.norm(t))
     return skew(t / norm if norm > 0.0 else np.full(3, np.nan)) @ cam2_from_cam1.rotation
 
 
 def project_to_essential(E: ArrayLike) -> Array:
-    """Return the nearest matrix with singular values (1, 1, 0).
-
-    Parameters
-    ----------
-    E : array_like, shape (3, 3)
-        Any matrix.
-
-    Returns
-    -------
-    essential : ndarray, shape (3, 3)
-        The nearest one in the Frobenius norm.
+    """Return the matrix with singular values (1, 1, 0) nearest to E in the Frobenius norm.
 
     Raises
     ------
@@ -61,15 +38,7 @@ def project_to_essential(E: ArrayLike) -> Array:
 def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     """Return the four poses (R, t), (R, -t), (R', t), (R', -t) of an essential matrix.
 
-    Parameters
-    ----------
-    E : array_like, shape (3, 3)
-        Essential matrix in any scale; `project_to_essential` is applied to it first.
-
-    Returns
-    -------
-    poses : tuple of four Pose
-        Poses ``cam2_from_cam1``, all with |t| = 1.
+    They have |t| = 1. The matrix may have any scale; `project_to_essential` is applied to it first.
 
     Raises
     ------
@@ -148,28 +117,10 @@ def triangulate(
 def cheirality_mask(
     bearings1: ArrayLike, bearings2: ArrayLike, cam2_from_cam1: Pose
 ) -> NDArray[np.bool_]:
-    """Return which matches have a positive depth along both rays.
+    """Return which matches have a positive depth along both rays, shape (N,).
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match. A row with NaN gives False.
-    cam2_from_cam1 : Pose
-        Pose with x2 = R x1 + t.
-
-    Returns
-    -------
-    cheirality_mask : ndarray, shape (N,), bool
-        Whether both depths are positive.
-
-    Raises
-    ------
-    ValueError
-        If an array has another shape than (N, 3), or the lengths differ.
-
-    Notes
-    -----
-    The sign of z is not used, because half of a panorama's scene has z < 0.
+    Arguments and errors are those of `triangulate`; a row with NaN gives False. The sign of z is
+    not used, because half of a panorama's scene has z < 0.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     a = b1 @ cam2_from_cam1.rotation.T
@@ -183,14 +134,9 @@ def pose_from_essential(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike
     Parameters
     ----------
     E : array_like, shape (3, 3)
-        Essential matrix in any scale.
+        Essential matrix in any scale; the pose has |t| = 1.
     bearings1, bearings2 : array_like, shape (N, 3)
         Directions; row i of both is one match.
-
-    Returns
-    -------
-    cam2_from_cam1 : Pose
-        Pose with |t| = 1.
 
     Raises
     ------

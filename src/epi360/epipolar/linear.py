@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The eight-point algorithm on bearing vectors, normalised or not (paper sections 3 and 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,15 +21,9 @@ CONSTRAINTS = ("unit", "taubin")
 class EightPointSolution:
     """Linear estimate of the essential matrix.
 
-    Attributes
-    ----------
-    E : ndarray, shape (3, 3)
-        Matrix of rank 2 with Frobenius norm sqrt(2). Its two singular values may differ, and its
-        sign is arbitrary.
-    normalizer1, normalizer2 : ndarray, shape (3, 3)
-        N of each view: the estimate was made from the vectors N b (paper eq. 6).
-    S, K : float or None
-        Parameters of eq. 5, or None if the normalisation has none.
+    ``E`` has rank 2 and Frobenius norm sqrt(2). Its two singular values may differ, and its sign is
+    arbitrary. It was made from the vectors N b with ``normalizer1`` and ``normalizer2`` (paper eq.
+    6). ``S`` and ``K`` are the parameters of eq. 5, or None if the normalisation has none.
     """
 
     E: Array
@@ -56,18 +48,11 @@ class EightPointSolution:
 
 
 def observation_matrix(bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
-    """Return the matrix A with A vec(E) = 0 (paper eq. 4).
+    """Return the matrix A (N, 9) with A vec(E) = 0 (paper eq. 4).
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-
-    Returns
-    -------
-    A : ndarray, shape (N, 9)
-        Row i is the Kronecker product b2 (x) b1, and vec(E) has the rows of E one after the other.
-        The order q1 (x) q2 that the paper prints belongs to E^T.
+    Row i is the Kronecker product b2 (x) b1 of the directions in rows i of ``bearings1`` and
+    ``bearings2``, both (N, 3); vec(E) has the rows of E one after the other. The order q1 (x) q2
+    that the paper prints belongs to E^T.
 
     Raises
     ------
@@ -104,11 +89,6 @@ def eight_point(
         or constraint: a weight of 3 counts like three copies, 0 removes a match.
     sk_search : str
         How "sk" is searched: "line" or "lm".
-
-    Returns
-    -------
-    solution : EightPointSolution
-        E, and the normalisation with which it was computed.
 
     Raises
     ------

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Normalising matrices N of the eight-point family: q^ = N q (paper eq. 5, 6 and Table 1)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,18 +16,9 @@ _FLAT = 1e-12
 def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) -> Array:
     """Return Hartley's similarity of the plane, applied to bearings as they are: Table 1 (a).
 
-    Parameters
-    ----------
-    bearings : array_like, shape (N, 3)
-        Bearings of one view; rows with NaN are left out.
-    weights : array_like, shape (N,), optional
-        Weights of the rows in the mean and in the spread.
-
-    Returns
-    -------
-    N : ndarray, shape (3, 3)
-        [[s, 0, -s x], [0, s, -s y], [0, 0, 1]] with the mean bearing (x, y, z) and the scale
-        s = sqrt 2 over the root mean square distance of the bearings from it.
+    It is [[s, 0, -s x], [0, s, -s y], [0, 0, 1]] with the mean bearing (x, y, z) and the scale
+    s = sqrt 2 over the root mean square distance of the bearings from it. Rows of the
+    bearings (N, 3) with NaN are left out; ``weights`` (N,) count in the sums.
 
     Raises
     ------
@@ -56,17 +45,8 @@ def isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) 
 def non_isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = None) -> Array:
     """Return the whitening of the second moments about the sphere's centre: Table 1 (b).
 
-    Parameters
-    ----------
-    bearings : array_like, shape (N, 3)
-        Bearings of one view; rows with NaN are left out.
-    weights : array_like, shape (N,), optional
-        Weights of the rows in the moments.
-
-    Returns
-    -------
-    N : ndarray, shape (3, 3)
-        Inverse of the Cholesky factor L of sum q q^T = L L^T, so that sum q^ q^^T = I.
+    It is the inverse of the Cholesky factor L of sum q q^T = L L^T, so that sum q^ q^^T = I. The
+    arguments are those of `isotropic_normalizer`.
 
     Raises
     ------
@@ -91,17 +71,7 @@ def non_isotropic_normalizer(bearings: ArrayLike, weights: ArrayLike | None = No
 
 
 def sk_normalizer(S: float, K: float) -> Array:
-    """Return N = diag(S, S, K), an ovoid about the z axis (paper eq. 5).
-
-    Parameters
-    ----------
-    S, K : float
-        Two numbers other than zero; E depends on |K / S| alone.
-
-    Returns
-    -------
-    N : ndarray, shape (3, 3)
-        Diagonal matrix.
+    """Return N = diag(S, S, K) (paper eq. 5), an ovoid about z; E depends on |K / S| alone.
 
     Raises
     ------
@@ -119,22 +89,11 @@ def normalizers(
     normalization: str | tuple[float, float] = "none",
     weights: ArrayLike | None = None,
 ) -> tuple[Array, Array]:
-    """Return the matrices N1 and N2 of a named normalisation.
+    """Return the matrices N1 and N2, both (3, 3), of a named normalisation.
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-    normalization : str or tuple (S, K)
-        "none", "isotropic", "non_isotropic", "isotropic+non_isotropic" or the two numbers of
-        eq. 5, which serve both views. "sk" is refused: `search_sk` finds its numbers first.
-    weights : array_like, shape (N,), optional
-        Weights of the matches.
-
-    Returns
-    -------
-    N1, N2 : ndarray, shape (3, 3)
-        One matrix for each view.
+    It is "none", "isotropic", "non_isotropic", "isotropic+non_isotropic" or the two numbers of eq.
+    5, which serve both views. "sk" is refused: `search_sk` finds its numbers first. Bearings and
+    weights are those of `eight_point`.
 
     Raises
     ------

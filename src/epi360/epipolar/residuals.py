@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How far a match is from the epipolar constraint: every residual and its Jacobian."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,20 +17,8 @@ RESIDUALS = ("paper", "angular", "sampson", "tangent_sampson")
 def paper_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
     """Return the signed sine between each bearing of view 2 and its epipolar plane (eq. 13).
 
-    Parameters
-    ----------
-    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
-        Essential matrix, and directions; row i of both is one match.
-
-    Returns
-    -------
-    residuals : ndarray, shape (N,)
-        Sines in [-1, 1], NaN where b1 is the epipole; the paper prints the absolute value.
-
-    Raises
-    ------
-    ValueError
-        If an array has another shape than (N, 3), or the lengths differ.
+    It is the sine of `angular_residuals`, whose arguments and errors are the same; the paper prints
+    its absolute value.
     """
     _, normals, _, C = _constraints(E, bearings1, bearings2)
     with np.errstate(invalid="ignore"):
@@ -73,21 +59,8 @@ def angular_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
 def sampson_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
     """Return the signed angular distance of each match to the constraint, to first order.
 
-    Parameters
-    ----------
-    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
-        Essential matrix, and directions; row i of both is one match.
-
-    Returns
-    -------
-    residuals_rad : ndarray, shape (N,)
-        Angles. If both views have isotropic noise of s radians per axis (standard deviation), the
-        standard deviation of the residuals is s as well.
-
-    Raises
-    ------
-    ValueError
-        If an array has another shape than (N, 3), or the lengths differ.
+    If both views have isotropic noise of s radians per axis (standard deviation), the standard
+    deviation of the residuals is s as well. Arguments and errors are those of `angular_residuals`.
 
     Notes
     -----
@@ -104,22 +77,9 @@ def sampson_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) 
 def solarte2021_residuals(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike) -> Array:
     """Return the residuals of eq. 13 as the authors' code computes them, with norms of all matches.
 
-    Parameters
-    ----------
-    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
-        Essential matrix, and directions; row i of both is one match. Rows with NaN are left out of
-        the norms.
-
-    Returns
-    -------
-    residuals : ndarray, shape (N,)
-        Signed numbers of about the sine of eq. 13 divided by N. The thresholds of the paper's
-        Table 4 are thresholds of this residual; N times such a threshold is an angle in radians.
-
-    Raises
-    ------
-    ValueError
-        If an array has another shape than (N, 3), or the lengths differ.
+    They are about the sine of eq. 13 divided by N. The thresholds of the paper's Table 4 are
+    thresholds of this residual; N times such a threshold is an angle in radians. Arguments and
+    errors are those of `angular_residuals`; rows with NaN are left out of the norms.
 
     Notes
     -----
@@ -143,22 +103,9 @@ def tangent_sampson_residuals(
 ) -> Array:
     """Return the signed distance of each match to the constraint in pixels, to first order.
 
-    Parameters
-    ----------
-    E, bearings1, bearings2 : array_like, shapes (3, 3), (N, 3) and (N, 3)
-        Essential matrix, and directions; row i of both is one match.
-    jacobians1, jacobians2 : array_like, shape (N, 3, 2)
-        Derivatives of the bearings by their pixels, as ``camera.bearing_jacobians`` returns them.
-
-    Returns
-    -------
-    residuals_px : ndarray, shape (N,)
-        Distances in pixels, in the image of any central camera.
-
-    Raises
-    ------
-    ValueError
-        If an array has the wrong shape.
+    ``jacobians1`` and ``jacobians2``, both (N, 3, 2), are the derivatives of the bearings by their
+    pixels, as the ``bearing_jacobians`` of any central camera returns them. The other arguments and
+    the errors are those of `angular_residuals`.
 
     Notes
     -----
@@ -183,24 +130,11 @@ def pose_residuals(
     jacobians1: ArrayLike | None = None,
     jacobians2: ArrayLike | None = None,
 ) -> Array:
-    """Return the named residual of every match under a pose.
+    """Return the named residual of every match under a pose, shape (N,).
 
-    Parameters
-    ----------
-    cam2_from_cam1 : Pose
-        Pose with x2 = R x1 + t.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-    residual : str
-        "paper", "angular", "sampson", "tangent_sampson" or "solarte2021".
-    jacobians1, jacobians2 : array_like, shape (N, 3, 2), optional
-        Derivatives of the bearings by their pixels; only "tangent_sampson" needs them.
-
-    Returns
-    -------
-    residuals : ndarray, shape (N,)
-        Sines for "paper", radians for "angular" and "sampson", pixels for "tangent_sampson"; for
-        "solarte2021" see `solarte2021_residuals`.
+    It is "paper" (sines), "angular" or "sampson" (radians), "tangent_sampson" (pixels), which alone
+    needs Jacobians, or "solarte2021". The arguments are those of the function of that name, with a
+    pose x2 = R x1 + t in place of E.
 
     Raises
     ------
@@ -225,18 +159,10 @@ def pose_residuals(
 
 
 def tangent_basis(translation: ArrayLike) -> Array:
-    """Return two unit tangents of the sphere at a direction t; with t they are a basis.
+    """Return the matrix B (3, 2) of two unit tangents of the sphere at a unit direction t (3,).
 
-    Parameters
-    ----------
-    translation : array_like, shape (3,)
-        Unit direction t.
-
-    Returns
-    -------
-    basis : ndarray, shape (3, 2)
-        The matrix B. Its first column is the coordinate axis that is least aligned with t,
-        projected on the tangent plane and scaled to unit length; the second is t x first.
+    Its first column is the coordinate axis that is least aligned with t, projected on the tangent
+    plane and scaled to unit length; the second is t x first.
     """
     t = np.asarray(translation, dtype=np.float64)
     axis = int(np.argmin(np.abs(t)))
@@ -248,22 +174,11 @@ def tangent_basis(translation: ArrayLike) -> Array:
 def residual_jacobians(
     cam2_from_cam1: Pose, bearings1: ArrayLike, bearings2: ArrayLike, residual: str = "sampson"
 ) -> Array:
-    """Return the derivatives of the named residual by the five parameters of the pose.
+    """Return the derivatives (N, 5) of the named residual by the five parameters of the pose.
 
-    Parameters
-    ----------
-    cam2_from_cam1 : Pose
-        Pose with |t| = 1.
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match.
-    residual : str
-        "paper", "angular", "sampson" or "solarte2021".
-
-    Returns
-    -------
-    jacobians : ndarray, shape (N, 5)
-        Derivatives by w (three columns) and d (two), where R' = exp([w]x) R and
-        t' = (t + B d) / |t + B d| with B from `tangent_basis`.
+    These are w (three columns) and d (two), where R' = exp([w]x) R and t' = (t + B d) / |t + B d|
+    with B from `tangent_basis`. The arguments are those of `pose_residuals`, with |t| = 1; the
+    residual is "paper", "angular", "sampson" or "solarte2021".
 
     Raises
     ------

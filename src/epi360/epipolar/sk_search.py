@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Search for the normalisation (S, K) of least sum of |residuals| (paper eq. 14)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -42,23 +40,9 @@ def search_sk(
 ) -> tuple[float, float, float, int]:
     """Return S*, K*, the sum of |residuals| there and the number of its evaluations (eq. 14).
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        At least eight matches; rows with NaN are left out.
-    search : str
-        "line" searches u = ln(K / S) with S = 1; "lm" searches S and K, as the paper prints it.
-    weights : array_like, shape (N,), optional
-        Weights of the matches, both in the eight-point solution and in the sum.
-
-    Returns
-    -------
-    S, K : float
-        The two numbers of eq. 5.
-    value : float
-        Weighted sum of |residuals| there, as in `SkCost`.
-    num_evaluations : int
-        How many pairs (S, K) were tried, those for derivatives included.
+    The sum is weighted, and the evaluations include those for derivatives. "line" searches u = ln(K
+    / S) with S = 1; "lm" searches S and K, as the paper prints it. Bearings and weights are those
+    of `eight_point`.
 
     Raises
     ------
@@ -84,22 +68,8 @@ def check_sk_search(search: str) -> None:
 class SkCost:
     """The function of eq. 14, prepared so that one evaluation is cheap.
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (N, 3)
-        Directions; row i of both is one match. Rows with NaN are left out.
-    weights : array_like, shape (N,), optional
-        Weights of the matches.
-
-    Attributes
-    ----------
-    num_evaluations : int
-        How often the function was called.
-
-    Raises
-    ------
-    ValueError
-        If an array has the wrong shape, or fewer than eight matches are usable.
+    It takes the matches and weights of `search_sk`, and raises the same errors;
+    ``num_evaluations`` says how often the function was called.
 
     Notes
     -----
@@ -120,22 +90,9 @@ class SkCost:
         self.num_evaluations = 0
 
     def essential(self, S: float, K: float) -> Array:
-        """Return E(S, K), the eight-point solution in the normalised domain, brought back.
+        """Return E(S, K) (eq. 9), the eight-point solution in the normalised domain, brought back.
 
-        Parameters
-        ----------
-        S, K : float
-            Two numbers other than zero.
-
-        Returns
-        -------
-        E : ndarray, shape (3, 3)
-            Essential matrix of eq. 9, of rank 2.
-
-        Raises
-        ------
-        ValueError
-            If a number is zero or not finite.
+        S and K that are zero or not finite raise ``ValueError``.
         """
         N = sk_normalizer(S, K)
         D = np.kron(np.diag(N), np.diag(N))
@@ -151,18 +108,7 @@ class SkCost:
         return float(self._w @ np.abs(np.einsum("ij,ij->i", self._b2, normals) / lengths))
 
     def at(self, u: float) -> float:
-        """Return the value at S = 1, K = exp(u).
-
-        Parameters
-        ----------
-        u : float
-            ln(K / S), on which alone E depends.
-
-        Returns
-        -------
-        value : float
-            Weighted sum of |eq. 13|.
-        """
+        """Return the weighted sum of |eq. 13| at S = 1, K = exp(u), on which alone E depends."""
         return self(1.0, float(np.exp(u)))
 
 

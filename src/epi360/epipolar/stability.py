@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """How well matches determine an essential matrix (paper section 4.2, eq. 10 to 12)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -133,16 +131,9 @@ class Stability:
     def essential_error_bound(self, bearings1: ArrayLike, bearings2: ArrayLike) -> float:
         """Return the right side of eq. 12, |Q|_2 / sigma_8, from the matches without noise.
 
-        Parameters
-        ----------
-        bearings1, bearings2 : array_like, shape (M, 3)
-            The true bearings, in the same rows as those that were given to `stability`.
-
-        Returns
-        -------
-        bound : float
-            Upper bound of the sine of the angle between the vec(E) of the DLT and the true one,
-            both in the normalised domain and before E is made to have rank 2.
+        It bounds the sine of the angle between the vec(E) of the DLT and the true one, both in the
+        normalised domain and before E is made to have rank 2. ``bearings1`` and ``bearings2``, both
+        (M, 3), are the true bearings in the rows of those that were given to `stability`.
 
         Raises
         ------
@@ -186,11 +177,6 @@ def stability(
         Domain to measure in, named as in `eight_point`; "sk" is searched first.
     cam2_from_cam1 : Pose, optional
         True pose, which the motion parallax needs.
-
-    Returns
-    -------
-    stability : Stability
-        Singular values, eq. 10 to 12, internal angles and motion parallax.
 
     Raises
     ------

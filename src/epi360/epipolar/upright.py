@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Relative pose from three matches where the direction of gravity is known in both cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
@@ -21,17 +19,8 @@ def upright_three_point(
 ) -> list[Pose]:
     """Return the poses cam2_from_cam1 that fit three matches and turn gravity into gravity.
 
-    Parameters
-    ----------
-    bearings1, bearings2 : array_like, shape (3, 3)
-        Directions of any length; row i of both is one match.
-    gravity1, gravity2 : array_like, shape (3,)
-        Direction of gravity in each camera, of any length.
-
-    Returns
-    -------
-    poses : list of Pose
-        Up to four poses with |t| = 1, where -t is as good as t; none if a bearing is NaN.
+    They are up to four poses with |t| = 1, where -t is as good as t; none if a bearing is NaN.
+    Bearings, both (3, 3), and directions of gravity (3,) may have any length.
 
     Raises
     ------
@@ -83,7 +72,6 @@ def _normals(b1: Array, b2: Array) -> tuple[Array, NDArray[np.complex128]]:
 
 
 def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
-    """Return the headings theta at which the three normals are linearly dependent."""
     # z (n0 + z n1 + conj(n1) / z), component by component
     a, b, c = (
         [Polynomial([n1.conjugate(), n0, n1]) for n0, n1 in zip(*row, strict=True)]
@@ -103,7 +91,6 @@ def _headings(constant: Array, wave: NDArray[np.complex128]) -> Array:
 
 
 def _perpendicular_to(normals: Array) -> Array:
-    """Return the unit vector perpendicular to three of one plane, NaN if they are parallel."""
     products = np.cross(normals, np.roll(normals, -1, axis=0))
     lengths = np.linalg.norm(products, axis=1)
     longest = int(np.argmax(lengths))

@@ -14,15 +14,6 @@ from epi360.features.matching import match_features
 from epi360.features.tracking import Tracks, track_features
 
 __all__ = [
-    "Features",
-    "ImageSource",
-    "Tracks",
-    "extract_features",
-    "looks_like_dual_fisheye",
-    "match_features",
-    "nadir_mask",
-    "read_image",
-    "read_mask",
-    "require_panorama",
-    "track_features",
-]
+    "Features", "ImageSource", "Tracks", "extract_features", "looks_like_dual_fisheye",
+    "match_features", "nadir_mask", "read_image", "read_mask", "require_panorama", "track_features",
+]  # fmt: skip

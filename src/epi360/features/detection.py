@@ -45,17 +45,10 @@ class Features:
     sizes_px: Array
 
     def __len__(self) -> int:
-        """Return the number of key points."""
         return len(self.keypoints)
 
     def first(self, count: int) -> Features:
-        """Return the strongest of what `extract_features` found.
-
-        Parameters
-        ----------
-        count : int
-            How many.
-        """
+        """Return the ``count`` strongest of what `extract_features` found."""
         return Features(self.keypoints[:count], self.descriptors[:count], self.sizes_px[:count])
 
 
@@ -69,7 +62,7 @@ def extract_features(
     max_features: int = 10000,
     contrast_threshold: float = CONTRAST_THRESHOLD,
 ) -> Features:
-    """SIFT key points and RootSIFT descriptors of an image, strongest first.
+    """SIFT key points and RootSIFT descriptors of an image, strongest first, or none.
 
     Parameters
     ----------
@@ -88,11 +81,6 @@ def extract_features(
         The strongest are kept.
     contrast_threshold : float
         Least contrast of a key point, as SIFT measures it; lower finds more.
-
-    Returns
-    -------
-    features : Features
-        Possibly none.
 
     Raises
     ------
@@ -118,10 +106,7 @@ def extract_features(
 
 @dataclass(frozen=True)
 class SiftKeypoints:
-    """Key points of one image as SIFT finds them, strongest first.
-
-    Pixels and sizes are those of the original image, descriptors whole numbers from 0 to 255.
-    """
+    """Key points as SIFT finds them, strongest first, in pixels of the original image."""
 
     pixels: Array
     sizes: Array
@@ -136,7 +121,9 @@ class SiftKeypoints:
 
     def features(self) -> Features:
         """Return what is matched: unit descriptors."""
-        return Features(self.pixels, _root_sift(self.descriptors), self.sizes)
+        values = np.asarray(self.descriptors, np.float32)
+        sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)  # RootSIFT
+        return Features(self.pixels, np.sqrt(values / sums).astype(np.float32), self.sizes)
 
     def num_above(self, contrast_threshold: float) -> int:
         """Return how many of them a search at a higher threshold would find: the first so many."""
@@ -193,7 +180,6 @@ _NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0
 
 
 def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
-    """Key points of a view, in pixels of the original image."""
     points, descriptors = sift.detectAndCompute(view.picture, view.mask)
     if not points:
         return _NOTHING
@@ -207,10 +193,7 @@ def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
 
 
 def _merged(parts: list[SiftKeypoints], camera: Camera, pixel: float) -> SiftKeypoints:
-    """All views' key points, without those that an earlier view found too.
-
-    Twins would be each other's runner-up and fail the ratio test.
-    """
+    """All views' key points, without twins, which would be each other's runner-up."""
     if not parts:
         return _NOTHING
     merged = parts[0]
@@ -257,7 +240,6 @@ def _kept(
     mask_nadir_deg: float,
     max_features: int,
 ) -> NDArray[np.int64]:
-    """Indices of the usable key points, strongest first, limited in number."""
     order = np.argsort(-found.strengths, kind="stable")
     if mask is not None:
         columns = np.clip(found.pixels[order, 0].astype(int), 0, camera.width - 1)
@@ -267,9 +249,3 @@ def _kept(
         down = camera.bearings_from_pixels(found.pixels[order])[:, 1]
         order = order[down < np.cos(np.radians(mask_nadir_deg))]
     return order[:max_features]
-
-
-def _root_sift(descriptors: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
-    values = np.asarray(descriptors, np.float32)
-    sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
-    return np.asarray(np.sqrt(values / sums), dtype=np.float32)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The camera of an image: the one place where it is found."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -20,8 +18,8 @@ def find_camera(
 ) -> Camera:
     """Camera of a picture: the given one, or that of a panorama or of a part of one.
 
-    A file is the part of a panorama that its GPano metadata state. An array, or a file without such
-    metadata, is a whole panorama. What does not fit is a ``ValueError`` that calls it ``name``.
+    A file is the part of a panorama that its GPano metadata state. What does not fit is a
+    ``ValueError`` that calls it ``name``.
     """
     height, width = picture.shape[:2]
     if camera is None:

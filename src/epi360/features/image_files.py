@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Image files to pixels, refusing what OpenCV would decode in part, noisily or without a limit."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path
@@ -38,8 +36,7 @@ _END_OF_JPEG = 0xD9
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     """Pixels of a complete file, (H, W, 3) BGR or (H, W, 4) BGRA of the file's own type.
 
-    They are upright unless some are transparent. A file that is missing, incomplete, no image or
-    larger than ``max_pixels`` raises `read_image`'s errors, which call it ``name``.
+    They are upright unless some are transparent. The errors are those of `read_image`.
     """
     data = _read_bytes(path, name)
     try:
@@ -105,11 +102,9 @@ def _check_png(data: bytes) -> None:
 
 
 def _check_jpeg(data: bytes) -> None:
-    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B).
-
-    Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
-    phones and 360 cameras append videos and their own data after the end.
-    """
+    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B)."""
+    # Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
+    # phones and 360 cameras append videos and their own data after the end.
     at = 2
     while marker := _JPEG_MARKER.search(data, at):
         if data[marker.start() + 1] == _END_OF_JPEG:

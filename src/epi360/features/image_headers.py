@@ -5,8 +5,6 @@ Its formats are opened by their own classes: `PIL.Image.open` would refuse panor
 for decompression bombs, by a limit of the whole process, before their size is known.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import struct
@@ -30,12 +28,7 @@ _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What the header of an image file says.
-
-    ``size`` is that of the upright picture. It is None if only decoding tells: for WebP, BMP,
-    unusual orientations, damaged files and other files. ``xmp`` is a packet of metadata.
-    ``may_have_alpha`` is False if the header rules transparency out.
-    """
+    """What the header of an image file says; ``size`` is None if only decoding tells."""
 
     size: tuple[int, int] | None = None
     xmp: bytes | None = None

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pictures and masks: any image file or array in, 8-bit RGB and booleans out, or a clear reason."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -21,23 +19,19 @@ ImageSource = str | os.PathLike[str] | NDArray[Any]
 def read_image(
     source: ImageSource, *, max_pixels: int = MAX_PIXELS, name: str = "image"
 ) -> NDArray[np.uint8]:
-    """Picture as 8-bit RGB, upright.
+    """Picture as 8-bit RGB (H, W, 3), upright.
 
     Parameters
     ----------
     source : str, path or ndarray
         JPEG, PNG, TIFF, WebP or BMP file, or an array of shape (H, W), (H, W, 1), (H, W, 3) RGB
-        or (H, W, 4) RGBA of type uint8, uint16, bool, or float in [0, 1].
+        or (H, W, 4) RGBA of type uint8, uint16, bool, or float in [0, 1]. The result shares its
+        memory if it is such an image already.
     max_pixels : int
         Limit on width x height of a file. OpenCV has one of its own, 2**30, which the environment
         variable ``OPENCV_IO_MAX_IMAGE_PIXELS`` changes.
     name : str
         What error messages call the picture.
-
-    Returns
-    -------
-    image : ndarray, shape (H, W, 3), uint8
-        Shares memory with ``source`` where that is such an array already.
 
     Raises
     ------
@@ -62,7 +56,7 @@ def read_image(
 def read_mask(
     source: ImageSource, shape: tuple[int, int], *, name: str = "mask"
 ) -> NDArray[np.bool_]:
-    """Pixels to use: those brighter than half of the range.
+    """Pixels to use, bool (H, W): those brighter than half of the range.
 
     Parameters
     ----------
@@ -72,10 +66,6 @@ def read_mask(
         Height and width of the image that the mask belongs to.
     name : str
         What error messages call the mask.
-
-    Returns
-    -------
-    mask : ndarray, shape (H, W), bool
 
     Raises
     ------
@@ -102,24 +92,10 @@ def read_mask(
 
 
 def nadir_mask(camera: Camera, degrees: float) -> NDArray[np.bool_]:
-    """Pixels farther than an angle from straight down, where tripods and their holders stand.
+    """Pixels (H, W) whose centres are farther than an angle from straight down, (0, 1, 0).
 
-    Parameters
-    ----------
-    camera : Camera
-        Held upright: down is the bearing (0, 1, 0).
-    degrees : float
-        Radius of the ignored cap, in [0, 180); 0 ignores nothing.
-
-    Returns
-    -------
-    mask : ndarray, shape (height, width), bool
-        False inside the cap, tested at the pixels' centres.
-
-    Raises
-    ------
-    ValueError
-        If ``degrees`` is outside [0, 180).
+    Tripods and their holders stand there in the images of an upright camera. An angle outside
+    [0, 180) degrees raises ``ValueError``; 0 ignores nothing.
     """
     if not 0 <= degrees < 180:
         raise ValueError(f"mask_nadir_deg must be in [0, 180), got {degrees}")
@@ -139,17 +115,10 @@ def nadir_mask(camera: Camera, degrees: float) -> NDArray[np.bool_]:
 
 
 def looks_like_dual_fisheye(image: NDArray[np.uint8]) -> bool:
-    """Whether a picture is the raw frame of a 360 camera: two discs side by side on black.
+    """Whether an RGB picture is the raw frame of a 360 camera: two discs side by side on black.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W, 3), uint8
-
-    Returns
-    -------
-    bool
-        True for a 2:1 frame of which both halves have four black corners and, at the diagonals,
-        end on a circle. Dark frames, where no circle is visible, give False.
+    Both halves of such a 2:1 frame have four black corners and end on a circle at the diagonals.
+    Dark frames, where no circle is visible, give False.
     """
     height, width = image.shape[:2]
     if abs(width - 2 * height) > 0.02 * width:
@@ -159,19 +128,7 @@ def looks_like_dual_fisheye(image: NDArray[np.uint8]) -> bool:
 
 
 def require_panorama(image: NDArray[np.uint8], name: str = "image") -> None:
-    """Refuse the raw frame of a 360 camera, which would be mistaken for a panorama.
-
-    Parameters
-    ----------
-    image : ndarray, shape (H, W, 3), uint8
-    name : str
-        What the error message calls the image.
-
-    Raises
-    ------
-    ValueError
-        If the image looks like a raw dual fisheye frame.
-    """
+    """Raise ``ValueError`` for the raw frame of a 360 camera, which looks like a panorama."""
     if looks_like_dual_fisheye(image):
         raise ValueError(
             f"{name} looks like a raw dual fisheye frame (two circles on black); "
@@ -208,7 +165,6 @@ def _is_disc_on_black(half: NDArray[np.uint8]) -> bool:
 
 
 def _rgb_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 from any array that `read_image` takes."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Descriptors of two images to matches: ratio test and mutual nearest neighbours."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,12 +19,12 @@ _SMALLEST = 2e-6
 def match_features(
     features1: Features, features2: Features, *, ratio: float = 0.8, mutual: bool = True
 ) -> NDArray[np.int64]:
-    """Matches between two sets of features.
+    """Matches between two sets of features with unit descriptors.
 
     Parameters
     ----------
     features1, features2 : Features
-        With unit descriptors.
+        What `extract_features` returns.
     ratio : float
         A match is kept when its descriptor distance is below this share of the distance to the
         second nearest (Lowe 2004), in at least one of the two images: on wide baselines that is
@@ -73,10 +71,7 @@ def _passes(
 def _two_nearest(
     queries: NDArray[np.float32], targets: NDArray[np.float32]
 ) -> tuple[NDArray[np.int64], Similarities, Similarities, Similarities]:
-    """Most similar target of each query, its similarity, and that of the second most similar.
-
-    Last, for each target the largest similarity to a query that prefers another target.
-    """
+    """Nearest target of each query, its similarity, and the runner-up's for queries and targets."""
     nearest = np.zeros(len(queries), dtype=np.int64)
     best = np.zeros(len(queries), dtype=np.float32)
     second = np.full(len(queries), -1.0, dtype=np.float32)
@@ -100,10 +95,7 @@ def _two_nearest(
 def _back(
     nearest: NDArray[np.int64], best: Similarities, others: Similarities
 ) -> tuple[NDArray[np.bool_], Similarities]:
-    """Which queries are the most similar ones of their target, and the runner-up's similarity.
-
-    One product of all descriptors serves both directions: a third faster than two (measured).
-    """
+    """Which queries are the nearest of their target, and the runner-up's similarity."""
     order = np.lexsort((-best, nearest))  # by target, the most similar first
     targets = nearest[order]
     leads = np.append(True, targets[1:] != targets[:-1])

@@ -90,7 +90,6 @@ _LinkMap._fields_ = [
 
 
 def _loaded_libraries() -> Iterator[str]:
-    """Paths of the shared libraries of this process, in the order of loading."""
     library = ctypes.cast(ctypes.CDLL(None)._handle, ctypes.POINTER(_LinkMap))
     while library:
         yield os.fsdecode(library.contents.l_name or b"")

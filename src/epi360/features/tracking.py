@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Key points followed through an image sequence: Shi-Tomasi corners, pyramidal Lucas-Kanade."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -14,6 +12,9 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import ImageSource, read_image, read_mask
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class Tracks:
         lost.
     """
 
-    keypoints: NDArray[np.float64]
+    keypoints: Array
 
     @property
     def visible(self) -> NDArray[np.bool_]:
@@ -61,28 +62,26 @@ class _Options:
 
 @dataclass(frozen=True)
 class _View:
-    """What all frames share: the camera, the pixels to use, and the wrapped margin."""
-
     camera: Camera
     mask: NDArray[np.bool_]
     margin: int  # columns repeated on both sides, 0 where the image has an edge there
 
-    def pad(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def pad(self, image: Picture) -> Picture:
         padded = cv2.copyMakeBorder(image, 0, 0, self.margin, self.margin, cv2.BORDER_WRAP)
         return np.asarray(padded, dtype=np.uint8)
 
-    def padded_from_pixels(self, pixels: NDArray[np.float64]) -> NDArray[np.float32]:
+    def padded_from_pixels(self, pixels: Array) -> NDArray[np.float32]:
         """OpenCV's coordinates (pixel centres at integers) in the padded image."""
         return (pixels + (self.margin - 0.5, -0.5)).astype(np.float32)
 
-    def pixels_from_padded(self, points: NDArray[np.float32]) -> NDArray[np.float64]:
+    def pixels_from_padded(self, points: NDArray[np.float32]) -> Array:
         """Inverse of `padded_from_pixels`, brought back into the image across the seam."""
         pixels = points.astype(np.float64) + (0.5 - self.margin, 0.5)
         if self.margin:
             pixels[:, 0] %= self.camera.width
         return pixels
 
-    def is_usable(self, pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_usable(self, pixels: Array) -> NDArray[np.bool_]:
         """Whether pixels lie in the image and on the mask."""
         u, v = pixels.T
         usable: NDArray[np.bool_] = (
@@ -132,10 +131,6 @@ def track_features(
     redetect : bool
         Whether new corners replace lost points; their earlier frames are NaN.
 
-    Returns
-    -------
-    tracks : Tracks
-
     Raises
     ------
     FileNotFoundError
@@ -175,8 +170,7 @@ def _keypoints_of_frames(
     camera: Camera | None,
     mask: ImageSource | None,
     options: _Options,
-) -> Iterator[NDArray[np.float64]]:
-    """Pixels of all points so far, frame by frame."""
+) -> Iterator[Array]:
     view: _View | None = None
     previous, pixels = np.empty((0, 0), dtype=np.uint8), np.empty((0, 2))
     for index, source in enumerate(images):
@@ -209,12 +203,8 @@ def _make_view(camera: Camera, mask: ImageSource | None, options: _Options) -> _
 
 
 def _next_frame(
-    previous: NDArray[np.uint8],
-    current: NDArray[np.uint8],
-    pixels: NDArray[np.float64],
-    view: _View,
-    options: _Options,
-) -> NDArray[np.float64]:
+    previous: Picture, current: Picture, pixels: Array, view: _View, options: _Options
+) -> Array:
     """Where each point of the previous frame is now, NaN when lost; new points at the end."""
     moved = np.full_like(pixels, np.nan)
     seen = np.isfinite(pixels).all(axis=1)
@@ -225,12 +215,8 @@ def _next_frame(
 
 
 def _follow(
-    previous: NDArray[np.uint8],
-    current: NDArray[np.uint8],
-    pixels: NDArray[np.float64],
-    view: _View,
-    options: _Options,
-) -> NDArray[np.float64]:
+    previous: Picture, current: Picture, pixels: Array, view: _View, options: _Options
+) -> Array:
     if len(pixels) == 0:
         return pixels
     start = view.padded_from_pixels(pixels)
@@ -243,7 +229,7 @@ def _follow(
 
 
 def _lucas_kanade(
-    image1: NDArray[np.uint8], image2: NDArray[np.uint8], points: NDArray[np.float32], o: _Options
+    image1: Picture, image2: Picture, points: NDArray[np.float32], o: _Options
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -258,9 +244,7 @@ def _lucas_kanade(
     return np.asarray(moved, dtype=np.float32), found.ravel() == 1
 
 
-def _detect(
-    padded: NDArray[np.uint8], view: _View, options: _Options, known: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _detect(padded: Picture, view: _View, options: _Options, known: Array) -> Array:
     """Find new corners, best first, away from each other and from the known points."""
     known = known[np.isfinite(known).all(axis=1)]
     wanted = options.max_features - len(known)
@@ -280,9 +264,7 @@ def _detect(
     return pixels[_spread(bearings, taken, options.min_distance_rad, wanted)]
 
 
-def _spread(
-    bearings: NDArray[np.float64], taken: NDArray[np.float64], distance_rad: float, count: int
-) -> list[int]:
+def _spread(bearings: Array, taken: Array, distance_rad: float, count: int) -> list[int]:
     """Pick the first bearings that keep their distance from those taken and from each other."""
     # The chord of the angle: exact for small angles, where a cosine has no digits left.
     chord2 = 4 * np.sin(distance_rad / 2) ** 2

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a detector searches instead of the image itself: views without seam, poles or black rims."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -75,11 +73,7 @@ class Face(View):
 
 
 def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
-    """Views that together show everything that the camera of the original image sees.
-
-    A full panorama has strips around the horizon and faces at the poles. Any other image is one
-    view.
-    """
+    """Views that together show what the camera sees: strips and pole faces of a full panorama."""
     height, width = grey.shape
     if not isinstance(camera, Equirectangular):
         yield View(grey, _lens_mask(camera, height, width))
@@ -107,7 +101,6 @@ def _lens_mask(camera: Camera, height: int, width: int) -> NDArray[np.uint8] | N
 
 
 def _strips(grey: NDArray[np.uint8], camera: Equirectangular) -> Iterator[Strip]:
-    """Views of the rows around the horizon, in as few parts as memory allows."""
     height, width = grey.shape
     rows_per_degree = height / camera.vertical_fov_deg
     reach = (STRIP_LATITUDE_DEG + _MARGIN_DEG) * rows_per_degree
@@ -130,12 +123,9 @@ def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> Face
     size = 2 * int(np.ceil(focal * np.tan(np.radians(half_angle))))
     u, v = _face_map(camera, size, focal, sign)
     picture = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return Face(np.asarray(picture, dtype=np.uint8), None, camera, _pole_rotation(sign), focal)
-
-
-def _pole_rotation(sign: float) -> Array:
-    """Panorama from face: the face's z axis is the pole, its x axis the panorama's."""
-    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -sign], [0.0, sign, 0.0]])
+    # Panorama from face: the face's z axis is the pole, its x axis the panorama's.
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -sign], [0.0, sign, 0.0]])
+    return Face(np.asarray(picture, dtype=np.uint8), None, camera, rotation, focal)
 
 
 @lru_cache(maxsize=4)  # both images of a pair, two poles each

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the readers and writers of reconstructions check, with errors that name the place."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,6 +11,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, KannalaBrandt, Pinhole, UnifiedCamera
 from epi360.cameras.calibration import fields
+from epi360.interop.match_graph import MatchedImage
 from epi360.interop.reconstruction import PosedImage
 from epi360.poses import Pose, pose_from_quaternion
 
@@ -89,7 +88,7 @@ def known_pose(image: PosedImage) -> Pose:
     return pose
 
 
-def known_camera(image: PosedImage, what: str) -> str:
+def known_camera(image: MatchedImage | PosedImage, what: str) -> str:
     """Return the name of an image's camera; raise ``ValueError`` if it has none."""
     if image.camera is None:
         raise ValueError(f"{what} needs the camera of image {image.name}; give one (--camera)")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Our cameras to pycolmap's and back; `epi360.cameras.calibration.colmap` pairs the models."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from epi360.cameras import Camera
@@ -13,15 +11,9 @@ from epi360.extras import extra_library
 def colmap_camera(camera: Camera) -> Any:
     """Return a ``pycolmap.Camera`` with the same rays, of the simplest model that is exactly equal.
 
-    Parameters
-    ----------
-    camera : Camera
-        Camera to convert. The ``max_angle_deg`` of a fisheye is lost: COLMAP has no such number.
-
-    Returns
-    -------
-    camera : pycolmap.Camera
-        Camera without an id, whose focal length counts as known.
+    It has no id, and its focal length counts as known. The ``max_angle_deg`` of a fisheye is lost.
+    In COLMAP 4.2 only panoramas have rays behind the camera; pixels of a fisheye that look 90
+    degrees or more from the axis have no ray there, or a wrong one.
 
     Raises
     ------
@@ -30,11 +22,6 @@ def colmap_camera(camera: Camera) -> Any:
         with xi other than 0.
     ImportError
         If pycolmap is missing.
-
-    Notes
-    -----
-    In COLMAP 4.2 only panoramas have rays behind the camera. Pixels of a fisheye that look 90
-    degrees or more from the axis have no ray there, or a wrong one.
     """
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="COLMAP cameras")
     model, parameters = model_of_camera(camera)
@@ -48,17 +35,7 @@ def colmap_camera(camera: Camera) -> Any:
 
 
 def camera_from_colmap(camera: Any) -> Camera:
-    """Return the camera with the same rays as one of pycolmap.
-
-    Parameters
-    ----------
-    camera : pycolmap.Camera
-        Camera to convert.
-
-    Returns
-    -------
-    camera : Camera
-        One of our models.
+    """Return the camera with the same rays as a ``pycolmap.Camera``.
 
     Raises
     ------

@@ -1,23 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """COLMAP databases: write a match graph to a new one, and read one as a match graph.
 
-| status                                   | config in COLMAP | pose, E            |
-| ---------------------------------------- | ---------------- | ------------------ |
-| ok                                       | CALIBRATED       | both               |
-| planar_ambiguous                         | PLANAR           | both               |
-| pure_rotation                            | PANORAMIC        | pose with t = 0    |
-| every other: no inlier is written        | DEGENERATE       | none               |
-| the pair was not verified                | no row           |                    |
-
-COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all other pairs. The
+COLMAP 4.2's mappers skip UNDEFINED and DEGENERATE pairs and use the inliers of all other pairs, so
+that a failed pair is written without inliers, and a pair that was not verified without a row. The
 incremental mapper computes poses itself; the global one takes the rotation of the pose, or of E.
-
-The reader takes UNCALIBRATED and CALIBRATED_RIG for "ok", PLANAR_OR_PANORAMIC for
-"planar_ambiguous", and DEGENERATE and WATERMARK for "too_few_inliers". A pair counts as not
-verified if its row has neither pose nor E, or is MULTIPLE or UNDEFINED.
+When a database is read, a pair counts as not verified if its row has neither pose nor E, or is
+MULTIPLE or UNDEFINED.
 """
-
-from __future__ import annotations
 
 import errno
 import os
@@ -30,22 +19,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar import essential_from_pose, pose_from_essential
+from epi360.interop.checks import known_camera
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_frames, write_rigs
+from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_rigs_and_frames
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
-from epi360.runs.whole_files import whole_path
+from epi360.runs.whole_files import PathLike, whole_path
 
 __all__ = [
-    "ColmapPairs",
-    "open_colmap_database",
-    "read_colmap_database",
-    "two_view_geometry_to_colmap",
-    "whole_database",
-    "write_colmap_database",
-]
+    "ColmapPairs", "open_colmap_database", "read_colmap_database", "two_view_geometry_to_colmap",
+    "whole_database", "write_colmap_database",
+]  # fmt: skip
 
 CONFIG_OF_STATUS = {"ok": "CALIBRATED", "planar_ambiguous": "PLANAR", "pure_rotation": "PANORAMIC"}
 FAILURE = "DEGENERATE"
@@ -62,7 +48,7 @@ STATUS_OF_CONFIG = {  # the numbers are COLMAP's TwoViewGeometry::ConfigurationT
 TYPES_OF_BYTES = (-1, 0)  # descriptors of unknown type and of SIFT; networks make floats
 
 
-def open_colmap_database(path: str | os.PathLike[str]) -> Any:
+def open_colmap_database(path: PathLike) -> Any:
     """Return a database opened by pycolmap to write to it; COLMAP upgrades older tables."""
     pycolmap = pycolmap_library()
     with ColmapTables(path):
@@ -95,29 +81,21 @@ def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
     return colmap_geometry
 
 
-def write_colmap_database(path: str | os.PathLike[str], graph: MatchGraph) -> None:
+def write_colmap_database(path: PathLike, graph: MatchGraph) -> None:
     """Write a match graph to a new database of COLMAP 4, the whole of it or nothing.
 
     COLMAP keeps key points in single precision. Cameras and images are numbered in the order of the
     graph, and image 1 of a pair in the file has the smaller number. Descriptors are not written.
-
-    Parameters
-    ----------
-    path : path-like
-        A file that does not exist yet.
-    graph : MatchGraph
-        Images that share a ``frame`` become a frame of a rig if their cameras are in
-        ``cam_from_rig``; every other image is a frame of its own.
+    Images that share a ``frame`` become a frame of a rig if their cameras are in ``cam_from_rig``;
+    every other image is a frame of its own.
 
     Raises
     ------
     ValueError
         If the file exists already, an image has no camera, COLMAP lacks the model of a camera, or a
         frame has two images of one camera.
-    FileNotFoundError
-        If the folder does not exist.
     OSError
-        If the file cannot be written.
+        If the folder does not exist, or the file cannot be written.
     ImportError
         If pycolmap is missing.
     """
@@ -158,19 +136,16 @@ def whole_database(path: Path) -> Iterator[Path]:
 
 def _write(database: Any, graph: MatchGraph) -> None:
     pycolmap = pycolmap_library()
-    camera_ids: dict[str, int] = {}
-    for name, camera in graph.cameras.items():
-        camera_ids[name] = database.write_camera(colmap_camera(camera))
+    camera_ids: dict[str, int] = {
+        name: database.write_camera(colmap_camera(camera)) for name, camera in graph.cameras.items()
+    }
     image_ids: dict[str, int] = {}
     for image in graph.images.values():
-        if image.camera is None:
-            raise ValueError(
-                f"a COLMAP database needs the camera of image {image.name}; give one (--camera)"
-            )
-        colmap_image = pycolmap.Image(name=image.name, camera_id=camera_ids[image.camera])
+        camera_id = camera_ids[known_camera(image, "a COLMAP database")]
+        colmap_image = pycolmap.Image(name=image.name, camera_id=camera_id)
         image_ids[image.name] = database.write_image(colmap_image)
         database.write_keypoints(image_ids[image.name], image.keypoints.astype(np.float32))
-    write_frames(database, graph, image_ids, camera_ids, write_rigs(database, graph, camera_ids))
+    write_rigs_and_frames(database, graph, image_ids, camera_ids)
     for pair in graph.pairs:
         ids = image_ids[pair.image1], image_ids[pair.image2]
         database.write_matches(*ids, pair.matches.astype(np.uint32))
@@ -178,10 +153,13 @@ def _write(database: Any, graph: MatchGraph) -> None:
             database.write_two_view_geometry(*ids, two_view_geometry_to_colmap(pair.geometry))
 
 
-def read_colmap_database(
-    path: str | os.PathLike[str], *, with_descriptors: bool = False
-) -> MatchGraph:
+def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> MatchGraph:
     """Return the match graph of a COLMAP database, which is not changed.
+
+    Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
+    matches of a pair with a geometry but without matches are the inliers. If a geometry has no
+    pose, its pose is computed from E and the bearings of its inliers. The pose of a camera is
+    relative to the reference camera of its own rig.
 
     Parameters
     ----------
@@ -190,13 +168,6 @@ def read_colmap_database(
     with_descriptors : bool
         Whether to read the descriptors too, usually the largest part of the file.
 
-    Returns
-    -------
-    graph : MatchGraph
-        Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
-        matches of a pair with a geometry but without matches are the inliers. The pose of a camera
-        is relative to the reference camera of its own rig.
-
     Raises
     ------
     FileNotFoundError
@@ -204,10 +175,6 @@ def read_colmap_database(
     ValueError
         If the file is no COLMAP database, is truncated or damaged, or has a camera with a model
         that epi360 lacks.
-
-    Notes
-    -----
-    If a geometry has no pose, its pose is computed from E and the bearings of its inliers.
     """
     with ColmapPairs(path) as pairs:
         cam_from_rig, frames = read_rigs(pairs)
@@ -234,7 +201,6 @@ def read_colmap_database(
 
 
 def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
-    """Descriptors (N, D), or None if the image has none."""
     has_type = pairs.has_columns("descriptors", "type")
     query = (
         f"SELECT {'type' if has_type else '0'}, rows, cols, data FROM descriptors "
@@ -256,7 +222,6 @@ def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
 def _geometries(
     pairs: ColmapPairs,
 ) -> Iterator[tuple[tuple[str, str], NDArray[np.int64], TwoViewGeometry | None]]:
-    """Names, inliers and geometry of each row."""
     columns = [
         name if pairs.has_columns("two_view_geometries", name) else f"NULL AS {name}"
         for name in ("E", "qvec", "tvec")

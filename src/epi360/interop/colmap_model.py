@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """COLMAP's sparse models: folders of cameras, rigs, frames, images and points, binary or text."""
 
-from __future__ import annotations
-
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,24 +18,16 @@ from epi360.interop.colmap_model_files import (
 )
 from epi360.interop.colmap_model_rigs import poses_and_frames
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
-from epi360.runs.whole_files import whole_paths
+from epi360.runs.whole_files import PathLike, whole_paths
 
 
-def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
+def read_colmap_model(folder: PathLike) -> Reconstruction:
     """Return the reconstruction of a folder with ``cameras``, ``images`` and ``points3D``.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder with .bin or .txt files; those of rigs and frames may be missing. A text file may
-        call its panoramas SPHERICAL or SPHERE.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Cameras, and frames of rigs with several cameras, are named by their id. Images and points
-        are in the order of their ids. The pose of a camera is relative to the reference sensor of
-        its own rig.
+    The files are .bin or .txt; those of rigs and frames may be missing. A text file may call its
+    panoramas SPHERICAL or SPHERE. Cameras, and frames of rigs with several cameras, are named by
+    their id. Images and points are in the order of their ids. The pose of a camera is relative to
+    the reference sensor of its own rig.
 
     Raises
     ------
@@ -65,22 +54,16 @@ def read_colmap_model(folder: str | os.PathLike[str]) -> Reconstruction:
 
 
 def write_colmap_model(
-    folder: str | os.PathLike[str], reconstruction: Reconstruction, *, text: bool = False
+    folder: PathLike, reconstruction: Reconstruction, *, text: bool = False
 ) -> None:
     """Write cameras, rigs, frames, images and points of a reconstruction, all files or none.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder, which is made if it does not exist; a model in it is replaced.
-    reconstruction : Reconstruction
-        Images that share a ``frame`` become a frame of a rig if their cameras are in
-        ``cam_from_rig`` and their poses agree with it to 1e-9. Every other image is a frame of its
-        own, and every other camera a rig of its own. A frame whose name is a number has it as its
-        id; other ids are 1, 2, ... in the order of the reconstruction. Only key points with an
-        observation are written.
-    text : bool
-        Whether to write .txt files instead of .bin files.
+    The folder is made if it does not exist; a model in it is replaced. ``text`` writes .txt files
+    instead of .bin files. Images that share a ``frame`` become a frame of a rig if their cameras
+    are in ``cam_from_rig`` and their poses agree with it to 1e-9. Every other image is a frame of
+    its own, and every other camera a rig of its own. A frame whose name is a number has it as its
+    id; other ids are 1, 2, ... in the order of the reconstruction. Only key points with an
+    observation are written.
 
     Raises
     ------

@@ -4,8 +4,6 @@
 pycolmap does not write them here, because it does not report a full disk.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Iterable

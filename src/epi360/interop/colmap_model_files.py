@@ -5,8 +5,6 @@ pycolmap does not read them here, because its reader takes whatever it finds bey
 truncated file for numbers. Images of a rig have their pose in ``images`` like all others.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from itertools import islice, pairwise

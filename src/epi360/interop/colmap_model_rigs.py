@@ -5,8 +5,6 @@ A frame has one pose, from which the poses of its images follow. An image is nev
 if its pose does not agree with the others of its frame, it gets a frame of its own.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from itertools import count
@@ -126,7 +124,6 @@ def _agreeing_frames(frames: Frames, cam_from_rig: Mapping[str, Pose]) -> Frames
 
 
 def _agrees(first: PosedImage, other: PosedImage, cam_from_rig: Mapping[str, Pose]) -> bool:
-    """Whether the pose of another image follows from the pose of the first and the rig."""
     other_from_first = cam_from_rig[str(other.camera)] @ cam_from_rig[str(first.camera)].inverse()
     expected, pose = other_from_first @ first.cam_from_world, other.cam_from_world
     rotation = np.abs(expected.rotation - pose.rotation).max()

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Images and matched pairs of a COLMAP database, read one at a time."""
 
-from __future__ import annotations
-
-import os
-from collections import OrderedDict
 from collections.abc import Iterator
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +10,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number
 from epi360.interop.colmap_tables import Blob, ColmapTables
+from epi360.runs.whole_files import PathLike
 
 LARGEST_IMAGE_ID = 2147483647  # a pair's id is this times the smaller image id, plus the larger
 CACHED_IMAGES = 64  # consecutive pairs share images, so that few images are in use at a time
@@ -21,7 +19,7 @@ CACHED_IMAGES = 64  # consecutive pairs share images, so that few images are in 
 class ColmapPairs(ColmapTables):
     """COLMAP database whose key points and matches are read when asked for, without pycolmap."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: PathLike) -> None:
         super().__init__(path)
         try:
             # Camera keys are ids as text; images have their camera's key by name, in order of ids.
@@ -37,29 +35,25 @@ class ColmapPairs(ColmapTables):
         except BaseException:
             self.close()
             raise
-        self._cached: OrderedDict[str, NDArray[np.float64]] = OrderedDict()
+        # Key points of an image in continuous pixels, shape (N, 2), read-only.
+        self.keypoints = lru_cache(CACHED_IMAGES)(self._read_keypoints)
 
     def camera(self, name: str) -> Camera:
         """Return the camera of an image."""
         return self.cameras[self.images[name]]
 
-    def keypoints(self, name: str) -> NDArray[np.float64]:
-        """Return the key points of an image in continuous pixels, shape (N, 2), read-only."""
-        if name not in self._cached:
-            query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
-            what = f"key points of {name}"
-            blobs = list(self.rows(query, self._id_of_name[name])) or [(0, 0, None)]
-            array = self.array(blobs[0], np.float32, what)
-            if array.shape[1] < 2:
-                raise self.error(f"{what} must have 2, 4 or 6 columns, got {array.shape[1]}")
-            if not np.isfinite(array[:, :2]).all():
-                raise self.error(f"{what} must be finite")
-            self._cached[name] = array[:, :2].astype(np.float64)
-            self._cached[name].flags.writeable = False
-            if len(self._cached) > CACHED_IMAGES:
-                self._cached.popitem(last=False)
-        self._cached.move_to_end(name)
-        return self._cached[name]
+    def _read_keypoints(self, name: str) -> NDArray[np.float64]:
+        query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
+        what = f"key points of {name}"
+        blobs = list(self.rows(query, self._id_of_name[name])) or [(0, 0, None)]
+        array = self.array(blobs[0], np.float32, what)
+        if array.shape[1] < 2:
+            raise self.error(f"{what} must have 2, 4 or 6 columns, got {array.shape[1]}")
+        if not np.isfinite(array[:, :2]).all():
+            raise self.error(f"{what} must be finite")
+        keypoints = array[:, :2].astype(np.float64)
+        keypoints.flags.writeable = False
+        return keypoints
 
     def matches(self, index: int) -> NDArray[np.int64]:
         """Return the matches of a pair, shape (M, 2): key points in image 1 and in image 2."""

@@ -5,8 +5,6 @@ Each frame of COLMAP 4 belongs to a rig. A single camera is a rig of one sensor,
 images is a frame. The coordinate frame of a rig is that of its reference sensor.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
@@ -52,8 +50,10 @@ def cameras_of_rigs(
     return [sorted(rig, key=lambda name: order.get(name, 0)) for rig in rigs.values()]
 
 
-def write_rigs(database: Any, graph: MatchGraph, camera_ids: dict[str, int]) -> dict[str, int]:
-    """Write the rigs of a graph to a pycolmap database, and return the rig id of each camera."""
+def write_rigs_and_frames(
+    database: Any, graph: MatchGraph, image_ids: dict[str, int], camera_ids: dict[str, int]
+) -> None:
+    """Write the rigs of a graph to a pycolmap database, then the frames in their order."""
     pycolmap = pycolmap_library()
     frames = frames_of_images(graph.images.values(), graph.cam_from_rig)
     rig_ids: dict[str, int] = {}
@@ -65,19 +65,7 @@ def write_rigs(database: Any, graph: MatchGraph, camera_ids: dict[str, int]) -> 
             pose = graph.cam_from_rig[other] @ graph.cam_from_rig[reference].inverse()
             rig.add_sensor(_sensor(camera_ids[other]), pycolmap.Rigid3d(pose.matrix()[:3]))
         rig_ids |= dict.fromkeys(cameras, database.write_rig(rig))
-    return rig_ids
-
-
-def write_frames(
-    database: Any,
-    graph: MatchGraph,
-    image_ids: dict[str, int],
-    camera_ids: dict[str, int],
-    rig_ids: dict[str, int],
-) -> None:
-    """Write the frames of a graph to a pycolmap database, in the order of their first images."""
-    pycolmap = pycolmap_library()
-    for images in frames_of_images(graph.images.values(), graph.cam_from_rig):
+    for images in frames:
         cameras = [str(image.camera) for image in images]
         frame = pycolmap.Frame()
         frame.rig_id = rig_ids[cameras[0]]

@@ -6,9 +6,6 @@ tables of an older COLMAP, and fails if the file is read-only. Tables and blobs 
 https://colmap.github.io/database.html.
 """
 
-from __future__ import annotations
-
-import os
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras.calibration import fields
+from epi360.runs.whole_files import PathLike
 
 Blob = tuple[int, int, bytes | None]  # rows, columns, data
 
@@ -38,7 +36,7 @@ LONGEST_REASON = 200  # SQLite's messages may quote a whole table
 class ColmapTables:
     """COLMAP database opened read-only, for one thread; use it in a ``with``."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
+    def __init__(self, path: PathLike) -> None:
         self.path = Path(path)
         self._connection = _connect(self.path)
         try:
@@ -53,11 +51,9 @@ class ColmapTables:
             raise
 
     def __enter__(self) -> Self:
-        """Return the open database."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
         self.close()
 
     def close(self) -> None:
@@ -100,7 +96,6 @@ class ColmapTables:
 
 
 def _type_of(column: str) -> tuple[Any, str]:
-    """Type of the values in a column, and a name of it for messages."""
     if column in TEXTS:
         return str, "text"
     return (bytes | None, "bytes") if column in BLOBS else (int, "an integer")

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Reading and writing by the name of a format: what `epi360 convert` is made of."""
 
-from __future__ import annotations
-
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +16,8 @@ from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfst
 from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.reconstruction import Reconstruction
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
+from epi360.runs.whole_files import PathLike
 
-PathLike = str | os.PathLike[str]
 COLMAP_MODELS = "colmap", "colmap-text"
 
 

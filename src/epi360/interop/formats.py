@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which tool a file belongs to, by its content, or by its name if it is to be written."""
 
-from __future__ import annotations
-
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+from epi360.runs.whole_files import PathLike
 
 Kind = Literal["reconstruction", "matches"]
 
@@ -44,7 +43,7 @@ SQLITE, HDF5 = b"SQLite format 3\0", b"\x89HDF\r\n\x1a\n"
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
-def format_of_file(path: str | os.PathLike[str]) -> str:
+def format_of_file(path: PathLike) -> str:
     """Return the format of an existing file or folder by its content, a key of `FORMATS`."""
     path = Path(path)
     if holds_colmap_model(path):
@@ -71,12 +70,12 @@ def format_of_file(path: str | os.PathLike[str]) -> str:
     )
 
 
-def holds_colmap_model(folder: str | os.PathLike[str]) -> bool:
+def holds_colmap_model(folder: PathLike) -> bool:
     """Return whether a folder exists and has the files of a COLMAP model, text or binary."""
     return any((Path(folder) / name).is_file() for name in MODEL_FILES)
 
 
-def format_of_name(path: str | os.PathLike[str]) -> str:
+def format_of_name(path: PathLike) -> str:
     """Return the format that a file is to have by its name, a key of `FORMATS`."""
     path = Path(path)
     suffix = path.suffix.lower()

@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """GPano metadata in image files; what they mean for a camera is in `epi360.cameras.gpano`."""
 
-from __future__ import annotations
-
 import io
-import os
 import struct
 import zlib
 from dataclasses import astuple
@@ -17,6 +14,7 @@ from epi360.features.image_headers import (
     parse_image_header,
     read_image_header,
 )
+from epi360.runs.whole_files import PathLike
 
 __all__ = ["GPano", "PanoramaPart", "gpano_packet", "parse_gpano", "read_gpano", "with_gpano"]
 
@@ -25,23 +23,11 @@ _XMP_IN_JPEG = b"http://ns.adobe.com/xap/1.0/\0"
 _XMP_IN_PNG = b"XML:com.adobe.xmp\0"
 
 
-def read_gpano(path: str | os.PathLike[str]) -> GPano | None:
-    """GPano metadata of a JPEG, PNG or TIFF file.
+def read_gpano(path: PathLike) -> GPano | None:
+    """GPano metadata of a JPEG, PNG or TIFF file, of which only the header is read.
 
-    Parameters
-    ----------
-    path : path-like
-        Only its header is read.
-
-    Returns
-    -------
-    gpano : GPano or None
-        None if the file has none, or an XMP packet that cannot be read.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    None if the file has none, or an XMP packet that cannot be read. ``OSError`` if the file
+    cannot be read.
     """
     return parse_gpano(read_image_header(path).xmp)
 
@@ -53,20 +39,11 @@ def gpano_packet(
     pitch_deg: float | None = None,
     roll_deg: float | None = None,
 ) -> bytes:
-    """XMP packet with the GPano metadata of a panorama or a part of one.
+    """XMP packet with the GPano metadata of a panorama or a part of one, for `with_gpano`.
 
-    Parameters
-    ----------
-    camera : Equirectangular
-        Camera of the image.
-    heading_deg, pitch_deg, roll_deg : float, optional
-        How the camera was held, see `GPano`; None is not written.
-
-    Returns
-    -------
-    packet : bytes
-        What `with_gpano` takes. It states whole pixels: if the borders of this camera lie between
-        pixels, the camera that it describes is off by up to half a pixel.
+    It states whole pixels: if the borders of this camera lie between pixels, the camera that it
+    describes is off by up to half a pixel. The angles say how the camera was held, see `GPano`;
+    None is not written.
 
     Raises
     ------
@@ -111,19 +88,7 @@ def _part_of(camera: Equirectangular) -> PanoramaPart:
 
 
 def with_gpano(image: bytes, packet: bytes) -> bytes:
-    """Content of an image file with an XMP packet in it.
-
-    Parameters
-    ----------
-    image : bytes
-        Content of a JPEG or PNG file without XMP.
-    packet : bytes
-        What `gpano_packet` returns.
-
-    Returns
-    -------
-    image : bytes
-        The same picture, to be written to a file.
+    """Content of an image file, JPEG or PNG, with a packet of `gpano_packet` in it.
 
     Raises
     ------

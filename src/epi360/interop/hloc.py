@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """hloc's features and matches (HDF5) to a match graph and back; the layout: `hloc_layout`."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -17,20 +15,22 @@ from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
 from epi360.interop.pairs_file import write_pairs_file
-from epi360.runs.whole_files import whole_paths
+from epi360.runs.whole_files import PathLike, whole_paths
 
 __all__ = ["HlocPairs", "camera_of_image", "read_hloc", "write_hloc"]
 
 
 def read_hloc(
-    features: str | os.PathLike[str],
-    matches: str | os.PathLike[str],
+    features: PathLike,
+    matches: PathLike,
     *,
-    pairs: str | os.PathLike[str] | None = None,
+    pairs: PathLike | None = None,
     cameras: Mapping[str, Camera] | None = None,
     with_descriptors: bool = False,
 ) -> MatchGraph:
     """Return the images, key points and matches of hloc's files.
+
+    The graph has all images of the features file, sorted by name, also those that are in no pair.
 
     Parameters
     ----------
@@ -45,11 +45,6 @@ def read_hloc(
         is a full panorama if it is 2:1, else its camera is None.
     with_descriptors : bool, optional
         Whether to read the descriptors too, by far the largest part of the features.
-
-    Returns
-    -------
-    graph : MatchGraph
-        All images of the features file, sorted by name, also those that are in no pair.
 
     Raises
     ------
@@ -111,24 +106,13 @@ def camera_of_image(
 
 
 def write_hloc(
-    features: str | os.PathLike[str],
-    matches: str | os.PathLike[str],
-    graph: MatchGraph,
-    *,
-    pairs: str | os.PathLike[str] | None = None,
+    features: PathLike, matches: PathLike, graph: MatchGraph, *, pairs: PathLike | None = None
 ) -> None:
     """Write the key points and matches of a graph as hloc's two files, both or neither.
 
-    These files hold no poses, and only the image sizes of the cameras.
-
-    Parameters
-    ----------
-    features, matches : path-like
-        HDF5 files, which are replaced if they exist.
-    graph : MatchGraph
-        Graph of which every match is written, not only the inliers of a pose.
-    pairs : path-like, optional
-        Pairs file to write as well, which hloc needs beside the other two.
+    Files that exist are replaced. They hold no poses, and only the image sizes of the cameras.
+    Every match is written, not only the inliers of a pose. ``pairs`` is a pairs file to write as
+    well, which hloc needs beside the other two.
 
     Raises
     ------

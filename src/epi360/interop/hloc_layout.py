@@ -10,8 +10,6 @@ and "/" between them, or "_" in older files. Its ``matches0`` (N,) holds for eac
 1 the key point of image 2, or -1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -170,7 +168,6 @@ def _possible_groups(pair: tuple[str, str]) -> Iterator[tuple[str, bool]]:
 
 
 def _possible_pairs(path: str, by_flat_name: dict[str, list[str]]) -> list[tuple[str, str]]:
-    """Pairs of images whose group may have this path."""
     separator = "/" if "/" in path else "_"
     parts = path.split(separator)
     return [

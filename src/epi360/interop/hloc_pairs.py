@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """hloc's files, opened to be read a pair at a time."""
 
-from __future__ import annotations
-
-import os
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
@@ -22,6 +19,7 @@ from epi360.interop.hloc_layout import (
     resolved_pairs,
 )
 from epi360.interop.pairs_file import read_pairs_file
+from epi360.runs.whole_files import PathLike
 
 LARGEST_SIDE = 2**31  # pixels of the width or height of an image
 
@@ -30,11 +28,7 @@ class HlocPairs:
     """hloc's features and matches files, read a pair at a time; use it in a ``with``."""
 
     def __init__(
-        self,
-        features: str | os.PathLike[str],
-        matches: str | os.PathLike[str],
-        *,
-        pairs: str | os.PathLike[str] | None = None,
+        self, features: PathLike, matches: PathLike, *, pairs: PathLike | None = None
     ) -> None:
         self._features_path, self._matches_path = Path(features), Path(matches)
         with ExitStack() as files:
@@ -57,11 +51,9 @@ class HlocPairs:
             self._files = files.pop_all()
 
     def __enter__(self) -> Self:
-        """Return the open files."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the files."""
         self.close()
 
     def close(self) -> None:
@@ -156,7 +148,6 @@ class HlocPairs:
         return self._counts[image]
 
     def _dataset(self, image: str, name: str) -> NDArray[Any] | None:
-        """Dataset of an image, or None if it has none."""
         with reading(self._features_path):
             group = self._image(image)
         return dataset(group, name, self._features_path)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Images, key points and matched pairs: every match database is read into these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -18,18 +16,11 @@ from epi360.poses import Pose
 class MatchedImage:
     """An image with its key points.
 
-    Attributes
-    ----------
-    name : str
-        Path of the image below the folder of the images, with "/" between its parts.
-    camera : str or None
-        Key in the graph's cameras; None if the file does not say.
-    keypoints : ndarray, shape (N, 2)
-        Continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
-    descriptors : ndarray, shape (N, D), optional
-        Descriptors of the key points, as they are in the file.
-    frame : str or None
-        Images of a rig that share a frame were taken at one moment; None is a frame of its own.
+    ``name`` is the path of the image below the folder of the images, with "/" between its parts,
+    and ``camera`` a key in the graph's cameras, or None if the file does not say. ``keypoints`` (N,
+    2) are continuous pixels, where the centre of the top-left pixel is (0.5, 0.5); ``descriptors``
+    (N, D) are as in the file. Images of a rig that share a ``frame`` were taken at one moment; None
+    is a frame of its own.
     """
 
     name: str
@@ -43,14 +34,9 @@ class MatchedImage:
 class TwoViewGeometry:
     """Relative pose of a pair of images and the matches that agree with it.
 
-    Attributes
-    ----------
-    status : str
-        One of the values of ``RelativePoseResult.status``.
-    cam2_from_cam1 : Pose
-        Pose with |t| = 1, or NaN if the pair does not determine it.
-    inliers : ndarray, shape (K, 2), int
-        Matches that agree with the pose: (key point in image 1, key point in image 2).
+    ``status`` is one of those of ``RelativePoseResult``. ``cam2_from_cam1`` has |t| = 1, or is NaN
+    if the pair does not determine it. ``inliers`` (K, 2) are the matches that agree with
+    the pose: (key point in image 1, key point in image 2).
     """
 
     status: str
@@ -60,16 +46,10 @@ class TwoViewGeometry:
 
 @dataclass(frozen=True, eq=False)
 class MatchedPair:
-    """Two images and the matches between them.
+    """Two images, named in the order that the pose has, and the matches between them.
 
-    Attributes
-    ----------
-    image1, image2 : str
-        Names of the images, in the order that the pose has.
-    matches : ndarray, shape (M, 2), int
-        Each row is (key point in image 1, key point in image 2).
-    geometry : TwoViewGeometry, optional
-        None if the pair was not verified.
+    Each row of ``matches`` (M, 2) is (key point in image 1, key point in image 2); ``geometry`` is
+    None if the pair was not verified.
     """
 
     image1: str
@@ -82,17 +62,9 @@ class MatchedPair:
 class MatchGraph:
     """Images and matched pairs.
 
-    Attributes
-    ----------
-    cameras : mapping of str to Camera
-        Cameras by name.
-    images : mapping of str to MatchedImage
-        Images by name; the order counts.
-    pairs : tuple of MatchedPair
-        Matched pairs; two images are a pair only once, in either order.
-    cam_from_rig : mapping of str to Pose
-        Pose of each camera on its rig, by the camera's name. If it is empty there is no rig, and
-        every image is a frame of its own.
+    Cameras and images are by name; the order of the images counts. Two images are a pair only once,
+    in either order. ``cam_from_rig`` has the pose of each camera on its rig, by the camera's name.
+    If it is empty there is no rig, and every image is a frame of its own.
 
     Raises
     ------
@@ -107,7 +79,6 @@ class MatchGraph:
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together."""
         for image in self.images.values():
             check_image(image.name, image.camera, self.cameras)
         listed: set[frozenset[str]] = set()

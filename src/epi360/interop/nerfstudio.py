@@ -12,10 +12,7 @@ Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio
 nerfstudio_dataparser.py.
 """
 
-from __future__ import annotations
-
 import json
-import os
 import posixpath
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,32 +28,23 @@ from epi360.interop import checks
 from epi360.interop.ply import read_ply_points, write_ply_points
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a transforms.json of nerfstudio"
 POINTS_FILE = "sparse_pc.ply"
-OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0])  # its own inverse
+OPENCV_FROM_OPENGL = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))  # its own inverse
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL")
 SUPPORTED = ("EQUIRECTANGULAR", "OPENCV_FISHEYE", *PERSPECTIVE)
 SIZE, FOCUS, DISTORTION = ("w", "h"), ("fl_x", "fl_y", "cx", "cy"), ("k1", "k2", "k3", "k4")
 INTRINSICS = ("camera_model", *SIZE, *FOCUS, *DISTORTION, "p1", "p2")
 
 
-def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> Reconstruction:
+def read_nerfstudio(path: PathLike, *, images: str = "images") -> Reconstruction:
     """Return the cameras, poses and points of a ``transforms.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        The file.
-    images : str
-        Folder that is left out of the image names if every ``file_path`` begins with it.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Reconstruction in the original world: an ``applied_transform`` is undone. Cameras are called
-        "1", "2", ... in the order in which frames use them.
+    They are in the original world: an ``applied_transform`` is undone. Cameras are called "1", "2",
+    ... in the order in which frames use them. The folder ``images`` is left out of the image names
+    if every ``file_path`` begins with it.
 
     Raises
     ------
@@ -82,7 +70,7 @@ def read_nerfstudio(path: str | os.PathLike[str], *, images: str = "images") -> 
 
 
 def write_nerfstudio(
-    path: str | os.PathLike[str],
+    path: PathLike,
     reconstruction: Reconstruction,
     *,
     images: str = "images",
@@ -90,20 +78,14 @@ def write_nerfstudio(
 ) -> None:
     """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace. If there are points, ``sparse_pc.ply`` in its folder is written or
-        replaced too.
-    reconstruction : Reconstruction
-        What to write; observations and time stamps are left out. The world is not turned. The file
-        says so with the identity as ``applied_transform``, because nerfstudio would turn the world
-        if it found a COLMAP model beside the file.
-    images : str
-        Folder of the images, relative to the folder of the file.
-    masks : mapping of str to str, optional
-        Path of the mask of each image, relative to the folder of the file, by the image's name.
-        nerfstudio reads pictures of one channel, in which black pixels are ignored.
+    Files are replaced: ``path`` and, if there are points, ``sparse_pc.ply`` in its folder.
+    Observations and time stamps are left out. The world is not turned. The file says so with the
+    identity as ``applied_transform``, because nerfstudio would turn the world if it found a COLMAP
+    model beside the file.
+
+    ``images`` is the folder of the images and ``masks`` the path of the mask of each image, by the
+    image's name, both relative to the folder of the file. nerfstudio reads masks of one channel, in
+    which black pixels are ignored.
 
     Raises
     ------
@@ -129,7 +111,7 @@ def write_nerfstudio(
     document["frames"] = [
         {
             "file_path": posixpath.join(images, image.name),
-            "transform_matrix": _matrix_of_image(image),
+            "transform_matrix": _world_from_opengl(image).matrix().tolist(),
             **_mask_path(image, masks or {}),
             **({} if shared else entries[str(image.camera)]),
         }
@@ -163,8 +145,7 @@ def _frames(
             saved_from_opengl = checks.pose_of_matrix(frame["transform_matrix"], "transform_matrix")
         except ValueError as error:
             raise ValueError(f"frame {number} ({names[number]}): {error}") from None
-        world_from_opengl = original_from_saved @ saved_from_opengl
-        world_from_cam = world_from_opengl @ Pose(OPENGL_FROM_OPENCV, np.zeros(3))
+        world_from_cam = original_from_saved @ saved_from_opengl @ OPENCV_FROM_OPENGL
         name = cameras.setdefault(camera, str(len(cameras) + 1))
         posed.append(PosedImage(names[number], name, world_from_cam.inverse()))
     return {name: camera for camera, name in cameras.items()}, tuple(posed)
@@ -263,15 +244,11 @@ def _mask_path(image: PosedImage, masks: Mapping[str, str]) -> dict[str, str]:
     return {"mask_path": masks[image.name]}
 
 
-def _matrix_of_image(image: PosedImage) -> list[list[float]]:
-    world_from_cam = checks.known_pose(image).inverse()
-    matrix = (world_from_cam @ Pose(OPENGL_FROM_OPENCV, np.zeros(3))).matrix()
-    rows: list[list[float]] = matrix.tolist()
-    return rows
+def _world_from_opengl(image: PosedImage) -> Pose:
+    return checks.known_pose(image).inverse() @ OPENCV_FROM_OPENGL
 
 
 def _entry_of_camera(name: str, camera: Camera) -> dict[str, Any]:
-    """Intrinsics of a frame, which `_camera` reads back."""
     entry: dict[str, Any] = {"w": camera.width, "h": camera.height}
     if isinstance(camera, Equirectangular):
         fl_x = 180 * camera.width / camera.horizontal_fov_deg

@@ -7,10 +7,7 @@ forward. The observations are not in this file but in tracks.csv. Frames and mod
 https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM.
 """
 
-from __future__ import annotations
-
 import json
-import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -27,25 +24,18 @@ from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 
 
-def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
+def read_opensfm(path: PathLike) -> Reconstruction:
     """Return the largest reconstruction of a ``reconstruction.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        The file. If it holds several reconstructions, which have no common frame, the one with the
-        most shots is returned, and a warning says how many shots are left out.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Images have the names of the shots. Their time stamps are ``capture_time`` in seconds, or
-        None if all of these are 0. There are no observations: OpenSfM keeps them in another file.
+    If it holds several reconstructions, which have no common frame, a warning says how many shots
+    are left out. Images have the names of the shots. Their time stamps are ``capture_time`` in
+    seconds, or None if all of these are 0. There are no observations: OpenSfM keeps them in another
+    file.
 
     Raises
     ------
@@ -77,15 +67,11 @@ def read_opensfm(path: str | os.PathLike[str]) -> Reconstruction:
     return reconstruction
 
 
-def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
-    """Write cameras, poses and points as a ``reconstruction.json``.
+def write_opensfm(path: PathLike, reconstruction: Reconstruction) -> None:
+    """Write cameras, poses and points, but no observations, as a ``reconstruction.json``.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    reconstruction : Reconstruction
-        What to write; observations are left out.
+    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
+    ``brown``, and `KannalaBrandt` becomes ``fisheye_opencv``, which has no ``max_angle_deg``.
 
     Raises
     ------
@@ -93,11 +79,6 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
         If an image has no camera or no pose, or OpenSfM has no model for a camera.
     OSError
         If the file cannot be written.
-
-    Notes
-    -----
-    `Equirectangular` becomes ``spherical``, `Pinhole` and `UnifiedCamera` with xi = 0 become
-    ``brown``, and `KannalaBrandt` becomes ``fisheye_opencv``, which has no ``max_angle_deg``.
     """
     document = {
         "cameras": {
@@ -119,7 +100,6 @@ def write_opensfm(path: str | os.PathLike[str], reconstruction: Reconstruction) 
 
 
 def _largest(document: Any) -> Mapping[str, Any]:
-    """Reconstruction with the most shots, the first of these."""
     if not isinstance(document, list) or not document:
         raise ValueError(f"{WHAT} must be a list of reconstructions, with one at least")
     for number, part in enumerate(document):

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pairs files: which images to match, one pair a line, as hloc and COLMAP take them."""
 
-from __future__ import annotations
-
-import os
 import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 # A name may hold any character but these two; file names do hold other Unicode white space.
 BLANK = re.compile(r"[ \t]+")
@@ -19,10 +16,7 @@ TWO_NAMES = re.compile(rf"(?:{NAME})[ \t]+(?:{NAME})")
 
 
 def read_pairs_file(
-    path: str | os.PathLike[str],
-    *,
-    names: Collection[str] | None = None,
-    both_orders: bool = False,
+    path: PathLike, *, names: Collection[str] | None = None, both_orders: bool = False
 ) -> list[tuple[str, str]]:
     """Return the pairs of image names in a file, in its order.
 
@@ -38,11 +32,6 @@ def read_pairs_file(
     both_orders : bool, optional
         Whether a pair may be listed in both orders. It is then returned once, in the first order.
         hloc writes such files, because its retrieval finds most pairs from either image.
-
-    Returns
-    -------
-    pairs : list of (str, str)
-        Names of image 1 and image 2 of each pair.
 
     Raises
     ------
@@ -69,15 +58,10 @@ def read_pairs_file(
     return list(pairs)
 
 
-def write_pairs_file(path: str | os.PathLike[str], pairs: Iterable[tuple[str, str]]) -> None:
+def write_pairs_file(path: PathLike, pairs: Iterable[tuple[str, str]]) -> None:
     """Write pairs of image names, one pair a line; the file appears whole or not at all.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    pairs : iterable of (str, str)
-        Names of image 1 and image 2 of each pair. Names with blanks are put into double quotes.
+    A file that exists is replaced. Names with blanks are put into double quotes.
 
     Raises
     ------

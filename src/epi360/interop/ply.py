@@ -4,8 +4,6 @@
 Source of the format: Turk, "The PLY Polygon File Format", 1994.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Cameras, poses and points: every reconstruction and trajectory is read into these."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -17,18 +15,9 @@ from epi360.poses import Pose
 class PosedImage:
     """An image and where it was taken.
 
-    Attributes
-    ----------
-    name : str
-        Path of the image below the folder of the images, or the time stamp of a trajectory's row.
-    camera : str or None
-        Key in the reconstruction's cameras; None if the file does not say.
-    cam_from_world : Pose
-        Pose of the camera, with the axes x right, y down, z forward.
-    timestamp_s : float, optional
-        Time in seconds; None if the file does not say.
-    frame : str or None
-        Images of a rig that share a frame were taken at one moment; None is a frame of its own.
+    ``name``, ``camera`` and ``frame`` are as in `MatchedImage`; the name may also be the time stamp
+    of a trajectory's row. ``cam_from_world`` has the axes x right, y down, z forward. What the file
+    does not say is None.
     """
 
     name: str
@@ -42,14 +31,8 @@ class PosedImage:
 class Observations:
     """Where the points are seen: row i of the three arrays is one observation.
 
-    Attributes
-    ----------
-    points : ndarray, shape (K,), int
-        Rows in the reconstruction's points.
-    images : ndarray, shape (K,), int
-        Indices in the reconstruction's images.
-    pixels : ndarray, shape (K, 2)
-        Continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
+    ``points`` (K,) are rows in the reconstruction's points, ``images`` (K,) indices in its images,
+    ``pixels`` (K, 2) continuous pixels, where the centre of the top-left pixel is (0.5, 0.5).
     """
 
     points: NDArray[np.int64]
@@ -59,23 +42,11 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Posed images, and points if there are any.
+    """Posed images in the order of the file, and points if there are any.
 
-    Attributes
-    ----------
-    cameras : mapping of str to Camera
-        Cameras by name.
-    images : tuple of PosedImage
-        Images in the order of the file.
-    points : ndarray, shape (P, 3)
-        Positions in the world, in the unit of the poses.
-    colors : ndarray, shape (P, 3), uint8
-        RGB colors of the points.
-    observations : Observations, optional
-        Where the points are seen; None if the file does not say.
-    cam_from_rig : mapping of str to Pose
-        Pose of each camera on its rig, by the camera's name. If it is empty there is no rig, and
-        every image is a frame of its own.
+    ``points`` (P, 3) are positions in the world, in the unit of the poses, and ``colors`` (P, 3)
+    their RGB values; ``observations`` is None if the file does not say where they are seen.
+    ``cameras`` and ``cam_from_rig`` are as in `MatchGraph`.
 
     Raises
     ------
@@ -92,7 +63,6 @@ class Reconstruction:
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that the parts fit together."""
         names = set()
         for image in self.images:
             check_image(image.name, image.camera, self.cameras)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tables in text files; an error message names the bad row by its file and line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,20 +12,9 @@ UNIT_TOLERANCE = 1e-2  # of a quaternion's length; files hold four digits or mor
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a text file, not yet taken for numbers.
+    """Rows of a text file, not yet taken for numbers, and the line of each as an editor counts.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    columns : tuple of str
-        What each row holds.
-    header : str
-        First line where that is a comment or starts with a letter, else "".
-    lines : tuple of int
-        Line of each row, as an editor counts.
-    cells : tuple of list of str
-        Cells of each row, one per column.
+    ``header`` is the first line if that is a comment or starts with a letter, else "".
     """
 
     path: Path
@@ -38,11 +25,14 @@ class Table:
 
     def integers(self, column: int) -> NDArray[np.int64]:
         """Whole numbers of a column; ``ValueError`` where a cell is none."""
-        try:
-            return np.array([int(row[column]) for row in self.cells], dtype=np.int64)
-        except (ValueError, OverflowError):
-            bad = next(i for i, row in enumerate(self.cells) if not _is_int64(row[column]))
-            raise self.error(bad, f"a whole number as {self.columns[column]}") from None
+        numbers = np.empty(len(self.cells), np.int64)
+        for index, row in enumerate(self.cells):
+            try:
+                numbers[index] = int(row[column])
+            except (ValueError, OverflowError):
+                wanted = f"a whole number as {self.columns[column]}"
+                raise self.error(index, wanted) from None
+        return numbers
 
     def floats(self, start: int, stop: int) -> NDArray[np.float64]:
         """Finite numbers of some columns; ``ValueError`` where a cell is none."""
@@ -73,28 +63,7 @@ class Table:
 
 
 def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> Table:
-    """Rows of a text file, without empty lines, comments ("#") and the header.
-
-    Parameters
-    ----------
-    path : Path
-        Text file.
-    columns : tuple of str
-        What a row must hold.
-    delimiter : str, optional
-        None: any white space.
-
-    Returns
-    -------
-    table : Table
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is no text, has no rows, or a row has another number of cells.
-    """
+    """Rows of a text file without empty lines, "#" comments and header; None is any white space."""
     names = ",".join(columns)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -116,10 +85,3 @@ def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> T
         if len(row) != len(columns):
             raise table.error(index, f"{len(columns)} values {names}")
     return table
-
-
-def _is_int64(cell: str) -> bool:
-    try:
-        return -(2**63) <= int(cell) < 2**63
-    except ValueError:
-        return False

@@ -5,32 +5,21 @@ A row is the pose world_from_cam, with the camera's axes x right, y down, z forw
 seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
-from __future__ import annotations
-
-import os
 from pathlib import Path
 
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
 
-def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
+def read_tum_trajectory(path: PathLike) -> Reconstruction:
     """Return the poses of a trajectory; each image is named by its time stamp.
 
-    Parameters
-    ----------
-    path : path-like
-        Text file with rows ``timestamp tx ty tz qx qy qz qw``; "#" begins a comment.
-
-    Returns
-    -------
-    reconstruction : Reconstruction
-        Posed images without cameras and points.
+    "#" begins a comment. There are neither cameras nor points.
 
     Raises
     ------
@@ -56,16 +45,11 @@ def read_tum_trajectory(path: str | os.PathLike[str]) -> Reconstruction:
         raise ValueError(f"{path}: {error}") from None
 
 
-def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstruction) -> None:
+def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None:
     """Write the poses of the images as a trajectory, in the order of the images.
 
-    Parameters
-    ----------
-    path : path-like
-        File to write or replace.
-    reconstruction : Reconstruction
-        What to write; cameras, points and image names are left out. If any image has no time stamp,
-        every row gets the index of its image, from 0, in place of the time.
+    Cameras, points and image names are left out. If any image has no time stamp, every row gets the
+    index of its image, from 0, in place of the time. A file that exists is replaced.
 
     Raises
     ------
@@ -89,10 +73,6 @@ def write_tum_trajectory(path: str | os.PathLike[str], reconstruction: Reconstru
         world_from_cam = checks.known_pose(image).inverse()
         w, x, y, z = world_from_cam.quaternion_wxyz
         numbers = (stamps[index] if timed else index, *world_from_cam.translation, x, y, z, w)
-        lines.append(" ".join(_shortest(number) for number in numbers))
+        # The fewest digits that read back to the same number; an index has no decimal point.
+        lines.append(" ".join(repr(n if isinstance(n, int) else float(n or 0.0)) for n in numbers))
     write_file(path, ("\n".join(lines) + "\n").encode())
-
-
-def _shortest(number: float | int | None) -> str:
-    """Fewest digits that read back to the same number; an index has no decimal point."""
-    return repr(number) if isinstance(number, int) else repr(float(number or 0.0))

@@ -10,11 +10,6 @@ from epi360.report.text import describe_pair, describe_status
 from epi360.runs.whole_files import write_file
 
 __all__ = [
-    "check_writable",
-    "describe_pair",
-    "describe_status",
-    "pair_record",
-    "pose_record",
-    "write_file",
-    "write_json",
-]
+    "check_writable", "describe_pair", "describe_status", "pair_record", "pose_record",
+    "write_file", "write_json",
+]  # fmt: skip

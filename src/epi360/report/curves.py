@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Great circles as curves in an image, and which matches to show them for."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.epipolar import sampson_residuals
 from epi360.estimation.result import RelativePoseResult
+
+Array = NDArray[np.float64]
 
 # A quarter of a degree: 0.7 px of a panorama 1024 px wide.
 CURVE_SAMPLES = 1440
@@ -17,17 +17,8 @@ SEAM_SAMPLES = 64
 MIN_EPIPOLE_SINE = 0.3
 
 
-def epipolar_curve(
-    camera: Camera,
-    normal: NDArray[np.float64],
-    start: NDArray[np.float64],
-    num_samples: int = CURVE_SAMPLES,
-) -> NDArray[np.float64]:
-    """Great circle with a plane normal (``E b1`` in view 2, ``E^T b2`` in view 1) as a polyline.
-
-    The sample nearest to ``start`` is exact, so that the curve passes through its match. Rows of
-    NaN break the line where the circle leaves the field of view or jumps across the seam.
-    """
+def epipolar_curve(camera: Camera, normal: Array, start: Array) -> Array:
+    """Great circle with a plane normal as a polyline that passes through ``start``."""
     normal = normal / np.linalg.norm(normal)
     first = start - (start @ normal) * normal
     if np.linalg.norm(first) < 1e-9:  # the start is the pole of the circle: begin anywhere on it
@@ -35,11 +26,11 @@ def epipolar_curve(
     first = first / np.linalg.norm(first)
     second = np.cross(normal, first)
 
-    def pixels_at(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pixels_at(angles: Array) -> Array:
         directions = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second)
         return camera.pixels_from_bearings(directions)
 
-    angles = np.linspace(0.0, 2.0 * np.pi, num_samples + 1)
+    angles = np.linspace(0.0, 2.0 * np.pi, CURVE_SAMPLES + 1)
     jumps = _jumps(pixels_at(angles), camera.width)
     # Finer where the curve jumps, so that it reaches the image's border on both sides.
     finer = np.linspace(angles[jumps], angles[jumps + 1], SEAM_SAMPLES + 1)[1:-1]
@@ -47,14 +38,8 @@ def epipolar_curve(
     return np.insert(pixels, _jumps(pixels, camera.width) + 1, np.nan, axis=0)
 
 
-def match_residuals_deg(
-    bearings1: NDArray[np.float64], bearings2: NDArray[np.float64], result: RelativePoseResult
-) -> NDArray[np.float64]:
-    """Angle by which each match misses the pose, per axis and view: the Sampson distance.
-
-    After a pure rotation it is the angle between ``R b1`` and b2 over sqrt 2, which is the same
-    unit. Without a pose it is NaN.
-    """
+def match_residuals_deg(bearings1: Array, bearings2: Array, result: RelativePoseResult) -> Array:
+    """Angle by which each match misses the pose, per axis and view: the Sampson distance."""
     if result.status == "pure_rotation":
         turned = bearings1 @ result.cam2_from_cam1.rotation.T
         sine = np.linalg.norm(np.cross(turned, bearings2), axis=1)
@@ -64,15 +49,9 @@ def match_residuals_deg(
 
 
 def spread_matches(
-    bearings: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    inlier_mask: NDArray[np.bool_],
-    count: int,
+    bearings: Array, normals: Array, inlier_mask: NDArray[np.bool_], count: int
 ) -> NDArray[np.intp]:
-    """At most ``count`` inliers that are far apart and whose epipolar planes are far apart.
-
-    They are found by farthest-point sampling; normals of NaN (no translation) do not count.
-    """
+    """At most ``count`` inliers that are far apart and whose epipolar planes are far apart."""
     candidates = np.flatnonzero(inlier_mask & np.isfinite(bearings).all(axis=1))
     if not len(candidates):
         return candidates
@@ -92,6 +71,6 @@ def spread_matches(
     return candidates[np.unique(chosen)]
 
 
-def _jumps(pixels: NDArray[np.float64], width: int) -> NDArray[np.intp]:
+def _jumps(pixels: Array, width: int) -> NDArray[np.intp]:
     """Where a polyline jumps: steps longer than half the image's width."""
     return np.flatnonzero(np.linalg.norm(np.diff(pixels, axis=0), axis=1) > width / 2.0)

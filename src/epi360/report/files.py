@@ -1,30 +1,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Output files: checked before the work, complete or absent after it."""
 
-from __future__ import annotations
-
 import os
 import stat
 from collections.abc import Mapping
 from pathlib import Path
 
+from epi360.runs.whole_files import PathLike
+
 FIGURE_FORMATS = ("png", "jpg", "jpeg", "webp", "pdf", "svg")
 
 
-def check_writable(path: str | os.PathLike[str], *, name: str = "path") -> None:
+def check_writable(path: PathLike, *, name: str = "path") -> None:
     """Raise if a file could not be written there, so that long work is not lost at its end.
 
-    Parameters
-    ----------
-    path : str or path
-        File that will be written; it may exist.
-    name : str
-        What the message calls it.
-
-    Raises
-    ------
-    ValueError
-        If the path is a folder or a read-only file, or its folder is missing or not writable.
+    It may exist, and ``name`` is what the message calls it. ``ValueError`` if the path is a folder
+    or a read-only file, or its folder is missing or not writable.
     """
     path = Path(path)
     if path.is_dir():
@@ -47,7 +38,7 @@ def check_distinct(outputs: Mapping[str, Path], inputs: Mapping[str, Path]) -> N
             raise ValueError(f"{name} must not be the file of {other}, got {path} for both")
 
 
-def check_figure_name(path: str | os.PathLike[str], *, name: str = "path") -> None:
+def check_figure_name(path: PathLike, *, name: str = "path") -> None:
     """Raise ``ValueError`` if the extension names no format that figures are written in."""
     if Path(path).suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         known = ", ".join(f".{suffix}" for suffix in FIGURE_FORMATS)

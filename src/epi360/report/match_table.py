@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Matched pairs as a table for programs and a summary for people."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections import Counter
@@ -23,11 +21,7 @@ _MAX_LISTED = 10
 
 
 def pairs_csv(run: MatchRun) -> bytes:
-    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
-
-    ``qw`` to ``tz`` are cam2_from_cam1. ``num_triangles`` counts those with two other accepted
-    pairs, ``num_contradicted`` those of them that do not close.
-    """
+    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -79,7 +73,6 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
 
 
 def _reason(verdict: PairVerdict, run: MatchRun) -> str:
-    """Why a pair is accepted or not; if an image cannot be read, why."""
     if verdict.contradicted:
         return CONTRADICTED
     if verdict.status in STATUS_SENTENCES:
@@ -89,7 +82,6 @@ def _reason(verdict: PairVerdict, run: MatchRun) -> str:
 
 
 def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:
-    """The first few lines, one row each."""
     rows = [(label, line) for line in lines[:_MAX_LISTED]]
     if len(lines) > _MAX_LISTED:
         rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))

@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A relative pose as a JSON record for programs."""
 
-from __future__ import annotations
-
 import json
 import math
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,24 +12,16 @@ from epi360.estimation.result import ImagePairResult, RelativePoseResult
 from epi360.extras import package_version
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
-from epi360.runs.whole_files import write_file
+from epi360.runs.whole_files import PathLike, write_file
 
 PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5, 0.5)"
 
 
 def pair_record(result: RelativePoseResult) -> dict[str, Any]:
-    """Everything a result says, as values that strict JSON can hold.
+    """Everything a result of any status says, as values that strict JSON can hold.
 
-    Parameters
-    ----------
-    result : RelativePoseResult
-        Any status. The key points of an `ImagePairResult` are included.
-
-    Returns
-    -------
-    record : dict
-        Plain lists, numbers and strings; NaN is None (null). Angles in degrees where the name
-        says so; ``covariance`` in radians squared.
+    Plain lists, numbers and strings; NaN is None (null). Angles are in degrees where the name says
+    so; ``covariance`` is in radians squared. The key points of an `ImagePairResult` are included.
     """
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     record: dict[str, Any] = {
@@ -67,18 +56,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:
-    """Rotation, quaternion and translation of a pose, as plain lists.
-
-    Parameters
-    ----------
-    pose : Pose
-        May hold NaN.
-
-    Returns
-    -------
-    record : dict
-        Keys ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None.
-    """
+    """Plain lists ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None."""
     return {
         "rotation": _plain(pose.rotation),
         "quaternion_wxyz": _plain(pose.quaternion_wxyz),
@@ -95,15 +73,8 @@ def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
     }
 
 
-def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a record as strict JSON, one key a line, whole or not at all.
-
-    Parameters
-    ----------
-    path : str or path
-        Written or replaced.
-    record : mapping
-        Plain values, such as `pair_record` returns.
+def write_json(path: PathLike, record: Mapping[str, Any]) -> None:
+    """Write a record of plain values as strict JSON, one key a line, whole or not at all.
 
     Raises
     ------
@@ -120,7 +91,6 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Value without arrays, NumPy scalars, tuples and NaN."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):

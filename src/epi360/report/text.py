@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A relative pose in plain words."""
 
-from __future__ import annotations
-
 import textwrap
 
 import numpy as np
@@ -10,6 +8,8 @@ from numpy.typing import NDArray
 
 from epi360.estimation.result import RelativePoseResult, Status
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+
+Array = NDArray[np.float64]
 
 CONVENTION = "x2 = R x1 + t, x right, y down, z forward"
 UNKNOWN = "not determined"
@@ -43,22 +43,9 @@ STATUS_SENTENCES: dict[Status, str] = {
 def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     """Plain-text lines that tell a person the pose, its uncertainty and the verdict.
 
-    Parameters
-    ----------
-    result : RelativePoseResult
-        What the estimator returned; any status.
-    truth : Pose, optional
-        True ``cam2_from_cam1``, of any scale: printed beside the estimate with the errors.
-
-    Returns
-    -------
-    text : str
-        Lines without a trailing newline. What is NaN reads "not determined".
-
-    Notes
-    -----
-    Angles of directions are azimuth (positive to the right of the optical axis, or of the image
-    centre of a panorama) and elevation (positive up).
+    ``truth`` is the true ``cam2_from_cam1``, of any scale: it is printed beside the estimate with
+    the errors. What is NaN reads "not determined". Directions are azimuth (positive to the right of
+    the optical axis, or of the image centre of a panorama) and elevation (positive up).
     """
     rows = [("Status", describe_status(result.status))]
     rows += [("Warning", warning) for warning in result.warnings]
@@ -72,22 +59,11 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
 
 
 def describe_status(status: Status) -> str:
-    """Status with its reason and, where there is one, the remedy.
-
-    Parameters
-    ----------
-    status : str
-        Status of a `RelativePoseResult`.
-
-    Returns
-    -------
-    sentence : str
-        One line, such as "ok: the matches determine the pose".
-    """
+    """Status with its reason and, where there is one, the remedy, in one line."""
     return f"{status}: {STATUS_SENTENCES[status]}"
 
 
-def describe_direction(direction: NDArray[np.float64]) -> str:
+def describe_direction(direction: Array) -> str:
     """Azimuth and elevation of a direction, such as "azimuth +34.2 deg (right), elevation ..."."""
     if not np.isfinite(direction).all():
         return UNKNOWN
@@ -99,17 +75,14 @@ def describe_direction(direction: NDArray[np.float64]) -> str:
     return f"{azimuth_text}, elevation {_signed(elevation)} deg ({vertical})"
 
 
-def azimuth_elevation_deg(direction: NDArray[np.float64]) -> tuple[float, float]:
+def azimuth_elevation_deg(direction: Array) -> tuple[float, float]:
     """Azimuth (positive to the right) and elevation (positive up) of a direction."""
     x, y, z = direction
     return float(np.degrees(np.arctan2(x, z))), float(np.degrees(np.arctan2(-y, np.hypot(x, z))))
 
 
-def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Axis and angle in degrees; the axis is NaN if the angle is too small for one.
-
-    They are found by the quaternion, which keeps the axis near 180 degrees.
-    """
+def rotation_axis_angle(rotation: Array) -> tuple[Array, float]:
+    """Axis and angle in degrees; the axis is NaN if the angle is too small for one."""
     w, *xyz = Pose(rotation, np.zeros(3)).quaternion_wxyz
     vector = np.array(xyz)
     length = float(np.linalg.norm(vector))
@@ -119,11 +92,7 @@ def rotation_axis_angle(rotation: NDArray[np.float64]) -> tuple[NDArray[np.float
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
-    """One-sigma errors to expect of the rotation and of the translation's direction.
-
-    Each is the root of the trace of its block of the covariance: the root mean square of what
-    `rotation_error_deg` and `translation_error_deg` measure.
-    """
+    """Expected root mean square errors of the rotation and of the translation's direction."""
     variances = np.diag(result.covariance)
     rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
     return float(rotation), float(translation)
@@ -179,7 +148,7 @@ def _rotation_text(pose: Pose) -> str:
     return f"{angle:.3f} deg{about}"
 
 
-def _heading_text(rotation: NDArray[np.float64]) -> str:
+def _heading_text(rotation: Array) -> str:
     """Where camera 2 looks, seen from camera 1, and how it leans about that direction."""
     if not np.isfinite(rotation).all():
         return UNKNOWN
@@ -202,12 +171,11 @@ def _side(azimuth_deg: float) -> str:
 
 
 def _signed(angle_deg: float) -> str:
-    """One decimal with its sign; zero has none."""
     rounded = round(angle_deg, 1)
     return f"{rounded:+.1f}" if rounded else "0.0"
 
 
-def _vector_text(vector: NDArray[np.float64]) -> str:
+def _vector_text(vector: Array) -> str:
     if not np.isfinite(vector).all():
         return UNKNOWN
     return "(" + ", ".join(f"{value + 0.0:.4f}" for value in np.round(vector, 4)) + ")"

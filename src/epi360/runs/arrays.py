@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Arrays in npz files that are whole or count as missing."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

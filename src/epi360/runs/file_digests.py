@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hashes of files, remembered while the files stay as they are."""
 
-from __future__ import annotations
-
 import json
 import time
 from contextlib import suppress
@@ -19,11 +17,10 @@ Entry = tuple[list[int], str]
 
 
 class FileDigests:
-    """Hashes of the contents of files; what an earlier run has read is not read again.
+    """Hashes of the contents of files, which ``memory``, a JSON file, keeps for later runs.
 
     A file counts as unchanged while its size, its time of change and its inode's time of change,
-    which nobody can set, are the same. ``memory`` is a JSON file that keeps the hashes; a damaged
-    one counts as missing.
+    which nobody can set, are the same.
     """
 
     def __init__(self, memory: Path | None = None) -> None:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Names from other people's files, which must not lead out of the folder that is written."""
 
-from __future__ import annotations
-
 from pathlib import Path, PurePath
 
 

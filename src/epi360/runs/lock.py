@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """One run at a time for an output."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket
@@ -11,20 +9,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from epi360.extras import extra_library
+from epi360.runs.whole_files import PathLike
 
 # What a file system that has no locks answers, as some network disks do.
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)
 
 
 @contextmanager
-def only_run(output: str | os.PathLike[str]) -> Iterator[None]:
+def only_run(output: PathLike) -> Iterator[None]:
     """Hold the lock of an output: a file beside it, which is removed at the end.
 
-    The system gives the lock back when the process ends, however it ends, so that a killed run
-    blocks nobody. On a disk without locks the run goes on without: since files appear whole, two
-    runs at once cannot mix their results, but one of them may miss parts.
-
-    If another run holds it, a ValueError says which process on which machine.
+    If another run holds it, a ValueError says which process on which machine. On a disk without
+    locks the run goes on without: since files appear whole, two runs at once cannot mix their
+    results, but one of them may miss parts.
     """
     filelock = extra_library("filelock", extra="batch", purpose="batches")
     target = Path(os.path.realpath(output))

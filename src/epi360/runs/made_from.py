@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What results were made from: records beside them, hashes, and whether both are still the same."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from hashlib import blake2b
@@ -23,10 +21,7 @@ class Difference(NamedTuple):
 
 
 def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> Difference | None:
-    """First value of ``now`` that was another before, or None; a missing one counts as None.
-
-    Values compare as JSON keeps them, so that a tuple is the list that comes back from a file.
-    """
+    """First value of ``now`` that was another before, as JSON keeps them; a missing one is None."""
     before, now = _as_json(before), _as_json(now)
     for name, value in now.items():
         if before.get(name) != value:
@@ -41,8 +36,7 @@ def _as_json(values: Mapping[str, Any]) -> dict[str, Any]:
 def fingerprint(*pieces: object) -> str:
     """Hash of everything that a result depends on: bytes and arrays as they are, the rest as text.
 
-    Equal pieces in equal order have the same hash on every machine. Text and numbers belong into
-    one tuple: where one piece ends and the next begins is not hashed.
+    Text and numbers belong into one tuple: where one piece ends and the next begins is not hashed.
     """
     digest = blake2b(digest_size=16)
     for piece in pieces:

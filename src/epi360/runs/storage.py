@@ -5,8 +5,6 @@ To a URL a file is written as a temporary local file and then put, which object 
 step: there too it appears whole or not at all.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
@@ -92,11 +90,7 @@ def file_size(path: str) -> int:
 
 
 def fingerprint_of_file(path: str, extra: Iterable[object] = ()) -> str:
-    """Hash of a file that may be too large to be read as a whole, and of what else tells it apart.
-
-    Hashed are the size, 16 evenly spaced blocks of 4 KiB with the first and the last, and the
-    extra. A change that leaves all of these as they are is not noticed.
-    """
+    """Hash of a file's size, of 16 blocks of 4 KiB spread over it, and of the extra."""
     size = file_size(path)
     last = max(size - _SAMPLE_BYTES, 0)
     starts = sorted({last * k // (_NUM_SAMPLES - 1) for k in range(_NUM_SAMPLES)})
@@ -127,7 +121,6 @@ def remove_folder(folder: str) -> None:
 
 
 def _filesystem(url: str) -> tuple[Any, str]:
-    """File system of a URL and the name of the file in it."""
     core = extra_library("fsspec.core", extra="batch", purpose="paths with ://")
     files, name = core.url_to_fs(url)
     # Another machine may have written since this process last listed the folder.

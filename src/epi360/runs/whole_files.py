@@ -6,8 +6,6 @@ to the disk and renamed. A killed run leaves its temporary files behind; the nex
 writes into the folder removes those of processes of this machine that have ended.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import secrets
@@ -49,8 +47,7 @@ def whole_file(path: PathLike, *, make_folder: bool = False) -> Iterator[IO[byte
 def whole_path(path: PathLike, *, make_folder: bool = False) -> Iterator[Path]:
     """Temporary path, for the block to write, that takes the place of a file when the block ends.
 
-    If the block fails, nothing is left of it. A symbolic link is followed. An error that says the
-    file cannot be written names the path that was asked for.
+    If the block fails, nothing is left of it. A symbolic link is followed.
     """
     with whole_paths(path, make_folder=make_folder) as (temporary,):
         yield temporary

@@ -17,15 +17,7 @@ from epi360.synthetic.von_mises_fisher import (
 )
 
 __all__ = [
-    "TwoViewScene",
-    "add_metric_noise",
-    "kappa_from_mean_angle_deg",
-    "landmarks_from_depth",
-    "mean_angle_deg_from_kappa",
-    "noise_deg_from_kappa",
-    "replace_with_outliers",
-    "sample_relative_pose",
-    "sample_von_mises_fisher",
-    "scene_from_points",
-    "two_view_scene",
-]
+    "TwoViewScene", "add_metric_noise", "kappa_from_mean_angle_deg", "landmarks_from_depth",
+    "mean_angle_deg_from_kappa", "noise_deg_from_kappa", "replace_with_outliers",
+    "sample_relative_pose", "sample_von_mises_fisher", "scene_from_points", "two_view_scene",
+]  # fmt: skip

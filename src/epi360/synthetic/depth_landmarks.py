@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
 
+Array = NDArray[np.float64]
+
 Density = Literal["pixels", "sphere"]
 
 
@@ -18,8 +20,8 @@ def landmarks_from_depth(
     rng: np.random.Generator,
     *,
     density: Density = "pixels",
-) -> NDArray[np.float64]:
-    """Points on the surfaces that a depth image shows, in the frame of its camera.
+) -> Array:
+    """Points (num, 3) on the surfaces that a depth image shows, in metres in its camera's frame.
 
     Parameters
     ----------
@@ -33,11 +35,6 @@ def landmarks_from_depth(
     density : {"pixels", "sphere"}
         "pixels" takes every pixel with the same probability, as the authors do: in a panorama the
         poles get more than their share. "sphere" weighs pixels by their solid angle.
-
-    Returns
-    -------
-    points : ndarray, shape (num, 3)
-        Metres. `scene_from_points` makes matches of them.
 
     Raises
     ------
@@ -63,11 +60,7 @@ def landmarks_from_depth(
     return bearings * ranges[rows, columns][:, None]
 
 
-def _solid_angles(
-    camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Shares of the pixels' solid angles in their sum."""
+def _solid_angles(camera: Camera, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
     jacobians = camera.bearing_jacobians(np.stack([columns, rows], axis=1) + 0.5)
     areas = np.linalg.norm(np.cross(jacobians[:, :, 0], jacobians[:, :, 1]), axis=1)
-    shares: NDArray[np.float64] = areas / areas.sum()
-    return shares
+    return np.asarray(areas / areas.sum())

@@ -2,6 +2,7 @@
 """Wrong matches by a stated model, and noise in metres as in the code of the paper's authors."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -9,17 +10,19 @@ from numpy.typing import NDArray
 
 from epi360.synthetic.directions import cap_directions
 
-Sampler = Callable[[np.random.Generator, int], NDArray[np.float64]]
+Array = NDArray[np.float64]
+
+Sampler = Callable[[np.random.Generator, int], Array]
 OutlierModel = Literal["uniform", "shuffled", "authors"]
 
 
 def add_metric_noise(
     rng: np.random.Generator,
-    points: NDArray[np.float64],
+    points: Array,
     *,
     sigma_m: float | None = None,
     kappa: float | None = None,
-) -> NDArray[np.float64]:
+) -> Array:
     """Points in the frame of a camera with independent noise on each coordinate, in metres.
 
     This is what the authors' published code does to the points of view 2 in place of von
@@ -35,10 +38,6 @@ def add_metric_noise(
     kappa : float, optional
         Concentration of a scalar von Mises variable whose radians are taken for metres, as in the
         authors' code; nearly Gaussian of ``1 / sqrt(kappa)`` m, 4.5 cm for 500.
-
-    Returns
-    -------
-    noisy : ndarray, shape (N, 3)
 
     Raises
     ------
@@ -58,13 +57,13 @@ def add_metric_noise(
 
 def replace_with_outliers(
     rng: np.random.Generator,
-    bearings2: NDArray[np.float64],
+    bearings2: Array,
     ratio: float,
     *,
     model: OutlierModel = "uniform",
     uniform_directions: Sampler | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Bearings of view 2 with a share of wrong ones, and which are right.
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Bearings (N, 3) of view 2 with a share of wrong ones, and the mask (N,) of the right ones.
 
     Parameters
     ----------
@@ -83,12 +82,6 @@ def replace_with_outliers(
         Makes the directions (count, 3) of "uniform" from the generator and their number; by
         default they cover the whole sphere.
 
-    Returns
-    -------
-    disturbed : ndarray, shape (N, 3)
-    inlier_mask : ndarray, shape (N,), bool
-        False where the row was changed.
-
     Raises
     ------
     ValueError
@@ -105,7 +98,8 @@ def replace_with_outliers(
         return disturbed, np.asarray((disturbed == bearings2).all(axis=1))
     rows = rng.choice(num, count, replace=False)
     if model == "uniform":
-        disturbed[rows] = (uniform_directions or _all_around)(rng, count)
+        all_around = partial(cap_directions, half_angle=np.pi)
+        disturbed[rows] = (uniform_directions or all_around)(rng, count)
     else:
         disturbed[rows] = bearings2[_other_rows(rng, rows, num)]
     inlier_mask = np.ones(num, dtype=np.bool_)
@@ -122,12 +116,7 @@ def check_outliers(ratio: float, model: str) -> None:
         raise ValueError(f"outlier_model must be one of {known}, got {model!r}")
 
 
-def _all_around(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
-    return cap_directions(rng, num, np.pi)
-
-
 def _other_rows(rng: np.random.Generator, rows: NDArray[np.intp], num: int) -> NDArray[np.intp]:
-    """For each of these rows, in random order, another row whose bearing it takes."""
     if len(rows) != 1:
         return np.roll(rows, 1)
     if num == 1:

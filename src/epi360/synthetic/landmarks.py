@@ -18,6 +18,8 @@ from epi360.synthetic.disturbances import (
 from epi360.synthetic.layouts import Layout, sample_points
 from epi360.synthetic.von_mises_fisher import sample_von_mises_fisher
 
+Array = NDArray[np.float64]
+
 Noise = Literal["bearings", "points"]
 
 
@@ -25,21 +27,15 @@ Noise = Literal["bearings", "points"]
 class TwoViewScene:
     """Matches of two central cameras and the truth behind them.
 
-    Attributes
-    ----------
-    bearings1, bearings2 : ndarray, shape (N, 3)
-        Unit bearing vectors with noise and outliers; row i of both is one match.
-    points : ndarray, shape (N, 3)
-        True landmarks in the frame of camera 1, in metres (also of the rows that are outliers).
-    cam2_from_cam1 : Pose
-        True pose with its **metric** translation (normalise it to compare with an estimate).
-    inlier_mask : ndarray, shape (N,), bool
-        False where the match was made an outlier.
+    Row i of the unit bearings, both (N, 3), is one match with noise, or an outlier where
+    ``inlier_mask`` (N,) is False. ``points`` (N, 3) are the true landmarks in the frame of camera
+    1, in metres, those of outliers too. The translation of ``cam2_from_cam1`` is **metric**:
+    normalise it to compare it with an estimate.
     """
 
-    bearings1: NDArray[np.float64]
-    bearings2: NDArray[np.float64]
-    points: NDArray[np.float64]
+    bearings1: Array
+    bearings2: Array
+    points: Array
     cam2_from_cam1: Pose
     inlier_mask: NDArray[np.bool_]
 
@@ -88,10 +84,6 @@ def two_view_scene(
         See `replace_with_outliers`. "uniform" directions of the layout "cone" are those of the
         cone turned with the camera, so that both views see a cone.
 
-    Returns
-    -------
-    scene : TwoViewScene
-
     Raises
     ------
     ValueError
@@ -124,7 +116,7 @@ def two_view_scene(
 
 def scene_from_points(
     rng: np.random.Generator,
-    points: NDArray[np.float64],
+    points: Array,
     cam2_from_cam1: Pose,
     *,
     kappa: float | None = None,
@@ -135,6 +127,8 @@ def scene_from_points(
 ) -> TwoViewScene:
     """Matches of two cameras that see given landmarks, such as those of `landmarks_from_depth`.
 
+    The options that are not below are those of `two_view_scene`.
+
     Parameters
     ----------
     rng : numpy.random.Generator
@@ -143,19 +137,9 @@ def scene_from_points(
         Landmarks in the frame of camera 1, in metres.
     cam2_from_cam1 : Pose
         Metric, such as that of `sample_relative_pose`.
-    kappa : float, optional
-        Concentration of the noise; without it there is none.
     noise : {"bearings", "points"}
         "bearings": von Mises-Fisher noise on the sphere, as the paper says. "points": noise in
         metres on the points in the frame of the camera, see `add_metric_noise`, as its code does.
-    noise_in_both_views : bool
-        Disturbs view 1 as well; by default view 2 only.
-    outlier_ratio, outlier_model : float, {"uniform", "shuffled", "authors"}
-        See `replace_with_outliers`.
-
-    Returns
-    -------
-    scene : TwoViewScene
 
     Raises
     ------
@@ -175,10 +159,7 @@ def scene_from_points(
     return TwoViewScene(bearings1, bearings2, points, cam2_from_cam1, inlier_mask)
 
 
-def _seen(
-    rng: np.random.Generator, points: NDArray[np.float64], kappa: float | None, noise: Noise
-) -> NDArray[np.float64]:
-    """Bearings of points in the frame of a camera."""
+def _seen(rng: np.random.Generator, points: Array, kappa: float | None, noise: Noise) -> Array:
     if kappa is None:
         return unit(points)
     if noise == "points":
@@ -189,44 +170,31 @@ def _seen(
 def sample_relative_pose(
     rng: np.random.Generator, *, max_translation_m: float = 1.0, max_angle_deg: float = 45.0
 ) -> Pose:
-    """Random ``cam2_from_cam1`` as in section 5.1 of the Robust 360-8PA paper.
+    """Random metric ``cam2_from_cam1`` as in section 5.1 of the Robust 360-8PA paper.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Source of the random numbers.
-    max_translation_m : float
-        Each coordinate of the translation is uniform in plus or minus this, in metres.
-    max_angle_deg : float
-        Each Euler angle is uniform in plus or minus this (45 in the paper, 10 in the authors'
-        code); R = Rz Ry Rx (the paper leaves the order open, their code has this one).
-
-    Returns
-    -------
-    cam2_from_cam1 : Pose
-        With a metric translation.
+    Each coordinate of the translation is uniform in plus or minus ``max_translation_m``, each Euler
+    angle in plus or minus ``max_angle_deg`` (45 in the paper, 10 in the authors' code).
+    R = Rz Ry Rx: the paper leaves the order open, their code has this one.
     """
     translation = rng.uniform(-max_translation_m, max_translation_m, 3)
     angles = np.radians(rng.uniform(-max_angle_deg, max_angle_deg, 3))
     return Pose(rotation_from_euler(angles), translation)
 
 
-def rotation_from_euler(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_from_euler(angles_rad: Array) -> Array:
     """Rotation matrix Rz Ry Rx of three angles about the fixed axes x, y, z."""
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles_rad), np.sin(angles_rad)
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    rotation: NDArray[np.float64] = about_z @ about_y @ about_x
-    return rotation
+    return np.asarray(about_z @ about_y @ about_x)
 
 
-def rotation_from_heading(angles_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_from_heading(angles_rad: Array) -> Array:
     """World-from-camera rotation of a camera that is tilted first and then turned to a heading."""
     pitch, heading, roll = angles_rad
     tilt = rotation_from_euler(np.array([pitch, 0.0, roll]))
-    rotation: NDArray[np.float64] = rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt
-    return rotation
+    return np.asarray(rotation_from_euler(np.array([0.0, heading, 0.0])) @ tilt)
 
 
 def _check_options(
@@ -244,7 +212,6 @@ def _check_options(
 
 
 def _concentration(noise_deg: float | None, kappa: float | None) -> float | None:
-    """Kappa of the noise, None for exact bearings."""
     if noise_deg is not None and kappa is not None:
         raise ValueError("give noise_deg or kappa, not both: kappa = 1 / radians(noise_deg)**2")
     if noise_deg is not None and not 0.0 <= noise_deg < np.inf:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from epi360.poses import Pose
 from epi360.synthetic.directions import cap_directions, tangents
 
+Array = NDArray[np.float64]
+
 Layout = Literal["room", "sphere", "cone", "plane", "behind"]
 
 # No landmark is closer than this to either camera, so that every bearing is well defined.
@@ -20,12 +22,12 @@ NEAREST_M, FARTHEST_M = 1.0, 10.0
 ROOM_HALF_M = (3.5, 1.6, 2.5)
 WALL_CLEARANCE_M = 0.5
 
-Sampler = Callable[[np.random.Generator, int], NDArray[np.float64]]
+Sampler = Callable[[np.random.Generator, int], Array]
 
 
 def sample_points(
     rng: np.random.Generator, num: int, layout: Layout, half_angle: float, pose: Pose
-) -> NDArray[np.float64]:
+) -> Array:
     """Landmarks of a layout that keep their distance from both cameras, by rejection."""
     center2 = pose.inverse().translation
     samplers: dict[str, Sampler] = {
@@ -35,7 +37,7 @@ def sample_points(
         "behind": lambda rng, num: _ranged(rng, -cap_directions(rng, num, np.pi / 2)),
     }
     sample = _plane_sampler(rng, center2) if layout == "plane" else samplers[layout]
-    kept: list[NDArray[np.float64]] = [np.empty((0, 3))]
+    kept: list[Array] = [np.empty((0, 3))]
     for _ in range(1000):
         missing = num - sum(len(points) for points in kept)
         if missing == 0:
@@ -50,10 +52,7 @@ def sample_points(
     raise ValueError(f"cam2_from_cam1 sees no landmarks of the layout {layout!r}; turn it less")
 
 
-def _room_points(
-    rng: np.random.Generator, num: int, center2: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Points uniform over the six inner faces of a box that holds both cameras."""
+def _room_points(rng: np.random.Generator, num: int, center2: Array) -> Array:
     low = np.minimum(-np.array(ROOM_HALF_M), center2 - WALL_CLEARANCE_M)
     high = np.maximum(ROOM_HALF_M, center2 + WALL_CLEARANCE_M)
     size = high - low
@@ -64,20 +63,18 @@ def _room_points(
     return points
 
 
-def _plane_sampler(rng: np.random.Generator, center2: NDArray[np.float64]) -> Sampler:
+def _plane_sampler(rng: np.random.Generator, center2: Array) -> Sampler:
     """One random plane in front of both cameras, and a sampler of an 8 m square on it."""
     normal = cap_directions(rng, 1, np.pi)
     distance = rng.uniform(1.5, 3.0) + max(0.0, float(normal[0] @ center2))
     span = np.concatenate(tangents(normal))
 
-    def sample(rng: np.random.Generator, num: int) -> NDArray[np.float64]:
-        points: NDArray[np.float64] = distance * normal + rng.uniform(-4, 4, (num, 2)) @ span
-        return points
+    def sample(rng: np.random.Generator, num: int) -> Array:
+        return np.asarray(distance * normal + rng.uniform(-4, 4, (num, 2)) @ span)
 
     return sample
 
 
-def _ranged(rng: np.random.Generator, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _ranged(rng: np.random.Generator, directions: Array) -> Array:
     ranges = np.exp(rng.uniform(np.log(NEAREST_M), np.log(FARTHEST_M), (len(directions), 1)))
-    points: NDArray[np.float64] = ranges * directions
-    return points
+    return np.asarray(ranges * directions)

@@ -13,7 +13,7 @@ NEARLY_UNIFORM = 1e-3
 def sample_von_mises_fisher(
     rng: np.random.Generator, mean_directions: NDArray[np.float64], kappa: float
 ) -> NDArray[np.float64]:
-    """Sample unit vectors from von Mises-Fisher distributions about given directions.
+    """Sample unit vectors (N, 3) from von Mises-Fisher distributions about given directions.
 
     Parameters
     ----------
@@ -23,11 +23,6 @@ def sample_von_mises_fisher(
         Unit vectors.
     kappa : float
         Concentration, > 0; 1 / kappa is the variance in rad^2 per tangent axis when it is large.
-
-    Returns
-    -------
-    directions : ndarray, shape (N, 3)
-        One unit vector about each mean direction.
 
     Raises
     ------
@@ -56,17 +51,9 @@ def sample_von_mises_fisher(
 
 
 def mean_angle_deg_from_kappa(kappa: float) -> float:
-    """Mean angle between a von Mises-Fisher sample and its mean direction.
+    """Mean angle in (0, 90) degrees between a von Mises-Fisher sample and its mean direction.
 
-    Parameters
-    ----------
-    kappa : float
-        Concentration, > 0.
-
-    Returns
-    -------
-    mean_angle_deg : float
-        In (0, 90); about ``degrees(sqrt(pi / (2 kappa)))`` when kappa is large.
+    It is about ``degrees(sqrt(pi / (2 kappa)))`` when the concentration kappa is large.
 
     Raises
     ------
@@ -91,22 +78,9 @@ def mean_angle_deg_from_kappa(kappa: float) -> float:
 
 
 def kappa_from_mean_angle_deg(mean_angle_deg: float) -> float:
-    """Concentration whose samples are so many degrees from their mean direction on average.
+    """Inverse of `mean_angle_deg_from_kappa`, to 12 digits.
 
-    Parameters
-    ----------
-    mean_angle_deg : float
-        In (0, 90).
-
-    Returns
-    -------
-    kappa : float
-        The inverse of `mean_angle_deg_from_kappa`, to 12 digits.
-
-    Raises
-    ------
-    ValueError
-        If the angle is outside its range; 90 deg is the uniform distribution.
+    An angle outside (0, 90) raises ``ValueError``; 90 degrees is the uniform distribution.
     """
     from scipy.optimize import brentq
 
@@ -126,22 +100,10 @@ def kappa_from_mean_angle_deg(mean_angle_deg: float) -> float:
 
 
 def noise_deg_from_kappa(kappa: float) -> float:
-    """Standard deviation per tangent axis of concentrated von Mises-Fisher noise.
+    """Standard deviation per tangent axis of concentrated von Mises-Fisher noise, in degrees.
 
-    Parameters
-    ----------
-    kappa : float
-        Concentration, > 0.
-
-    Returns
-    -------
-    noise_deg : float
-        ``degrees(1 / sqrt(kappa))``: 2.56 for kappa = 500; `two_view_scene` has the inverse.
-
-    Raises
-    ------
-    ValueError
-        If `kappa` is not a positive number.
+    It is ``degrees(1 / sqrt(kappa))``: 2.56 for kappa = 500; `two_view_scene` has the inverse. A
+    `kappa` that is no positive number raises ``ValueError``.
     """
     if not kappa > 0:
         raise ValueError(f"kappa must be positive, got {kappa}")

@@ -8,12 +8,6 @@ from epi360_paper.datasets.steadiness import SkipRule, steady_segments
 from epi360_paper.datasets.tum_vi import find_tum_vi_rooms, load_tum_vi
 
 __all__ = [
-    "ImageSequence",
-    "SkipRule",
-    "find_mp3d_vo_scenes",
-    "find_tum_vi_rooms",
-    "load_image_folder",
-    "load_mp3d_vo",
-    "load_tum_vi",
-    "steady_segments",
-]
+    "ImageSequence", "SkipRule", "find_mp3d_vo_scenes", "find_tum_vi_rooms", "load_image_folder",
+    "load_mp3d_vo", "load_tum_vi", "steady_segments",
+]  # fmt: skip

@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A folder of images without poses."""
 
-from __future__ import annotations
-
-import os
 from pathlib import Path
 
 import numpy as np
@@ -12,30 +9,18 @@ from epi360.cameras import Camera
 from epi360.features import read_image
 from epi360.features.image_cameras import find_camera
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder, natural_order
+from epi360.runs.whole_files import PathLike
 from epi360_paper.datasets.intensities import intensity_levels
 from epi360_paper.datasets.sequence import ImageSequence
 
 
 def load_image_folder(
-    folder: str | os.PathLike[str], camera: Camera | None = None, *, frames_per_s: float = 30.0
+    folder: PathLike, camera: Camera | None = None, *, frames_per_s: float = 30.0
 ) -> ImageSequence:
-    """Sequence of the images of a folder, in the order of their names.
+    """Sequence, without poses, of the images of a folder, in the order of their names.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder whose JPEG, PNG, TIFF, WebP and BMP files are taken. Numbers in their names count
-        as numbers: 2.png comes before 10.png.
-    camera : Camera, optional
-        Camera of the images. By default they are full panoramas of the first image's size, or the
-        part of one that its GPano metadata state.
-    frames_per_s : float
-        Rate for the timestamps, which start at 0.
-
-    Returns
-    -------
-    sequence : ImageSequence
-        Sequence without poses.
+    Numbers in the names count as numbers: 2.png comes before 10.png. By default the images are full
+    panoramas of the first one's size, or the part of one that its GPano metadata state.
 
     Raises
     ------

@@ -8,8 +8,6 @@ the square root is taken: it makes the noise of counted photons equally large at
 brightnesses, so that dark corners show their texture and not their noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """360-MP3D-VO: panoramas with depth and poses, rendered from Matterport3D (paper section 5)."""
 
-from __future__ import annotations
-
-import os
 from pathlib import Path
 
 from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import read_table
 from epi360.poses import pose_from_quaternion
+from epi360.runs.whole_files import PathLike
 from epi360_paper.datasets.image_folder import panorama_camera
 from epi360_paper.datasets.intensities import intensity_levels
 from epi360_paper.datasets.sequence import ImageSequence
@@ -17,20 +15,12 @@ COLUMNS = ("t", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 POSES_FILE = "frm_ref.txt"
 
 
-def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
+def load_mp3d_vo(scene: PathLike) -> ImageSequence:
     """Sequence of a scene in the layout of 360-MP3D-VO, which `epi360 render` writes too.
 
-    Parameters
-    ----------
-    scene : path-like
-        Folder with ``rgb/1.png``, ``rgb/2.png``, ..., optionally ``depth/tiff/1.tiff``, ... (range
-        along the ray, 0 = none), and ``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of
-        world_from_cam. The k-th row, from 0, belongs to the files k + 1.
-
-    Returns
-    -------
-    sequence : ImageSequence
-        Sequence with a full equirectangular camera.
+    The folder has ``rgb/1.png``, ``rgb/2.png``, ..., optionally ``depth/tiff/1.tiff``, ... (range
+    along the ray, 0 = none), and ``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of
+    world_from_cam. The k-th row, from 0, belongs to the files k + 1.
 
     Raises
     ------
@@ -59,22 +49,10 @@ def load_mp3d_vo(scene: str | os.PathLike[str]) -> ImageSequence:
     )
 
 
-def find_mp3d_vo_scenes(folder: str | os.PathLike[str]) -> list[Path]:
-    """Scenes in a folder: itself, or those below it that hold ``frm_ref.txt``, sorted.
+def find_mp3d_vo_scenes(folder: PathLike) -> list[Path]:
+    """Scenes in a folder: itself, or those at any depth that hold ``frm_ref.txt``, sorted.
 
-    Parameters
-    ----------
-    folder : path-like
-        A scene, or a folder of scenes at any depth.
-
-    Returns
-    -------
-    scenes : list of Path
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist or there is no scene in it.
+    ``FileNotFoundError`` if the folder does not exist or there is no scene in it.
     """
     folder = existing_folder(folder, "MP3D-VO folder")
     scenes = sorted(path.parent for path in folder.rglob(POSES_FILE))
@@ -99,7 +77,6 @@ def _depth_files(scene: Path, count: int) -> tuple[Path, ...]:
 
 
 def _numbered_files(folder: Path, suffix: str) -> tuple[Path, ...]:
-    """Files 1, 2, ... of a folder, without a gap."""
     numbers = {int(path.stem) for path in folder.glob(f"*{suffix}") if path.stem.isdecimal()}
     if not numbers:
         raise FileNotFoundError(f"{folder} has no images 1{suffix}, 2{suffix}, ...")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What every reader returns: the images of one moving camera and what is known of each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,40 +15,20 @@ from epi360_paper.datasets.intensities import eight_bit_image
 
 @dataclass(frozen=True, eq=False)
 class ImageSequence:
-    """Images of one moving camera, in the order of time; pixels are read when they are asked for.
+    """Images of one moving camera, in the order of time; pixels are read when asked for."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the scene, for tables.
-    camera : Camera
-        Camera of every image.
-    image_paths : tuple of Path
-        Image file of each frame.
-    timestamps_s : ndarray, shape (F,)
-        Times in seconds; those of TUM-VI count from 1970, to a quarter of a microsecond.
-    world_from_cam : tuple of Pose or None
-        True pose of each frame in metres; None where it is not known.
-    depth_paths : tuple of Path
-        Depth map of each frame, or empty.
-    mask : ndarray, shape (H, W), bool, optional
-        Pixels to use; None stands for all.
-    levels : (float, float), optional
-        Values of 16-bit images that become black and white, see `intensity_levels`; None
-        where the images have 8 bits.
-    """
-
-    name: str
+    name: str  # of the scene, for tables
     camera: Camera
     image_paths: tuple[Path, ...]
+    # (F,): those of TUM-VI count from 1970, to a quarter of a microsecond.
     timestamps_s: NDArray[np.float64]
-    world_from_cam: tuple[Pose | None, ...]
-    depth_paths: tuple[Path, ...] = ()
-    mask: NDArray[np.bool_] | None = None
+    world_from_cam: tuple[Pose | None, ...]  # true poses in metres, None where not known
+    depth_paths: tuple[Path, ...] = ()  # of each frame, or empty
+    mask: NDArray[np.bool_] | None = None  # (H, W): pixels to use
+    # Values of 16-bit images that become black and white, see `intensity_levels`.
     levels: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Check that every frame has each of its parts."""
         counts = {
             "images": len(self.image_paths),
             "timestamps": len(self.timestamps_s),
@@ -63,50 +41,20 @@ class ImageSequence:
             raise ValueError(f"{self.name} must have one of each per frame, got {found}")
 
     def __len__(self) -> int:
-        """Return the number of frames."""
         return len(self.image_paths)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """Picture of a frame as 8-bit RGB.
-
-        Parameters
-        ----------
-        index : int
-            Number of the frame, from 0.
-
-        Returns
-        -------
-        image : ndarray, shape (H, W, 3), uint8
-
-        Raises
-        ------
-        FileNotFoundError
-            If the file is gone.
-        ValueError
-            If it is no complete picture or its size is not that of the camera.
-        """
+        """Picture of a frame as 8-bit RGB, (H, W, 3); ``ValueError`` if it is damaged."""
         path = self.image_paths[index]
         image = eight_bit_image(path, self.levels)
         self._check_size(image.shape, path)
         return image
 
     def depth(self, index: int) -> NDArray[np.float32]:
-        """Range along the ray of each pixel of a frame.
+        """Range along the ray of each pixel of a frame in metres, (H, W); 0 where there is none.
 
-        Parameters
-        ----------
-        index : int
-            Number of the frame, from 0.
-
-        Returns
-        -------
-        depth : ndarray, shape (H, W), float32
-            Metres; 0 where there is none.
-
-        Raises
-        ------
-        ValueError
-            If the sequence has no depth, or the file is no float image of the camera's size.
+        ``ValueError`` if the sequence has no depth, or the file is no float image of the camera's
+        size.
         """
         if not self.depth_paths:
             raise ValueError(f"{self.name} has no depth maps; only MP3D-VO scenes have them")

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which frames of a sequence can be tracked, and the rule that skips violent motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,27 +15,16 @@ class SkipRule:
     """When the step from one frame to the next is too violent to be tracked.
 
     The paper (section 5.3) skips frames of TUM-VI "due to drastic camera movements and severe
-    changes in illumination" and gives no numbers; these are ours.
-
-    Parameters
-    ----------
-    max_rotation_deg_per_s : float
-        At 20 images per second 120 deg/s are 6 deg or 20 px of TUM-VI's 512-pixel images per
-        frame, and about 1 px of blur in 3 ms of exposure.
-    max_brightness_ratio : float
-        Largest ratio of the mean grey values of the two frames, the brighter to the darker.
-
-    Raises
-    ------
-    ValueError
-        If the rate is not positive or the ratio not above 1.
+    changes in illumination" and gives no numbers; these are ours: at 20 images per second 120 deg/s
+    are 6 deg or 20 px of TUM-VI's 512-pixel images per frame, and about 1 px of blur in 3 ms of
+    exposure. ``max_brightness_ratio`` compares the mean grey values of the two frames, the brighter
+    to the darker. A rate that is not positive or a ratio not above 1 raises ``ValueError``.
     """
 
     max_rotation_deg_per_s: float = 120.0
     max_brightness_ratio: float = 1.25
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not self.max_rotation_deg_per_s > 0:
             rate = self.max_rotation_deg_per_s
             raise ValueError(f"max_rotation_deg_per_s must be positive, got {rate}")
@@ -47,24 +34,10 @@ class SkipRule:
 
 
 def steady_segments(sequence: ImageSequence, rule: SkipRule | None = None) -> list[range]:
-    """Runs of frames with known poses between which every step is calm.
+    """Runs of at least two frames with known poses between which every step is calm.
 
-    Parameters
-    ----------
-    sequence : ImageSequence
-        Its images are read if the rule has a brightness ratio to test.
-    rule : SkipRule, optional
-        When a step is too violent. By default only a missing pose ends a run.
-
-    Returns
-    -------
-    segments : list of range
-        Frame indices, at least two in each; the frame after a violent step starts a new one.
-
-    Raises
-    ------
-    ValueError
-        If an image is damaged.
+    By default only a missing pose ends a run. The frame after a violent step starts a new one. The
+    images are read, and may be found damaged, if the rule has a brightness ratio to test.
     """
     starts = [0]
     brightness = np.nan
@@ -87,7 +60,6 @@ def _is_calm(
     brightness: float,
     rule: SkipRule | None,
 ) -> bool:
-    """Whether the step to a frame from the one before it can be tracked."""
     before, after = sequence.world_from_cam[index - 1 : index + 1]
     if before is None or after is None:
         return False

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Poses of a table, and poses between two of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

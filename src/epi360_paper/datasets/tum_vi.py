@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """TUM-VI: fisheye images of a hand-held rig with poses of its IMU (Schubert et al., IROS 2018)."""
 
-from __future__ import annotations
-
-import os
 import re
 from pathlib import Path
 
@@ -14,6 +11,7 @@ from epi360.cameras import Camera, load_kalibr_rig
 from epi360.image_folders import existing_folder
 from epi360.interop.text_tables import Table, read_table
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.whole_files import PathLike
 from epi360_paper.datasets.intensities import intensity_levels, lens_circle_mask
 from epi360_paper.datasets.sequence import ImageSequence
 from epi360_paper.datasets.trajectories import poses_at_times
@@ -27,31 +25,15 @@ MAX_GAP_S = 0.05  # motion capture has 120 Hz: six lost samples
 
 
 def load_tum_vi(
-    scene: str | os.PathLike[str],
-    calibration: str | os.PathLike[str] | None = None,
-    *,
-    max_gap_s: float = MAX_GAP_S,
+    scene: PathLike, calibration: PathLike | None = None, *, max_gap_s: float = MAX_GAP_S
 ) -> ImageSequence:
-    """Sequence of camera 0 of a scene in the layout of TUM-VI.
+    """Sequence of camera 0 of a scene in the layout of TUM-VI; the mask leaves out the black rim.
 
-    Parameters
-    ----------
-    scene : path-like
-        Folder with ``mav0/cam0/data.csv`` (nanoseconds, file in ``mav0/cam0/data``) and poses
-        of the IMU in ``dso/gt_imu.csv`` or ``mav0/mocap0/data.csv``
-        (``t,x,y,z,qw,qx,qy,qz``, nanoseconds).
-    calibration : path-like, optional
-        Kalibr file with ``T_cam_imu``. By default the paper's ``omni_calib.yaml`` (unified model)
-        if the folder above holds it, else ``dso/camchain.yaml`` (equidistant model).
-    max_gap_s : float
-        Largest time between the two motion-capture poses that an image lies between; beyond it
-        the image has no pose.
-
-    Returns
-    -------
-    sequence : ImageSequence
-        world_from_cam = world_from_imu @ cam_from_imu^-1, with Kalibr's ``T_cam_imu`` as
-        cam_from_imu. The mask leaves out the black rim.
+    The folder has ``mav0/cam0/data.csv`` (nanoseconds, file in ``mav0/cam0/data``) and poses of the
+    IMU in ``dso/gt_imu.csv`` or ``mav0/mocap0/data.csv`` (``t,x,y,z,qw,qx,qy,qz``, nanoseconds). By
+    default the calibration, a Kalibr file with ``T_cam_imu``, is the paper's ``omni_calib.yaml``
+    (unified model) if the folder above holds it, else ``dso/camchain.yaml`` (equidistant model). An
+    image between two motion-capture poses further than ``max_gap_s`` apart has no pose.
 
     Raises
     ------
@@ -62,6 +44,7 @@ def load_tum_vi(
 
     Notes
     -----
+    world_from_cam = world_from_imu @ cam_from_imu^-1 with Kalibr's ``T_cam_imu`` as cam_from_imu.
     The authors' own code multiplies with ``T_cam_imu`` itself where its inverse belongs.
     """
     scene = existing_folder(scene, "TUM-VI scene")
@@ -82,24 +65,12 @@ def load_tum_vi(
     )
 
 
-def find_tum_vi_rooms(folder: str | os.PathLike[str]) -> list[Path]:
-    """Scenes room1 to room6 in a folder, or the folder itself if it is a scene.
+def find_tum_vi_rooms(folder: PathLike) -> list[Path]:
+    """Scenes room1 to room6 in a folder by their numbers, or the folder itself if it is a scene.
 
-    Parameters
-    ----------
-    folder : path-like
-        Folder with ``dataset-room1_512_16`` and so on, or ``room1``. Only the rooms have poses
-        throughout (paper section 5.3); other scenes are left out.
-
-    Returns
-    -------
-    scenes : list of Path
-        In the order of the rooms' numbers.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder does not exist or there is no room in it.
+    Folders are called ``dataset-room1_512_16`` and so on, or ``room1``. Only the rooms have poses
+    throughout (paper section 5.3); other scenes are left out. ``FileNotFoundError`` if the folder
+    does not exist or there is no room in it.
     """
     folder = existing_folder(folder, "TUM-VI folder")
     if (folder / "mav0").is_dir():
@@ -113,7 +84,6 @@ def find_tum_vi_rooms(folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def _part(scene: Path, *names: str) -> Path:
-    """First of some files that exists."""
     for name in names:
         if (scene / name).is_file():
             return scene / name
@@ -162,7 +132,7 @@ def _check_header(table: Table) -> None:
         raise ValueError(f"the header of {table.path} must name {wanted}, got {table.header!r}")
 
 
-def _calibration(scene: Path, calibration: str | os.PathLike[str] | None) -> tuple[Camera, Pose]:
+def _calibration(scene: Path, calibration: PathLike | None) -> tuple[Camera, Pose]:
     """Camera 0 of a calibration and its pose cam_from_imu."""
     path = Path(calibration) if calibration is not None else _part(scene, *CALIBRATION_FILES)
     rig = load_kalibr_rig(path)

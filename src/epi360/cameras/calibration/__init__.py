@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration files to cameras; the content of a file says which format it is."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -72,17 +70,7 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Return the one camera of a calibration file.
-
-    Parameters
-    ----------
-    path : path-like
-        A file that `load_cameras` reads and that holds a single camera.
-
-    Returns
-    -------
-    camera : Camera
-        The only one in the file.
+    """Return the one camera of a calibration file, whose ``path`` is as in `load_cameras`.
 
     Raises
     ------

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Calibration files of basalt: JSON with the intrinsics and sizes of all cameras of a rig."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

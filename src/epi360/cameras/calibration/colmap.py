@@ -5,8 +5,6 @@ Models and the order of their parameters: https://colmap.github.io/cameras.html.
 are in continuous pixels already.
 """
 
-from __future__ import annotations
-
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 

@@ -5,8 +5,6 @@ Layout: https://colmap.github.io/rigs.html. COLMAP takes the size of the images 
 here "width" and "height" stand beside "camera_params", and COLMAP ignores them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

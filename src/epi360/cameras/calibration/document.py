@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Text of a calibration file to plain Python values, whatever the format."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -5,8 +5,6 @@ Layout and the order of the numbers: https://github.com/ethz-asl/kalibr/wiki/yam
 https://github.com/ethz-asl/kalibr/wiki/supported-models.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -43,13 +41,8 @@ SUPPORTED = ", ".join("-".join(key) for key in MODELS)
 class KalibrCamera(NamedTuple):
     """Camera of a Kalibr camchain and where it sits on the IMU.
 
-    Parameters
-    ----------
-    camera : Camera
-        Model of the camera.
-    cam_from_imu : Pose or None
-        Kalibr's ``T_cam_imu`` in metres, which maps points from the IMU to the camera; None if the
-        file does not say.
+    ``cam_from_imu`` is Kalibr's ``T_cam_imu`` in metres, which maps points from the IMU to the
+    camera; None if the file does not say.
     """
 
     camera: Camera
@@ -57,18 +50,10 @@ class KalibrCamera(NamedTuple):
 
 
 def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
-    """Return the cameras of a Kalibr camchain and their poses on the IMU.
+    """Return the cameras of a Kalibr camchain by name, and their poses on the IMU.
 
-    Parameters
-    ----------
-    path : path-like
-        A camchain that `load_cameras` reads.
-
-    Returns
-    -------
-    rig : dict of str to KalibrCamera
-        Cameras by name, in the order of the file. ``cam_from_imu`` is ``T_cam_imu`` if the camera
-        has one; else it follows from ``T_cn_cnm1`` and the camera before, or is None.
+    ``cam_from_imu`` is ``T_cam_imu`` if the camera has one; else it follows from ``T_cn_cnm1`` and
+    the camera before, or is None.
 
     Raises
     ------
@@ -168,7 +153,6 @@ def _coefficients(entry: Mapping[str, Any], distortion_model: str) -> list[Any]:
 
 
 def _camera_and_poses(entry: Mapping[str, Any]) -> tuple[Camera, Pose | None, Pose | None]:
-    """Camera, its pose from the IMU, and its pose from the previous camera."""
     return _camera(entry), _pose(entry, "T_cam_imu"), _pose(entry, "T_cn_cnm1")
 
 

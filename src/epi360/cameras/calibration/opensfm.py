@@ -1,13 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """OpenSfM's camera_models.json: cameras in coordinates normalised by the larger image side.
 
-A normalised point (0, 0) is the middle of the image and the larger side has length 1, so
-u = max(w, h) x + w / 2 in our continuous pixels; OpenSfM's own pixels, which start at the centre
-of the first one, have (w - 1) / 2 there. Formulas of the models and of the coordinates:
-https://opensfm.org/docs/geometry.html.
+The point (0, 0) is the middle of the image and the larger side has length 1, so that
+u = max(w, h) x + w / 2 in our continuous pixels. Formulas: https://opensfm.org/docs/geometry.html.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any

@@ -4,8 +4,6 @@
 A camera of a rig has ``cam_from_rig`` as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import Any
