@@ -47,23 +47,24 @@ class Level:
         return f"{LEVEL_PAIRS}{fingerprint(key)}"
 
     def fits(self, verdict: Verdict) -> bool:
-        """Whether a pose is within three sigma of the prior."""
+        """Whether a pose, or a rotation, is within three sigma of the prior."""
         pose = verdict.cam2_from_cam1
-        if not tilt_deg(pose.rotation) <= _SIGMAS * self.gravity_sigma_deg:
+        if tilt_deg(pose.rotation) > _SIGMAS * self.gravity_sigma_deg:
             return False
         sigma_deg = self.elevation_sigma_deg
-        return sigma_deg is None or abs(elevation_deg(pose.translation)) <= _SIGMAS * sigma_deg
+        return sigma_deg is None or not abs(elevation_deg(pose.translation)) > _SIGMAS * sigma_deg
 
     def asks_again(self, verdict: Verdict) -> bool:
         """Whether a pair is estimated again with the prior."""
-        if verdict.status == "ok" and not self.fits(verdict):
-            return True
-        return not is_settled(verdict.status, verdict.warnings)
+        return self._contradicts(verdict) or not is_settled(verdict.status, verdict.warnings)
 
     def keeps(self, verdict: Verdict, later: Verdict) -> bool:
         """Whether the verdict with the prior is kept in place of the one without."""
-        is_in_doubt = verdict.status == "ok" and not self.fits(verdict)
-        return self.asks_again(verdict) and prior_is_better(later.status, is_in_doubt)
+        is_better = prior_is_better(later.status, self._contradicts(verdict))
+        return self.asks_again(verdict) and is_better
+
+    def _contradicts(self, verdict: Verdict) -> bool:
+        return is_settled(verdict.status) and not self.fits(verdict)
 
 
 def find_level(verdicts: Sequence[Verdict]) -> Level | None:
