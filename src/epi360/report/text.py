@@ -146,11 +146,10 @@ def _evidence_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
     share = f" ({result.num_inliers / result.num_matches:.0%})" if result.num_matches else ""
     noise = number_text(result.noise_deg, "{:.3f} deg per axis and view")
     parallax = number_text(result.parallax_deg, "{:.2f} deg, median over the inliers")
-    probability = number_text(_percent(result.probability), "{:.1f} % that the pose is right")
     coverage = number_text(result.sphere_coverage, "inliers in {:.0%} of the sphere")
     return [
         ("Inliers", f"{result.num_inliers} of {result.num_matches} matches{share}, gate {gate}"),
-        ("Probability", probability),
+        ("Probability", _probability_text(result.probability)),
         ("Noise", noise),
         ("Parallax", parallax),
         ("Coverage", coverage),
@@ -223,9 +222,10 @@ def wrapped(label: str, value: str) -> str:
     )
 
 
-def _percent(probability: float) -> float:
-    """Rounded down to a tenth, so that only what is certain reads 100 %."""
-    return float(np.floor(probability * 1000.0) / 10.0)
+def _probability_text(probability: float) -> str:
+    if probability > 0.999:  # nothing is certain
+        return "over 99.9 % that the pose is right"
+    return number_text(100.0 * probability, "{:.1f} % that the pose is right")
 
 
 def _sigma_text(sigma_deg: float) -> str:
