@@ -11,6 +11,8 @@ from level_views import CAMERA, NAMES, truth, world_from_cam, write_tour
 
 from epi360.cameras import KannalaBrandt
 from epi360.cameras.upright import elevation_deg, tilt_deg
+from epi360.cli import SUCCESS, main
+from epi360.cli.command import WRONG_USE
 from epi360.interop.gpano import gpano_packet, with_gpano
 from epi360.jobs import match_job, matching
 from epi360.jobs.image_set import find_images
@@ -277,3 +279,16 @@ def test_tilt_and_elevation_are_what_they_are_called():
     pose = world_from_cam(0, is_level=False)
     assert tilt_deg(pose.rotation) == pytest.approx(np.degrees(0.15), abs=1e-9)
     assert elevation_deg(np.array([3.0, -4.0, 0.0])) == pytest.approx(np.degrees(np.arctan2(4, 3)))
+
+
+def test_the_map_of_a_level_folder_says_so_and_takes_its_pairs(
+    tour, tmp_path, bad_first_look, capsys
+):
+    pytest.importorskip("pycolmap")
+    words = ["map", str(tour.folder), "--output", str(tmp_path / "out")]
+    assert main(words) == SUCCESS
+    printed = capsys.readouterr().out
+    assert "registered   4 of 4 images" in printed
+    assert "The panoramas are level (tilt 0.5 degrees, one height within 2." in printed
+    assert main([*words, "--upright", "60"]) == WRONG_USE
+    assert "--upright must be in (0, 45] degrees, got 60.0" in capsys.readouterr().err
