@@ -133,7 +133,7 @@ class MatchJob:
                 for pair in part
                 if pair.keys in wanted and pair.keys not in again
             }
-            done = self._verified_with_prior(missing, level)
+            done = self._verified_with_prior(missing, level) if missing else []
             if done:
                 write_part(self.output, done, level.store)
             again.update((pair.keys, pair.verdict) for pair in done)
