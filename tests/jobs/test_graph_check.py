@@ -129,3 +129,61 @@ def test_the_table_and_the_summary_say_why_a_pair_is_refused(tmp_path):
     run = MatchRun(tmp_path, "exhaustive", ("a", "b"), (pair,), {}, 0)
     assert "Rejected      1 lies on the floor only\n" in describe_match(run)
     assert f'no,"{found.refused}"' in pairs_csv(run).decode()
+
+
+def doubted(name1, name2, **values):
+    """A verdict whose pose is not believed, though it is probable."""
+    return replace(
+        verdict_of(name1, name2),
+        **{
+            "status": "concentrated_inliers",
+            "doubted": verdict_of(name1, name2).cam2_from_cam1,
+            "cam2_from_cam1": Pose.nan(),
+            "rotation_sigma_deg": np.nan,
+            "translation_sigma_deg": np.nan,
+            "probability": 0.96,
+            **values,
+        },
+    )
+
+
+def confirmed(verdicts, *, is_level=True):
+    pairs = [tuple(name) for name in verdicts]
+    found = check_graph(pairs, list(verdicts.values()), is_level=is_level)
+    return [name for name, each in zip(verdicts, found, strict=True) if each.confirmed]
+
+
+def test_triangles_confirm_a_pose_that_is_not_believed():
+    pairs = {**graph("bc ab cd da"), "ac": doubted("a", "c")}
+    names = [tuple(name) for name in pairs]
+    found = check_graph(names, list(pairs.values()), is_level=True)[-1]
+    assert found == GraphVerdict(num_triangles=2, confirmed=True)
+    (sentence,) = found.doubts(pairs["ac"])
+    assert sentence.endswith("the pose is accepted because triangles close with it")
+    assert confirmed(pairs, is_level=False) == []
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"doubted": verdict_of("c", "a").cam2_from_cam1},
+        {"doubted": Pose.nan()},
+        {"probability": 0.94},
+        {"probability": np.nan},
+    ],
+    ids=["backwards", "no pose", "not probable", "not known"],
+)
+def test_other_poses_stay_doubted(changed):
+    assert confirmed({**graph("ab bc cd da"), "ac": doubted("a", "c", **changed)}) == []
+
+
+def test_only_triangles_of_accepted_pairs_confirm():
+    sure = {"probability": 0.9995}
+    pairs = {**graph("ab bc", ab=sure, bc=sure), "ac": doubted("a", "c")}
+    assert confirmed(pairs) == ["ac"]
+    assert confirmed({**pairs, "bc": Verdict(status="too_few_inliers")}) == []
+    assert confirmed({**pairs, "bc": verdict_of("b", "c", probability=0.94)}) == []  # a weak link
+    assert confirmed({**pairs, "bc": verdict_of("b", "c", **FLOOR)}) == []
+    assert confirmed({**pairs, "bc": doubted("b", "c")}) == []
+    del pairs["bc"]
+    assert confirmed(pairs) == []

@@ -194,6 +194,41 @@ def test_a_run_that_is_stopped_in_the_second_phase_goes_on_to_the_same_bytes(
     assert priors == []
 
 
+def test_a_doubted_pose_that_the_others_confirm_is_the_pose_of_the_pair(
+    tour, tmp_path, bad_first_look, monkeypatch
+):
+    judge = MatchJob._verified_pair
+
+    def judge_doubtfully(job, pair, matched, result, prior):
+        verified = judge(job, pair, matched, result, prior)
+        if not prior or pair != LOST:
+            return verified
+        doubted = replace(
+            verified.verdict,
+            status="concentrated_inliers",
+            doubted=result.cam2_from_cam1,
+            cam2_from_cam1=Pose.nan(),
+        )
+        return replace(verified, verdict=doubted)
+
+    monkeypatch.setattr(MatchJob, "_verified_pair", judge_doubtfully)
+    run = match_images(tour, tmp_path)
+    (found,) = [verdict for verdict in run.verdicts if verdict.confirmed]
+    assert (found.image1, found.image2) == tuple(NAMES[index] for index in LOST)
+    assert found.accepted
+    assert run.num_gained == 1
+    assert rotation_error_deg(found.cam2_from_cam1, truth(*LOST)) < 0.5
+    (matched,) = [
+        pair
+        for pair in load_matches(tmp_path).pairs
+        if (pair.image1, pair.image2) == (found.image1, found.image2)
+    ]
+    assert matched.geometry.status == "ok"
+    pose = matched.geometry.cam2_from_cam1
+    np.testing.assert_array_equal(pose.matrix(), found.cam2_from_cam1.matrix())
+    assert pairs_csv(match_images(tour, tmp_path)) == pairs_csv(run)
+
+
 def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors, monkeypatch):
     match_images(tour, tmp_path)
     before = stored(tmp_path)

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from epi360.jobs.loop_check import LoopVerdict, check_loops
 from epi360.jobs.match_store import Verdict
@@ -14,18 +16,27 @@ _LINK_PROBABILITY = 0.95
 # Printed floors repeat from room to room; of the other pairs that are as probable, few are wrong.
 _FLOOR_PROBABILITY = 0.999
 _FLOOR_SHARE = 0.97  # of the inliers below the horizon, in both images
+# Sigmas of a pose that rests on too few places to state its own: triangles close to 3 degrees in
+# rotation and 7 in direction.
+_DOUBTED_ROTATION_DEG, _DOUBTED_DIRECTION_DEG = 0.5, 1.5
 _MOST_NAMED = 4
 
 OPEN_TRIANGLES = "most triangles with other pairs do not close: this pair or one of those is wrong"
 FLOOR_ONLY = "all inliers lie on the floor, and printed floors repeat from room to room"
+CONFIRMED = "the inliers alone leave a doubt; the pose is accepted because triangles close with it"
 LONE_LINK, LONE_FLOOR = "joins two groups alone", "lies on the floor only"
 
 
 @dataclass(frozen=True)
 class GraphVerdict(LoopVerdict):
-    """What the other pairs say about one; ``refused`` is why it is not accepted for all that."""
+    """What the other pairs say about one.
+
+    ``refused`` is why it is not accepted for all that. If it is ``confirmed``, its doubted pose is
+    accepted for all that.
+    """
 
     refused: str = ""
+    confirmed: bool = False
 
     def doubts(self, verdict: Verdict) -> list[str]:
         """Sentences for a person."""
@@ -39,6 +50,8 @@ class GraphVerdict(LoopVerdict):
             doubts.append(f"does not fit {', '.join(named)}{rest}")
         if self.refused.startswith(LONE_FLOOR):
             doubts.append(FLOOR_ONLY)
+        if self.confirmed:
+            doubts.append(CONFIRMED)
         return doubts
 
 
@@ -50,7 +63,8 @@ def check_graph(
     After `check_loops`, two kinds of pairs must be more probable than others: in a level folder a
     pair whose inliers all lie on the floor, unless a triangle with it closes; and a pair without
     which the graph of accepted pairs would fall apart. A probability that is not known refuses
-    nothing.
+    nothing. In a level folder, a probable pose of concentrated inliers is accepted if triangles
+    with it close and none is open.
     """
     loops = check_loops(pairs, verdicts)
     refused = [""] * len(pairs)
@@ -66,9 +80,49 @@ def check_graph(
     for link in links([pairs[row] for row in accepted]):
         row = accepted[link]
         refused[row] = _refusal(LONE_LINK, verdicts[row], _LINK_PROBABILITY)
+    accepted = [row for row in accepted if not refused[row]]
+    confirmed = _confirmed(pairs, verdicts, accepted) if is_level else {}
     return tuple(
-        GraphVerdict(**vars(loop), refused=why) for loop, why in zip(loops, refused, strict=True)
+        GraphVerdict(**vars(confirmed.get(row, loop)), refused=why, confirmed=row in confirmed)
+        for row, (loop, why) in enumerate(zip(loops, refused, strict=True))
     )
+
+
+def awaits_confirmation(verdict: Verdict) -> bool:
+    """Whether a pose that is not believed is so probable that other pairs may confirm it."""
+    is_known = bool(np.isfinite(verdict.doubted.translation).all())
+    return is_known and verdict.probability >= _LINK_PROBABILITY
+
+
+def _confirmed(
+    pairs: Sequence[tuple[str, str]], verdicts: Sequence[Verdict], accepted: Sequence[int]
+) -> dict[int, LoopVerdict]:
+    """Rows of the pairs whose doubted poses close triangles of accepted pairs."""
+    rows_of: dict[str, dict[str, int]] = {}
+    for row in accepted:
+        for name, other in (pairs[row], pairs[row][::-1]):
+            rows_of.setdefault(name, {})[other] = row
+    found = {}
+    for row, verdict in enumerate(verdicts):
+        if not awaits_confirmation(verdict):
+            continue
+        rows1, rows2 = (rows_of.get(name, {}) for name in pairs[row])
+        shared = sorted(rows1.keys() & rows2.keys())
+        others = [rows[name] for name in shared for rows in (rows1, rows2)]
+        believed = replace(
+            verdict,
+            status="ok",
+            cam2_from_cam1=verdict.doubted,
+            rotation_sigma_deg=_DOUBTED_ROTATION_DEG,
+            translation_sigma_deg=_DOUBTED_DIRECTION_DEG,
+        )
+        loop = check_loops(
+            [pairs[row], *(pairs[each] for each in others)],
+            [believed, *(verdicts[each] for each in others)],
+        )[0]
+        if loop.num_triangles and not loop.num_contradicted:
+            found[row] = loop
+    return found
 
 
 def links(edges: Sequence[tuple[str, str]]) -> list[int]:

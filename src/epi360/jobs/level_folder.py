@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras.upright import elevation_deg, tilt_deg
+from epi360.jobs.graph_check import awaits_confirmation
 from epi360.jobs.match_store import LEVEL_PAIRS, Verdict
 from epi360.runs.made_from import fingerprint
 from epi360.second_look import is_settled, prior_is_better
@@ -60,8 +61,10 @@ class Level:
 
     def keeps(self, verdict: Verdict, later: Verdict) -> bool:
         """Whether the verdict with the prior is kept in place of the one without."""
-        is_better = prior_is_better(later.status, self._contradicts(verdict))
-        return self.asks_again(verdict) and is_better
+        if not self.asks_again(verdict):
+            return False
+        waits = verdict.status != "ok" and awaits_confirmation(later)
+        return waits or prior_is_better(later.status, self._contradicts(verdict))
 
     def _contradicts(self, verdict: Verdict) -> bool:
         return is_settled(verdict.status) and not self.fits(verdict)

@@ -33,6 +33,7 @@ from epi360.jobs.match_store import (
     write_part,
 )
 from epi360.jobs.pair_selection import Pair
+from epi360.poses import Pose
 from epi360.progress import Progress
 from epi360.second_look import is_settled, later_is_better
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
@@ -264,6 +265,7 @@ class MatchJob:
             floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
             prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,
+            doubted=_doubted_pose(result),
         )
         return VerifiedPair(self.keys_of(pair), verdict, matched.matches, result.inlier_mask)
 
@@ -312,6 +314,12 @@ class MatchJob:
         self.progress(stage, done, total)
         for count, _ in enumerate(_on_threads(attempt, wanted, self.num_threads), start=1):
             self.progress(stage, done + count, total)
+
+
+def _doubted_pose(result: RelativePoseResult) -> Pose:
+    if result.status != "concentrated_inliers" or not result.alternatives:
+        return Pose.nan()
+    return result.alternatives[0]
 
 
 @dataclass(frozen=True, eq=False)

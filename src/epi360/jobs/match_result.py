@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,12 +37,13 @@ def write_index(
     keys: Mapping[str, str],
     pairs: Iterable[tuple[str, str]],
     level: Level | None = None,
+    confirmed: Sequence[tuple[str, str]] = (),
 ) -> None:
     """Say which images and pairs are the result: a run is complete.
 
     ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
     the images of each finished pair, in order. In a level folder, some pairs also have a verdict
-    with the prior of ``level``.
+    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
@@ -59,6 +60,8 @@ def write_index(
     index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
     if level is not None:
         index["level"] = vars(level)
+    if confirmed:
+        index["confirmed"] = [list(pair) for pair in confirmed]
     write_record(folder / IMAGES, index)
 
 
@@ -92,6 +95,7 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
         rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
         listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
         level = Level(**index["level"]) if "level" in index else None
+        confirmed = {(name1, name2) for name1, name2 in index.get("confirmed", ())}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
     images: dict[str, MatchedImage] = {}
@@ -104,7 +108,9 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
     finished = {pair.keys: pair for pair in read_parts(folder) if pair.keys in needed}
     if level is not None:
         finished.update(_with_prior(folder, level, finished))
-    pairs = tuple(_matched_pair(names, finished.get(each)) for names, each in wanted)
+    pairs = tuple(
+        _matched_pair(names, finished.get(each), names in confirmed) for names, each in wanted
+    )
     return MatchGraph(cameras, images, pairs, rig), colors
 
 
@@ -128,10 +134,14 @@ def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
     return arrays
 
 
-def _matched_pair(names: tuple[str, str], pair: VerifiedPair | None) -> MatchedPair:
+def _matched_pair(
+    names: tuple[str, str], pair: VerifiedPair | None, is_confirmed: bool
+) -> MatchedPair:
     if pair is None:
         raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
-    geometry = TwoViewGeometry(
-        pair.verdict.status, pair.verdict.cam2_from_cam1, pair.matches[pair.inlier_mask]
-    )
+    verdict = pair.verdict
+    status, pose = verdict.status, verdict.cam2_from_cam1
+    if is_confirmed:
+        status, pose = "ok", verdict.doubted
+    geometry = TwoViewGeometry(status, pose, pair.matches[pair.inlier_mask])
     return MatchedPair(*names, pair.matches, geometry)

@@ -56,6 +56,7 @@ class Verdict:
     floor_share: float = np.nan  # of the inliers that both images see below the horizon
     prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
+    doubted: Pose = dataclasses.field(default_factory=Pose.nan)  # by concentrated inliers alone
 
     @property
     def accepted(self) -> bool:
@@ -160,7 +161,7 @@ def pairs_by_part(folder: Path, store: str = PAIRS) -> Iterable[list[VerifiedPai
 
 
 def _numbers(verdict: Verdict) -> list[float]:
-    pose = verdict.cam2_from_cam1
+    poses = (verdict.cam2_from_cam1, verdict.doubted)
     return [
         verdict.noise_deg,
         verdict.parallax_deg,
@@ -168,8 +169,7 @@ def _numbers(verdict: Verdict) -> list[float]:
         verdict.translation_sigma_deg,
         verdict.probability,
         verdict.floor_share,
-        *pose.rotation.ravel(),
-        *pose.translation,
+        *(value for pose in poses for value in (*pose.rotation.ravel(), *pose.translation)),
     ]
 
 
@@ -181,7 +181,7 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
         )
         *measured, probability, floor_share = arrays["numbers"][row][:6]
         noise, parallax, rotation_sigma, translation_sigma = measured
-        pose = arrays["numbers"][row][6:]
+        pose, doubted = np.split(arrays["numbers"][row][6:], 2)
         verdict = Verdict(
             status=str(arrays["status"][row]),
             warnings=tuple(str(arrays["warnings"][row]).splitlines()),
@@ -194,6 +194,7 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
             probability=float(probability),
             floor_share=float(floor_share),
             prior=str(arrays["prior"][row]),
-            cam2_from_cam1=Pose(np.reshape(pose[:9], (3, 3)), np.array(pose[9:])),
+            cam2_from_cam1=Pose(pose[:9].reshape(3, 3), pose[9:]),
+            doubted=Pose(doubted[:9].reshape(3, 3), doubted[9:]),
         )
         yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)

@@ -52,7 +52,7 @@ class MatchOptions:
 class PairVerdict(Verdict):
     """What became of a pair of images.
 
-    The last five attributes are those of `GraphVerdict`.
+    The last six attributes are those of `GraphVerdict`.
     """
 
     image1: str
@@ -62,6 +62,7 @@ class PairVerdict(Verdict):
     contradicted: bool = False
     contradicted_by: tuple[tuple[str, str], ...] = ()
     refused: str = ""
+    confirmed: bool = False
 
     @property
     def accepted(self) -> bool:
@@ -138,7 +139,8 @@ def match_images(
     is_level = level is not None or options.upright_deg is not None
     verdicts = _with_graph(tuple(_named(pair, job, settled) for pair in pairs), is_level)
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
-    write_index(job.output, images, job.readable_keys(), matched, level)
+    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
+    write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
     return MatchRun(
         folder=job.output,
         how=how,
@@ -147,7 +149,7 @@ def match_images(
         unreadable=job.unreadable,
         num_found=num_found,
         level=level,
-        num_gained=_num_accepted_more(settled, finished),
+        num_gained=_num_accepted_more(settled, finished) + len(confirmed),
         num_lost=_num_accepted_more(finished, settled),
     )
 
@@ -187,9 +189,13 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
 def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[PairVerdict, ...]:
     """Verdicts with what the other pairs say."""
     names = [(verdict.image1, verdict.image2) for verdict in verdicts]
-    return tuple(
-        replace(verdict, **vars(found), warnings=(*verdict.warnings, *found.doubts(verdict)))
-        for verdict, found in zip(
-            verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
-        )
-    )
+    judged = []
+    for verdict, found in zip(
+        verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
+    ):
+        warnings = (*verdict.warnings, *found.doubts(verdict))
+        each = replace(verdict, **vars(found), warnings=warnings)
+        if found.confirmed:
+            each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
+        judged.append(each)
+    return tuple(judged)
