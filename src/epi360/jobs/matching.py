@@ -116,22 +116,7 @@ def match_images(
         If the output cannot be written.
     """
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
-    extraction = ExtractionOptions(
-        options.max_width, options.max_features, float(options.mask_nadir_deg)
-    )
-    made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
-    open_output(Path(output), made_with, restart=restart)
-    digests = FileDigests(Path(output) / DIGESTS)
-    cache = FeatureCache(Path(output) / FEATURES, extraction, digests)
-    job = MatchJob(
-        images,
-        Path(output),
-        cache,
-        seed=options.seed,
-        num_threads=options.num_threads,
-        progress=progress,
-        upright_deg=options.upright_deg,
-    )
+    job = _open_job(images, Path(output), options, restart, progress)
     job.find_features(sorted({index for pair in pairs for index in pair}))
     finished, num_found = job.verify(pairs)
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
@@ -151,6 +136,28 @@ def match_images(
         level=level,
         num_gained=_num_accepted_more(settled, finished) + len(confirmed),
         num_lost=_num_accepted_more(finished, settled),
+    )
+
+
+def _open_job(
+    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
+) -> MatchJob:
+    """Open the output folder, or refuse it, and return the job that works in it."""
+    extraction = ExtractionOptions(
+        options.max_width, options.max_features, float(options.mask_nadir_deg)
+    )
+    made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
+    open_output(output, made_with, restart=restart)
+    digests = FileDigests(output / DIGESTS)
+    cache = FeatureCache(output / FEATURES, extraction, digests)
+    return MatchJob(
+        images,
+        output,
+        cache,
+        seed=options.seed,
+        num_threads=options.num_threads,
+        progress=progress,
+        upright_deg=options.upright_deg,
     )
 
 
