@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import epi360
-from epi360.second_look import is_precise, is_settled
+from epi360.second_look import is_precise, is_settled, prior_is_better
 from epi360.synthetic import two_view_scene
 
 
@@ -49,3 +49,10 @@ def test_a_warning_or_a_failure_is_never_precise(result):
     assert is_precise(sharp)
     assert not is_precise(replace(sharp, warnings=("something",)))
     assert not is_precise(replace(sharp, status="planar_ambiguous"))
+
+
+def test_what_is_known_beforehand_adds_poses_and_takes_only_those_that_contradict_it():
+    assert prior_is_better("ok", contradicts_prior=False)
+    assert not prior_is_better("pure_rotation", contradicts_prior=False)
+    for status in ("ok", "too_few_inliers", "planar_ambiguous"):
+        assert prior_is_better(status, contradicts_prior=True)

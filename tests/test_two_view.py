@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 import epi360
-from epi360 import relative_pose_of_images, rotation_error_deg, translation_error_deg
+from epi360 import (
+    relative_pose_of_images,
+    rotation_error_deg,
+    translation_error_deg,
+    two_view,
+)
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.poses import Pose, rotation_from_vector
 from epi360.second_look import later_is_better
@@ -324,3 +329,24 @@ def test_a_pose_is_given_up_for_another_or_for_a_contradiction(status):
 def test_a_closer_look_that_finds_nothing_does_not_take_a_pose_away(status):
     assert not later_is_better("ok", status)
     assert later_is_better("planar_ambiguous", status)
+
+
+def test_gravity_reaches_every_look_at_a_pair(view, second_view, monkeypatch):
+    given = []
+    estimate = two_view.estimate_relative_pose
+
+    def noted(bearings1, bearings2, **options):
+        given.append([options[name] for name in ("gravity1", "gravity2", "gravity_sigma_deg")])
+        return estimate(bearings1, bearings2, **options)
+
+    monkeypatch.setattr(two_view, "estimate_relative_pose", noted)
+    world_from_cams = (WORLD_FROM_CAM1, WORLD_FROM_CAM2)
+    down1, down2 = (pose.rotation.T @ [0.0, 1.0, 0.0] for pose in world_from_cams)
+    known = relative_pose_of_images(
+        view, second_view, gravity1=down1, gravity2=down2, gravity_sigma_deg=0.5
+    )
+    assert_pose(known, CAM2_FROM_CAM1)
+    assert given and all(each[0] is down1 and each[1] is down2 for each in given)
+    assert {each[2] for each in given} == {0.5}
+    with pytest.raises(ValueError, match="gravity1 and gravity2 must be given together"):
+        relative_pose_of_images(view, second_view, gravity1=down1)

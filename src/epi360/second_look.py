@@ -36,3 +36,11 @@ def later_is_better(status: str, later_status: str) -> bool:
     A pose is given up only for another, or for a verdict that contradicts it.
     """
     return later_status in ("ok", "pure_rotation", "planar_ambiguous") or status != "ok"
+
+
+def prior_is_better(later_status: str, contradicts_prior: bool) -> bool:
+    """Whether the answer with a prior is kept in place of the one without.
+
+    A pose that contradicts the prior is given up for whatever the look with it finds.
+    """
+    return later_status == "ok" or contradicts_prior

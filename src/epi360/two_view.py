@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation import (
@@ -57,6 +58,9 @@ def relative_pose_of_images(
     mask1: ImageSource | None = None,
     mask2: ImageSource | None = None,
     mask_nadir_deg: float = 0.0,
+    gravity1: ArrayLike | None = None,
+    gravity2: ArrayLike | None = None,
+    gravity_sigma_deg: float = 1.0,
     inlier_threshold_deg: float | Literal["auto"] = "auto",
     max_width: int = 4096,
     seed: int = 0,
@@ -75,6 +79,10 @@ def relative_pose_of_images(
         White = use; of the image's size.
     mask_nadir_deg : float
         Ignore this angle around straight down in both images.
+    gravity1, gravity2 : array_like, shape (3,), optional
+        Direction of gravity (down) in both cameras; (0, 1, 0) for upright panoramas.
+    gravity_sigma_deg : float
+        Standard deviation of the directions of gravity, per axis and view.
     inlier_threshold_deg : float or "auto"
         As in ``estimate_relative_pose``.
     max_width : int
@@ -109,13 +117,22 @@ def relative_pose_of_images(
         _View.read(image1, camera1, mask1, mask_nadir_deg, "image1", "mask1"),
         _View.read(image2, camera2, mask2, mask_nadir_deg, "image2", "mask2"),
     )
+    estimate = partial(
+        estimate_relative_pose,
+        gravity1=gravity1,
+        gravity2=gravity2,
+        gravity_sigma_deg=gravity_sigma_deg,
+        inlier_threshold_deg=inlier_threshold_deg,
+        options=IMAGE_OPTIONS,
+        seed=seed,
+    )
     best: ImagePairResult | None = None
     for search in _searches(views, max_width):
         say(f"finding features ({search.max_width} pixels wide)")
         with ThreadPoolExecutor(2) as pool:
             features1, features2 = pool.map(lambda view, s=search: view.features(s), views)
         say("matching features and estimating the pose")
-        result = _estimated(views, features1, features2, inlier_threshold_deg, seed)
+        result = _estimated(views, features1, features2, estimate)
         if best is None or later_is_better(best.status, result.status):
             best = result
         if is_precise(best) or (search.is_full and is_settled(best.status)):
@@ -152,21 +169,17 @@ def _estimated(
     views: tuple[_View, _View],
     features1: Features,
     features2: Features,
-    inlier_threshold_deg: float | Literal["auto"],
-    seed: int,
+    estimate: Callable[..., RelativePoseResult],
 ) -> ImagePairResult:
     matches = match_features(features1, features2)
     keypoints1 = features1.keypoints[matches[:, 0]]
     keypoints2 = features2.keypoints[matches[:, 1]]
     cameras = (views[0].camera, views[1].camera)
     pixel_deg = smallest_pixel_deg(cameras)
-    result = estimate_relative_pose(
+    result = estimate(
         cameras[0].bearings_from_pixels(keypoints1),
         cameras[1].bearings_from_pixels(keypoints2),
-        inlier_threshold_deg=inlier_threshold_deg,
         max_noise_deg=MAX_NOISE_PX * pixel_deg,
-        options=IMAGE_OPTIONS,
-        seed=seed,
     )
     return _with_keypoints(noise_in_pixels(result, pixel_deg), keypoints1, keypoints2)
 

@@ -7,11 +7,11 @@ from dataclasses import asdict, dataclass
 from itertools import combinations
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular
+from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.home import Home, HomeView, sphere_directions, twin_home
@@ -251,10 +251,7 @@ def _write(path: Path, image: NDArray[np.uint8], rng: np.random.Generator) -> No
     """JPEG file with the noise and the exposure of a camera of its own mind."""
     picture = image * rng.uniform(0.85, 1.1) + rng.normal(0.0, 1.5, image.shape)
     pixels = np.clip(np.round(picture), 0, 255).astype(np.uint8)
-    done, data = cv2.imencode(".jpg", pixels[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 94])
-    if not done:
-        raise OSError(f"cannot encode {path}")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(encode_picture(pixels, ".jpg", jpeg_quality=94))
 
 
 def _overlaps(

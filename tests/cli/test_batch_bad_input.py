@@ -203,3 +203,19 @@ def test_an_output_that_cannot_be_written(tmp_path, capsys):
     (tmp_path / "file").touch()
     said = complaint(capsys, path, "--output", tmp_path / "file" / "out.parquet")
     assert str(tmp_path / "file") in said
+
+
+def test_upright_images_that_are_no_panoramas(tmp_path, capsys):
+    fisheye = "model: KannalaBrandt\nwidth: 640\nheight: 480\nfx: 200\nfy: 200\ncx: 320\ncy: 240\n"
+    (tmp_path / "camera.yaml").write_text(fisheye, encoding="utf-8")
+    pixels = [[100.0, 200.0] * 9]
+    columns = {"image1": ["a.jpg"], "image2": ["b.jpg"], "pixels1": pixels, "pixels2": pixels}
+    words = ["--camera", tmp_path / "camera.yaml", "--upright", "1"]
+    said = complaint_about(capsys, tmp_path, columns, *words)
+    assert said.startswith("--upright needs panoramas")
+    assert "a.jpg" in said and "KannalaBrandt" in said
+
+
+def test_no_camera_is_upright_to_no_degrees(tmp_path, capsys):
+    said = complaint_about(capsys, tmp_path, columns_of(2), "--upright", "0")
+    assert said == "--upright must be in (0, 45] degrees, got 0.0"

@@ -2,6 +2,7 @@
 """`epi360 match` as a user types it."""
 
 import csv
+import json
 import re
 from types import SimpleNamespace
 
@@ -50,6 +51,14 @@ def test_inside_the_image_folder_the_default_output_is_beside_it(here, monkeypat
     assert (here / "tour-epi360" / "pairs.csv").is_file()
 
 
+def test_upright_panoramas_are_said_to_be_in_the_table(here):
+    assert main(["match", "tour", "--upright", "20"]) == SUCCESS
+    with (here / "tour-epi360" / "pairs.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert row["prior"] == "upright"
+    assert float(row["probability"]) > 0.85
+
+
 def test_no_pose_at_all_is_an_honest_failure(here, capsys):
     write_png(here / "tour" / NAMES[1], np.zeros_like(pictures()[1]))
     assert main(["match", "tour"]) == FAILURE
@@ -84,6 +93,8 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
         (["tour", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
         (["tour", "--jobs", "0"], " --num-threads must be at least 1, got 0"),
         (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),
+        (["tour", "--upright", "-1"], " --upright must be in (0, 45] degrees, got -1.0"),
+        (["tour", "--upright", "1", "--camera", "camera.json"], " --upright needs panoramas"),
         (["tour", "--output", "tour"], "was not made by epi360 match"),
         (["tour", "--output", "taken"], "must be a folder"),
         (["tour", "--output", "taken/below"], "taken"),
@@ -91,6 +102,9 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
 )
 def test_wrong_use_is_one_line(here, capsys, words, message):
     (here / "taken").write_text("x")
+    camera = {"model": "Pinhole", "width": 512, "height": 256}
+    camera |= {"fx": 99, "fy": 99, "cx": 256, "cy": 128}
+    (here / "camera.json").write_text(json.dumps(camera))
     assert_wrong_use(capsys, ["match", *words], message)
 
 
@@ -98,4 +112,5 @@ def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "match", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
         "--max-width", "--max-features", "--seed", "--num-threads", "--output", "--restart",
+        "--upright",
     )  # fmt: skip

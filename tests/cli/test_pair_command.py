@@ -14,6 +14,7 @@ from command_line import assert_help_names, assert_wrong_use
 from epi360 import cli
 from epi360.cameras import Equirectangular
 from epi360.estimation.result import ImagePairResult
+from epi360.interop.gpano import gpano_packet, with_gpano
 from epi360.poses import Pose
 
 CAMERA = Equirectangular(width=64, height=32)
@@ -151,6 +152,26 @@ def test_options_reach_the_library_under_their_own_names(images, estimates):
     assert (estimates.options[1]["mask1"], estimates.options[1]["mask2"]) == (None, Path("m.png"))
 
 
+def test_upright_panoramas_have_gravity_below_or_where_their_files_state_it(images, estimates):
+    cli.main(["pair", *images])
+    assert (estimates.options[0]["gravity1"], estimates.options[0]["gravity2"]) == (None, None)
+    path = Path(images[1])
+    path.write_bytes(with_gpano(path.read_bytes(), gpano_packet(CAMERA, roll_deg=90.0)))
+    cli.main(["pair", *images, "--upright", "2.5"])
+    np.testing.assert_allclose(estimates.options[1]["gravity1"], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(estimates.options[1]["gravity2"], [1, 0, 0], atol=1e-12)
+    assert estimates.options[1]["gravity_sigma_deg"] == 2.5
+
+
+def test_a_camera_that_is_no_panorama_is_not_upright(capsys, images, estimates, tmp_path):
+    camera = {"model": "Pinhole", "width": 64, "height": 32, "fx": 30, "fy": 30, "cx": 32, "cy": 16}
+    (tmp_path / "camera.json").write_text(json.dumps(camera), encoding="utf-8")
+    words = ["pair", *images, "--camera", str(tmp_path / "camera.json"), "--upright", "1"]
+    assert_wrong_use(capsys, words, "--upright needs panoramas", images[0], "Pinhole")
+    assert_wrong_use(capsys, ["pair", *images, "--upright", "90"], "--upright must be in (0, 45]")
+    assert estimates.options == []
+
+
 @pytest.fixture
 def rig(tmp_path):
     """Calibration file of two cameras."""
@@ -182,6 +203,7 @@ def test_a_camera_of_a_rig_is_picked_by_name(capsys, images, estimates, rig):
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "pair", "--camera1", "--mask", "--mask-nadir-deg", "--inlier-threshold-deg",
+        "--upright",
         "--json", "--figure", "--max-width", "--seed", "--demo", "--save-images",
     )  # fmt: skip
 

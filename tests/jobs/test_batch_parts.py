@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Parts and the output that they are joined to: written whole, known by their job, kept."""
 
+import dataclasses
 import errno
 import os
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 from batch_inputs import array_of, columns_of, pose_rows, version_of, write_matches
 
-from epi360 import estimate_relative_poses
+from epi360 import estimate_relative_pose, estimate_relative_poses
 from epi360.jobs.batch import (
     BatchJob,
     MatchSource,
@@ -67,11 +68,11 @@ def test_the_columns_are_those_of_single_estimates_with_the_seed_of_the_pair(job
     rows = parquet.read_table(job.output)
     assert rows.column_names == [
         "image1", "image2", "status", "rotation", "translation", "covariance",
-        "num_matches", "num_inliers", "noise_deg", "parallax_deg", "seconds",
+        "num_matches", "num_inliers", "noise_deg", "parallax_deg", "seconds", "probability",
     ]  # fmt: skip
     for name in ("status", "num_matches", "num_inliers"):
         assert rows.column(name).to_pylist() == [getattr(result, name) for result in alone]
-    for name in ("noise_deg", "parallax_deg"):
+    for name in ("noise_deg", "parallax_deg", "probability"):
         np.testing.assert_array_equal(rows.column(name), [getattr(each, name) for each in alone])
     poses = [result.cam2_from_cam1 for result in alone]
     rotations = array_of(rows, "rotation", (3, 3))
@@ -334,3 +335,28 @@ def test_input_and_output_may_be_urls(matches, tmp_path, expected, scheme):
     local.write_bytes(files.cat_file(f"{name}/poses.parquet"))
     assert pose_rows(local) == expected
     assert run_batch(job).num_estimated == 0
+
+
+def test_upright_cameras_are_known_to_be(job):
+    upright = dataclasses.replace(job, output=f"{job.output}.upright", upright_deg=2.0)
+    run_batch(upright, num_threads=2)
+    columns = columns_of(NUM_PAIRS)
+    rows = parquet.read_table(upright.output)
+    for row in range(NUM_PAIRS):
+        result = estimate_relative_pose(
+            np.reshape(columns["bearings1"][row], (-1, 3)),
+            np.reshape(columns["bearings2"][row], (-1, 3)),
+            gravity1=[0, 1, 0],
+            gravity2=[0, 1, 0],
+            gravity_sigma_deg=2.0,
+            seed=pair_seed(4, columns["image1"][row], columns["image2"][row]),
+            options=IMAGE_OPTIONS,
+        )
+        assert rows.column("status")[row].as_py() == result.status
+        assert rows.column("num_inliers")[row].as_py() == result.num_inliers
+        np.testing.assert_equal(rows.column("probability")[row].as_py(), result.probability)
+    seconds = rows.column("seconds").to_numpy()
+    assert (seconds >= 0).all() and seconds[0] > seconds[-1]
+    other = dataclasses.replace(upright, upright_deg=1.0)
+    with pytest.raises(ValueError, match="poses of another job"):
+        run_batch(other)

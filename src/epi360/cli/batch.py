@@ -41,6 +41,9 @@ class BatchOptions:
     """Threads of the local engine; one per core by default. --threads is the older name."""
     seed: int = 0
     """Random seed; a pair's own seed is a hash of it and of the images' names."""
+    upright: float | None = None
+    """The cameras stand upright to so many degrees (one sigma; 1 is usual): their images are
+    panoramas, or the bearings have the y axis down."""
     pairs_per_part: int = 1000
     """The most pairs that are held in memory and written at once."""
 
@@ -85,7 +88,9 @@ def batch(
         raise ValueError("--address goes with --engine ray")
     if options.num_threads is not None and options.engine != "local":
         raise ValueError("--num-threads goes with --engine local; Ray takes all cores it is given")
-    job = BatchJob(_source(source, given, options), output, seed=options.seed)
+    job = BatchJob(
+        _source(source, given, options), output, seed=options.seed, upright_deg=options.upright
+    )
     with show_bars() as progress:
         summary = run_batch(
             job,
@@ -108,7 +113,13 @@ def _source(path: str, given: BatchInput, options: BatchOptions) -> MatchSource:
     if kind == "colmap" and given.camera:
         raise ValueError(f"--camera: the COLMAP database {path} knows its cameras")
     return MatchSource(
-        kind, path, given.camera, given.features, given.pairs, options.pairs_per_part
+        kind,
+        path,
+        given.camera,
+        given.features,
+        given.pairs,
+        options.pairs_per_part,
+        upright=options.upright is not None,
     )
 
 

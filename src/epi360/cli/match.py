@@ -32,6 +32,9 @@ class MatchInput:
     """Mask for all images, or a folder with one for each; white = use."""
     mask_nadir_deg: float = 0.0
     """Ignore this angle around straight down: a tripod and its holder."""
+    upright: float | None = None
+    """The panoramas stand upright to so many degrees (one sigma; 1 is usual), or as the pitch and
+    roll in their GPano metadata say. Level folders are noticed without it."""
 
 
 @Parameter(name="*", group=Group("Matching", sort_key=2))
@@ -119,6 +122,7 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
             max_width=work.max_width,
             max_features=work.max_features,
             mask_nadir_deg=given.mask_nadir_deg,
+            upright_deg=given.upright,
             seed=work.seed,
             num_threads=work.num_threads,
         )

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from epi360.cameras import Camera
+    from epi360.cameras.gpano import GPano
     from epi360.estimation.result import ImagePairResult
     from epi360.poses import Pose
 
@@ -48,6 +49,9 @@ class PairOptions:
 
     mask_nadir_deg: float = 0.0
     """Ignore this angle around straight down: a tripod and its holder."""
+    upright: float | None = None
+    """The panoramas stand upright to so many degrees (one sigma; 1 is usual), or as the pitch and
+    roll in their GPano metadata say."""
     inlier_threshold_deg: float | Literal["auto"] = "auto"
     """Largest residual of an inlier in degrees, or auto: from the noise of the matches."""
     max_width: int = 4096
@@ -80,6 +84,7 @@ class _Pair:
     images: tuple[NDArray[np.uint8], NDArray[np.uint8]]
     cameras: tuple[Camera, Camera]
     masks: tuple[Path | None, Path | None] = (None, None)
+    down: tuple[NDArray[np.float64] | None, NDArray[np.float64] | None] = (None, None)
     truth: Pose | None = None
 
 
@@ -184,7 +189,7 @@ def _demo_pair(progress: Say) -> _Pair:
 
 
 def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _Pair:
-    from epi360.features.image_cameras import find_camera
+    from epi360.features.image_cameras import find_camera, gpano_of
     from epi360.features.images import read_image
 
     progress("reading the images")
@@ -199,7 +204,12 @@ def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _
             camera2 or find_camera(image2, pictures[1], None, "image2"),
         ),
         masks=(given.mask1 or given.mask, given.mask2 or given.mask),
+        down=(_stated_down(gpano_of(image1)), _stated_down(gpano_of(image2))),
     )
+
+
+def _stated_down(gpano: GPano | None) -> NDArray[np.float64] | None:
+    return None if gpano is None else gpano.down
 
 
 def _read_camera(source: str | None, name: str) -> Camera | None:
@@ -217,6 +227,7 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
 def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairResult:
     from epi360.two_view import relative_pose_of_images
 
+    gravity1, gravity2 = _gravity(images, options.upright)
     return relative_pose_of_images(
         *images.images,
         camera1=images.cameras[0],
@@ -224,11 +235,27 @@ def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairRe
         mask1=images.masks[0],
         mask2=images.masks[1],
         mask_nadir_deg=options.mask_nadir_deg,
+        gravity1=gravity1,
+        gravity2=gravity2,
+        gravity_sigma_deg=options.upright or 1.0,
         inlier_threshold_deg=options.inlier_threshold_deg,
         max_width=options.max_width,
         seed=options.seed,
         progress=progress,
     )
+
+
+def _gravity(
+    images: _Pair, upright_deg: float | None
+) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None]:
+    """Gravity in both cameras, None without --upright."""
+    if upright_deg is None:
+        return None, None
+    from epi360.cameras.upright import check_upright, gravity_of
+
+    check_upright(upright_deg)
+    gravity1, gravity2 = map(gravity_of, images.cameras, images.down, images.names)
+    return gravity1, gravity2
 
 
 def _write_outputs(

@@ -25,7 +25,7 @@ def find_camera(
     if camera is None:
         require_panorama(picture, name)
         try:
-            return panorama_camera(width, height, _gpano_of(source))
+            return panorama_camera(width, height, gpano_of(source))
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
     if (camera.width, camera.height) != (width, height):
@@ -36,7 +36,8 @@ def find_camera(
     return camera
 
 
-def _gpano_of(source: ImageSource) -> GPano | None:
+def gpano_of(source: ImageSource) -> GPano | None:
+    """GPano metadata of a file."""
     if not isinstance(source, str | os.PathLike) or not Path(source).is_file():
         return None  # an array; or a pipe, which can be read only once
     return parse_gpano(read_image_header(source).xmp)

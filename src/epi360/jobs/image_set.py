@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
@@ -33,6 +36,7 @@ class SourceImage:
     camera: str  # key in the cameras of the set
     mask: Path | None = None  # white = use; its content is checked when it is read
     frame: str | None = None  # images of a rig that share it were taken at one moment
+    down: NDArray[np.float64] | None = None  # gravity in the camera frame, if the file states it
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +196,8 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
             f"is {size[0]}x{size[1]} but its mask {mask} is {mask_size[0]}x{mask_size[1]}; a mask "
             "must have the size of its image"
         )
-    return SourceImage(name, path, camera, mask, frame)
+    down = None if gpano is None else gpano.down
+    return SourceImage(name, path, camera, mask, frame, down)
 
 
 def _size_and_gpano(path: Path) -> tuple[tuple[int, int], GPano | None]:

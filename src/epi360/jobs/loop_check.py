@@ -33,12 +33,14 @@ class LoopVerdict:
 
     ``num_triangles`` are those with two other accepted pairs that are not contradicted themselves,
     ``num_contradicted`` those of them that do not close. If the pair is the worst of those that
-    could be to blame, it is ``contradicted``: it is wrong.
+    could be to blame, it is ``contradicted``: it is wrong. ``contradicted_by`` names the pairs in
+    the triangles that say so.
     """
 
     num_triangles: int = 0
     num_contradicted: int = 0
     contradicted: bool = False
+    contradicted_by: tuple[tuple[str, str], ...] = ()
 
     @property
     def doubtful(self) -> bool:
@@ -73,9 +75,15 @@ def check_loops(
     closed = np.concatenate([mask for _, mask in blocks])
     wrong = _contradicted(triangles, closed, len(used))
     num_closed, num_open = _votes(triangles, closed, ~wrong)
+    witnesses = _witnesses(triangles[~closed], wrong)
     for position, row in enumerate(used):
         count, contradicted = int(num_open[position]), bool(wrong[position])
-        loops[row] = LoopVerdict(int(num_closed[position]) + count, count, contradicted)
+        loops[row] = LoopVerdict(
+            int(num_closed[position]) + count,
+            count,
+            contradicted,
+            tuple(pairs[used[other]] for other in sorted(witnesses.get(position, ()))),
+        )
     return tuple(loops)
 
 
@@ -236,3 +244,12 @@ def _votes(
         num_closed += np.bincount(pairs[counts & closed], minlength=num_pairs)
         num_open += np.bincount(pairs[counts & ~closed], minlength=num_pairs)
     return num_closed, num_open
+
+
+def _witnesses(opened: NDArray[np.int32], wrong: NDArray[np.bool_]) -> dict[int, set[int]]:
+    """Trusted pairs in the open triangles of each wrong one."""
+    found: dict[int, set[int]] = {}
+    for triangle in opened[wrong[opened].sum(axis=1) == 1].tolist():
+        (blamed,) = (pair for pair in triangle if wrong[pair])
+        found.setdefault(blamed, set()).update(pair for pair in triangle if pair != blamed)
+    return found

@@ -77,9 +77,9 @@ def map_images(
 
     Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
     verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
-    that two or more triangles contradict stays out: a few of them lead COLMAP's mapper astray. What
-    was matched is not matched again, and what was mapped from the same matches with the same
-    options is not mapped again.
+    that two or more triangles contradict, or that `check_graph` refuses, stays out: a few of them
+    lead COLMAP's mapper astray. What was matched is not matched again, and what was mapped from the
+    same matches with the same options is not mapped again.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
     dropped = {
         (pair.image1, pair.image2)
         for pair in matched.verdicts
-        if pair.contradicted and pair.num_contradicted > 1
+        if (pair.contradicted and pair.num_contradicted > 1) or pair.refused
     }
     kept = tuple(pair for pair in graph.pairs if (pair.image1, pair.image2) not in dropped)
     return replace(graph, pairs=kept)
@@ -210,6 +210,7 @@ def _reasons(
     tried: dict[str, Counter[str]] = {image.name: Counter() for image in images.images}
     for pair in matched.verdicts:
         status = "contradicted by other pairs" if pair.contradicted else pair.status
+        status = pair.refused.partition(",")[0] or status
         for name in (pair.image1, pair.image2):
             tried[name][status] += 1
     reasons = {}

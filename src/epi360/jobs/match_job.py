@@ -4,32 +4,43 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.upright import DOWN, gravity_of, is_full_panorama
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import Features, match_features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
 from epi360.jobs.feature_cache import FeatureCache, UnreadableImageError
 from epi360.jobs.image_set import ImageSet, SourceImage
-from epi360.jobs.match_store import Keys, Verdict, VerifiedPair, read_parts, write_part
+from epi360.jobs.level_folder import Level
+from epi360.jobs.match_store import (
+    Keys,
+    Verdict,
+    VerifiedPair,
+    pairs_by_part,
+    read_parts,
+    write_part,
+)
 from epi360.jobs.pair_selection import Pair
+from epi360.poses import Pose
 from epi360.progress import Progress
 from epi360.second_look import is_settled, later_is_better
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _PAIRS_PER_THREAD = 16  # in a part: a few seconds of work, what a kill may cost
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
+_BELOW_HORIZON = np.sin(np.radians(5.0))  # y of what a level camera sees five degrees below it
 Item = TypeVar("Item", bound=Hashable)
 Result = TypeVar("Result")
 
@@ -37,8 +48,9 @@ Result = TypeVar("Result")
 class MatchJob:
     """State of a run: keys of the images, and which images turned out to be unreadable.
 
-    ``output`` is a folder that `open_output` made; ``progress`` is told of the stages "images",
-    "features" and "pairs".
+    ``output`` is a folder that `open_output` made. With ``upright_deg``, all images are panoramas
+    that stand upright to so many degrees (one sigma). ``progress`` is told of the stages "images",
+    "features", "pairs" and "level pairs".
     """
 
     def __init__(
@@ -50,12 +62,19 @@ class MatchJob:
         seed: int,
         num_threads: int | None,
         progress: Progress,
+        upright_deg: float | None = None,
     ) -> None:
         self.images: Sequence[SourceImage] = images.images
         self.cameras: list[Camera] = [images.cameras[image.camera] for image in images.images]
         self.output = output
         self.cache = cache
         self.seed = seed
+        self.upright_deg = upright_deg
+        if upright_deg is not None:
+            self._gravity = [
+                gravity_of(camera, image.down, image.name)
+                for image, camera in zip(self.images, self.cameras, strict=True)
+            ]
         self.num_threads = num_threads or _num_cores()
         self.progress = progress
         self.keys: dict[int, str] = {}
@@ -93,6 +112,39 @@ class MatchJob:
             self.progress("pairs", num_found + min(start + step, len(missing)), len(wanted))
         return finished, num_found
 
+    def verify_again(
+        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
+    ) -> dict[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on the pairs that ask for it.
+
+        They are made from the matches that `verify` has left.
+        """
+        usable = [pair for pair in pairs if self.is_readable(pair) and self.sees_all_around(pair)]
+        by_keys = {self.keys_of(pair): pair for pair in usable}
+        wanted = {keys: pair for keys, pair in by_keys.items() if level.asks_again(finished[keys])}
+        again = {
+            pair.keys: pair.verdict
+            for pair in read_parts(self.output, level.store)
+            if pair.keys in wanted
+        }
+        self.progress("level pairs", len(again), len(wanted))
+        for part in pairs_by_part(self.output) if len(again) < len(wanted) else ():
+            missing = {
+                wanted[pair.keys]: pair
+                for pair in part
+                if pair.keys in wanted and pair.keys not in again
+            }
+            done = self._verified_with_prior(missing, level) if missing else []
+            if done:
+                write_part(self.output, done, level.store)
+            again.update((pair.keys, pair.verdict) for pair in done)
+            self.progress("level pairs", len(again), len(wanted))
+        return again
+
+    def sees_all_around(self, pair: Pair) -> bool:
+        """Whether both images are full panoramas."""
+        return all(is_full_panorama(self.cameras[index]) for index in pair)
+
     def readable_keys(self) -> dict[str, str]:
         """Key of the key points of each image that has some, by its name."""
         named = {self.images[index].name: key for index, key in self.keys.items()}
@@ -116,15 +168,47 @@ class MatchJob:
         work = partial(self._matched, strong=strong)
         found = dict(_on_threads(work, pairs, self.num_threads))
         matched = [(pair, each) for pair in pairs if (each := found[pair]) is not None]
+        gravity: dict[str, Any] = {}
+        if self.upright_deg is not None:
+            gravity = {
+                "gravity1": [self._gravity[pair[0]] for pair, _ in matched],
+                "gravity2": [self._gravity[pair[1]] for pair, _ in matched],
+                "gravity_sigma_deg": self.upright_deg,
+            }
+        prior = "" if self.upright_deg is None else "upright"
+        return self._estimated(matched, prior, **gravity)
+
+    def _verified_with_prior(
+        self, finished: Mapping[Pair, VerifiedPair], level: Level
+    ) -> list[VerifiedPair]:
+        """Estimate pairs again from the matches that they have."""
+        items = list(finished.items())
+        found = dict(_on_threads(self._placed, items, self.num_threads))
+        matched = [(item[0], each) for item in items if (each := found[item]) is not None]
+        results = self._estimated(
+            matched,
+            level.prior,
+            gravity1=DOWN,
+            gravity2=DOWN,
+            gravity_sigma_deg=level.gravity_sigma_deg,
+            elevation_sigma_deg=level.elevation_sigma_deg,
+        )
+        return [pair for images, pair in results.items() if self.is_readable(images)]
+
+    def _estimated(
+        self, matched: Sequence[tuple[Pair, _Matched]], prior: str, **known: Any
+    ) -> dict[Pair, VerifiedPair]:
+        """Verify matches, with what is known of the poses beforehand."""
         results = estimate_relative_poses(
             [(each.bearings1, each.bearings2) for _, each in matched],
             max_noise_deg=[MAX_NOISE_PX * self._pixel_deg(pair) for pair, _ in matched],
             options=IMAGE_OPTIONS,
             num_threads=self.num_threads,
             seed=self.seed,
+            **known,
         )
         return {
-            pair: self._verified_pair(pair, each.matches, result)
+            pair: self._verified_pair(pair, each, result, prior)
             for (pair, each), result in zip(matched, results, strict=True)
         }
 
@@ -134,7 +218,23 @@ class MatchJob:
         if sides[0] is None or sides[1] is None:
             return None
         features1, features2 = (side[1 if strong else 0] for side in sides if side is not None)
-        matches = match_features(features1, features2)
+        return self._matched_at(pair, features1, features2, match_features(features1, features2))
+
+    def _placed(self, finished: tuple[Pair, VerifiedPair]) -> _Matched | None:
+        """Matches of a finished pair; None where an image turns out to be unreadable."""
+        pair, verified = finished
+        sides = [self._features_or_none(index) for index in pair]
+        if sides[0] is None or sides[1] is None:
+            return None
+        return self._matched_at(pair, sides[0][0], sides[1][0], verified.matches)
+
+    def _matched_at(
+        self,
+        pair: Pair,
+        features1: Features,
+        features2: Features,
+        matches: NDArray[np.int64],
+    ) -> _Matched:
         keypoints1 = features1.keypoints[matches[:, 0]]
         keypoints2 = features2.keypoints[matches[:, 1]]
         return _Matched(
@@ -147,10 +247,11 @@ class MatchJob:
         return smallest_pixel_deg((self.cameras[pair[0]], self.cameras[pair[1]]))
 
     def _verified_pair(
-        self, pair: Pair, matches: NDArray[np.int64], result: RelativePoseResult
+        self, pair: Pair, matched: _Matched, result: RelativePoseResult, prior: str
     ) -> VerifiedPair:
         result = noise_in_pixels(result, self._pixel_deg(pair))
         variances = np.diag(result.covariance)
+        is_placed = self.sees_all_around(pair)
         verdict = Verdict(
             status=result.status,
             warnings=result.warnings,
@@ -160,9 +261,13 @@ class MatchJob:
             parallax_deg=result.parallax_deg,
             rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
             translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
+            probability=result.probability,
+            floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
+            prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,
+            doubted=_doubted_pose(result),
         )
-        return VerifiedPair(self.keys_of(pair), verdict, matches, result.inlier_mask)
+        return VerifiedPair(self.keys_of(pair), verdict, matched.matches, result.inlier_mask)
 
     def _features_or_none(self, index: int) -> tuple[Features, Features] | None:
         name = self.images[index].name
@@ -211,6 +316,12 @@ class MatchJob:
             self.progress(stage, done + count, total)
 
 
+def _doubted_pose(result: RelativePoseResult) -> Pose:
+    if result.status != "concentrated_inliers" or not result.alternatives:
+        return Pose.nan()
+    return result.alternatives[0]
+
+
 @dataclass(frozen=True, eq=False)
 class _Matched:
     """Matches of two images and where both look."""
@@ -218,6 +329,13 @@ class _Matched:
     matches: NDArray[np.int64]
     bearings1: NDArray[np.float64]
     bearings2: NDArray[np.float64]
+
+    def floor_share(self, inlier_mask: NDArray[np.bool_]) -> float:
+        """Share of the inliers that both images see well below the horizon; NaN without any."""
+        if not inlier_mask.any():
+            return np.nan
+        heights = np.minimum(self.bearings1[inlier_mask, 1], self.bearings2[inlier_mask, 1])
+        return float(np.mean(heights > _BELOW_HORIZON))
 
 
 def _on_threads(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +15,12 @@ from epi360.cameras import load_cameras
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.feature_cache import COLORS
 from epi360.jobs.image_set import ImageSet
+from epi360.jobs.level_folder import Level
 from epi360.jobs.match_store import (
     CAMERAS,
     FEATURES,
     IMAGES,
+    Keys,
     VerifiedPair,
     read_parts,
 )
@@ -30,12 +32,18 @@ Colors = dict[str, NDArray[np.uint8]]
 
 
 def write_index(
-    folder: Path, images: ImageSet, keys: Mapping[str, str], pairs: Iterable[tuple[str, str]]
+    folder: Path,
+    images: ImageSet,
+    keys: Mapping[str, str],
+    pairs: Iterable[tuple[str, str]],
+    level: Level | None = None,
+    confirmed: Sequence[tuple[str, str]] = (),
 ) -> None:
     """Say which images and pairs are the result: a run is complete.
 
     ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
-    the images of each finished pair, in order.
+    the images of each finished pair, in order. In a level folder, some pairs also have a verdict
+    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
@@ -50,6 +58,10 @@ def write_index(
     (folder / IMAGES).unlink(missing_ok=True)  # the old one does not go with the new cameras
     write_record(folder / CAMERAS, {"cameras": cameras})
     index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
+    if level is not None:
+        index["level"] = vars(level)
+    if confirmed:
+        index["confirmed"] = [list(pair) for pair in confirmed]
     write_record(folder / IMAGES, index)
 
 
@@ -82,6 +94,8 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
         wanted = [((name1, name2), (keys[name1], keys[name2])) for name1, name2 in index["pairs"]]
         rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
         listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
+        level = Level(**index["level"]) if "level" in index else None
+        confirmed = {(name1, name2) for name1, name2 in index.get("confirmed", ())}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
     images: dict[str, MatchedImage] = {}
@@ -92,8 +106,22 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
         colors[name] = arrays[COLORS]
     needed = {keys_of_pair for _, keys_of_pair in wanted}
     finished = {pair.keys: pair for pair in read_parts(folder) if pair.keys in needed}
-    pairs = tuple(_matched_pair(names, finished.get(each)) for names, each in wanted)
+    if level is not None:
+        finished.update(_with_prior(folder, level, finished))
+    pairs = tuple(
+        _matched_pair(names, finished.get(each), names in confirmed) for names, each in wanted
+    )
     return MatchGraph(cameras, images, pairs, rig), colors
+
+
+def _with_prior(
+    folder: Path, level: Level, finished: Mapping[Keys, VerifiedPair]
+) -> Iterator[tuple[Keys, VerifiedPair]]:
+    """Pairs of a level folder whose verdict with its prior is kept."""
+    for pair in read_parts(folder, level.store):
+        earlier = finished.get(pair.keys)
+        if earlier is not None and level.keeps(earlier.verdict, pair.verdict):
+            yield pair.keys, pair
 
 
 _AGAIN = "run epi360 match with this --output again, it redoes what is missing"
@@ -106,10 +134,14 @@ def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
     return arrays
 
 
-def _matched_pair(names: tuple[str, str], pair: VerifiedPair | None) -> MatchedPair:
+def _matched_pair(
+    names: tuple[str, str], pair: VerifiedPair | None, is_confirmed: bool
+) -> MatchedPair:
     if pair is None:
         raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
-    geometry = TwoViewGeometry(
-        pair.verdict.status, pair.verdict.cam2_from_cam1, pair.matches[pair.inlier_mask]
-    )
+    verdict = pair.verdict
+    status, pose = verdict.status, verdict.cam2_from_cam1
+    if is_confirmed:
+        status, pose = "ok", verdict.doubted
+    geometry = TwoViewGeometry(status, pose, pair.matches[pair.inlier_mask])
     return MatchedPair(*names, pair.matches, geometry)

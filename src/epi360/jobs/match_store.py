@@ -9,6 +9,8 @@
     Hashes of the image files, see `FileDigests`; only saves time.
 ``pairs/part-HASH.npz``
     Some verified pairs, known by the keys of their images. Parts appear whole or not at all.
+``level-HASH/part-HASH.npz``
+    Pairs of a level folder that were estimated again with a prior; the first hash is the prior's.
 ``images.json``, ``cameras.json``
     Images and pairs of the last complete run.
 """
@@ -31,9 +33,10 @@ from epi360.runs.arrays import npz_bytes, read_arrays
 from epi360.runs.made_from import fingerprint, first_difference, read_record, write_record
 from epi360.runs.whole_files import write_file
 
-FORMAT = 1
+FORMAT = 2
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
 FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
+LEVEL_PAIRS = "level-"  # and the fingerprint of the prior
 Keys = tuple[str, str]
 
 
@@ -49,7 +52,11 @@ class Verdict:
     parallax_deg: float = np.nan
     rotation_sigma_deg: float = np.nan  # one-sigma errors to expect, over all axes
     translation_sigma_deg: float = np.nan
+    probability: float = np.nan  # that a pose with translation is right; NaN where there is none
+    floor_share: float = np.nan  # of the inliers that both images see below the horizon
+    prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
+    doubted: Pose = dataclasses.field(default_factory=Pose.nan)  # by concentrated inliers alone
 
     @property
     def accepted(self) -> bool:
@@ -76,8 +83,9 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
     found = _marker(folder)
     if restart and found is not None and found != wanted:
         (folder / IMAGES).unlink(missing_ok=True)
-        if (folder / PAIRS).is_dir():
-            shutil.rmtree(folder / PAIRS)
+        for pairs in (folder / PAIRS, *folder.glob(f"{LEVEL_PAIRS}*")):
+            if pairs.is_dir():
+                shutil.rmtree(pairs)
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
@@ -116,43 +124,52 @@ def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any
         )
 
 
-def write_part(folder: Path, pairs: Sequence[VerifiedPair]) -> None:
-    """Keep finished pairs, at least one, in a file of their own."""
+def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) -> None:
+    """Keep finished pairs, at least one, in a file of their own in this sub-folder."""
     verdicts = [pair.verdict for pair in pairs]
     matches = np.concatenate([pair.matches for pair in pairs])
     arrays = {
         "keys": np.array([pair.keys for pair in pairs]),
         "status": np.array([verdict.status for verdict in verdicts]),
         "warnings": np.array(["\n".join(verdict.warnings) for verdict in verdicts]),
+        "prior": np.array([verdict.prior for verdict in verdicts]),
         "numbers": np.array([_numbers(verdict) for verdict in verdicts]),
         "ends": np.cumsum([len(pair.matches) for pair in pairs]),
         "matches": matches.astype(np.min_scalar_type(matches.max(initial=0))),
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
     }
     content = npz_bytes(arrays)
-    write_file(folder / PAIRS / f"part-{fingerprint(content)}.npz", content)
+    (folder / store).mkdir(exist_ok=True)
+    write_file(folder / store / f"part-{fingerprint(content)}.npz", content)
 
 
-def read_parts(folder: Path) -> Iterable[VerifiedPair]:
+def read_parts(folder: Path, store: str = PAIRS) -> Iterable[VerifiedPair]:
     """Pairs that are finished, in no order; one may come twice, the same each time.
 
     A damaged part counts as not done.
     """
-    for path in sorted((folder / PAIRS).glob("part-*.npz")):
+    for part in pairs_by_part(folder, store):
+        yield from part
+
+
+def pairs_by_part(folder: Path, store: str = PAIRS) -> Iterable[list[VerifiedPair]]:
+    """Finished pairs as `read_parts` gives them, those of one part together."""
+    for path in sorted((folder / store).glob("part-*.npz")):
         arrays = read_arrays(path)
         if arrays is not None:
-            yield from _pairs_of_part(arrays)
+            yield list(_pairs_of_part(arrays))
 
 
 def _numbers(verdict: Verdict) -> list[float]:
-    pose = verdict.cam2_from_cam1
+    poses = (verdict.cam2_from_cam1, verdict.doubted)
     return [
         verdict.noise_deg,
         verdict.parallax_deg,
         verdict.rotation_sigma_deg,
         verdict.translation_sigma_deg,
-        *pose.rotation.ravel(),
-        *pose.translation,
+        verdict.probability,
+        verdict.floor_share,
+        *(value for pose in poses for value in (*pose.rotation.ravel(), *pose.translation)),
     ]
 
 
@@ -162,7 +179,9 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
         matches, mask = (
             arrays[name][starts[row] : starts[row + 1]] for name in ("matches", "inlier_mask")
         )
-        noise, parallax, rotation_sigma, translation_sigma, *pose = arrays["numbers"][row]
+        *measured, probability, floor_share = arrays["numbers"][row][:6]
+        noise, parallax, rotation_sigma, translation_sigma = measured
+        pose, doubted = np.split(arrays["numbers"][row][6:], 2)
         verdict = Verdict(
             status=str(arrays["status"][row]),
             warnings=tuple(str(arrays["warnings"][row]).splitlines()),
@@ -172,6 +191,10 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
             parallax_deg=float(parallax),
             rotation_sigma_deg=float(rotation_sigma),
             translation_sigma_deg=float(translation_sigma),
-            cam2_from_cam1=Pose(np.reshape(pose[:9], (3, 3)), np.array(pose[9:])),
+            probability=float(probability),
+            floor_share=float(floor_share),
+            prior=str(arrays["prior"][row]),
+            cam2_from_cam1=Pose(pose[:9].reshape(3, 3), pose[9:]),
+            doubted=Pose(doubted[:9].reshape(3, 3), doubted[9:]),
         )
         yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
+from epi360.jobs.graph_check import check_graph
 from epi360.jobs.image_set import ImageSet
-from epi360.jobs.loop_check import check_loops
+from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
@@ -32,12 +34,14 @@ class MatchOptions:
     max_width: int = 2048
     max_features: int = 10000  # the strongest of each image are kept
     mask_nadir_deg: float = 0.0  # ignored around straight down
+    upright_deg: float | None = None  # panoramas that stand upright to so many degrees, one sigma
     seed: int = 0
     num_threads: int | None = None  # one per core; the results do not depend on it
 
     def __post_init__(self) -> None:
         """Check all options."""
         check_options(self.max_width, self.mask_nadir_deg)
+        check_upright(self.upright_deg)
         for name in ("overlap", "max_features", "num_threads"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -48,7 +52,7 @@ class MatchOptions:
 class PairVerdict(Verdict):
     """What became of a pair of images.
 
-    The last three attributes are those of `LoopVerdict`.
+    The last six attributes are those of `GraphVerdict`.
     """
 
     image1: str
@@ -56,11 +60,14 @@ class PairVerdict(Verdict):
     num_triangles: int = 0
     num_contradicted: int = 0
     contradicted: bool = False
+    contradicted_by: tuple[tuple[str, str], ...] = ()
+    refused: str = ""
+    confirmed: bool = False
 
     @property
     def accepted(self) -> bool:
         """Whether the pose may be used."""
-        return super().accepted and not self.contradicted
+        return super().accepted and not self.contradicted and not self.refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +80,9 @@ class MatchRun:
     verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
     unreadable: Mapping[str, str]  # image to the reason why it could not be used
     num_found: int  # pairs that an earlier run had finished
+    level: Level | None = None  # what the poses of a level folder say about the others
+    num_gained: int = 0  # pairs that are accepted because the folder is level
+    num_lost: int = 0  # pairs that have no pose any more because the folder is level
 
 
 def match_images(
@@ -87,43 +97,92 @@ def match_images(
 
     ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
     options are thrown away instead of refusing them; features that still fit are kept.
-    ``progress`` is told of the stages "images", "features" and "pairs".
+    ``progress`` is told of the stages "images", "features", "pairs" and, in a level folder, "level
+    pairs".
 
     Every image has one list of key points, strongest first. A pair is matched with the stronger
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
-    warning. An image that cannot be read costs its pairs, not the run. In the end the pairs are
-    held against each other, see `check_loops`.
+    warning. If the poses say that the folder is level, see `find_level`, pairs without a pose, and
+    those whose pose is tilted, are estimated again with that known. An image that cannot be read
+    costs its pairs, not the run. In the end the pairs are held against each other, see
+    `check_graph`.
 
     Raises
     ------
     ValueError
-        If the pairs file names an unknown image, or the output was made with other options or by
-        something else.
+        If the pairs file names an unknown image, images that are no panoramas shall be upright, or
+        the output was made with other options or by something else.
     OSError
         If the output cannot be written.
     """
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
+    job = _open_job(images, Path(output), options, restart, progress)
+    job.find_features(sorted({index for pair in pairs for index in pair}))
+    finished, num_found = job.verify(pairs)
+    level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
+    settled = finished if level is None else _with_level(level, pairs, job, finished)
+    is_level = level is not None or options.upright_deg is not None
+    verdicts = _with_graph(tuple(_named(pair, job, settled) for pair in pairs), is_level)
+    matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
+    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
+    write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
+    return MatchRun(
+        folder=job.output,
+        how=how,
+        images=tuple(image.name for image in images.images),
+        verdicts=verdicts,
+        unreadable=job.unreadable,
+        num_found=num_found,
+        level=level,
+        num_gained=_num_accepted_more(settled, finished) + len(confirmed),
+        num_lost=_num_accepted_more(finished, settled),
+    )
+
+
+def _open_job(
+    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
+) -> MatchJob:
+    """Open the output folder, or refuse it, and return the job that works in it."""
     extraction = ExtractionOptions(
         options.max_width, options.max_features, float(options.mask_nadir_deg)
     )
-    open_output(Path(output), {**vars(extraction), "seed": options.seed}, restart=restart)
-    digests = FileDigests(Path(output) / DIGESTS)
-    cache = FeatureCache(Path(output) / FEATURES, extraction, digests)
-    job = MatchJob(
+    made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
+    open_output(output, made_with, restart=restart)
+    digests = FileDigests(output / DIGESTS)
+    cache = FeatureCache(output / FEATURES, extraction, digests)
+    return MatchJob(
         images,
-        Path(output),
+        output,
         cache,
         seed=options.seed,
         num_threads=options.num_threads,
         progress=progress,
+        upright_deg=options.upright_deg,
     )
-    job.find_features(sorted({index for pair in pairs for index in pair}))
-    finished, num_found = job.verify(pairs)
-    verdicts = _with_loops(tuple(_named(pair, job, finished) for pair in pairs))
-    matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
-    write_index(job.output, images, job.readable_keys(), matched)
-    names = tuple(image.name for image in images.images)
-    return MatchRun(job.output, how, names, verdicts, job.unreadable, num_found)
+
+
+def _of_full_panoramas(
+    pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
+) -> list[Verdict]:
+    return [
+        finished[job.keys_of(pair)]
+        for pair in pairs
+        if job.is_readable(pair) and job.sees_all_around(pair)
+    ]
+
+
+def _with_level(
+    level: Level, pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
+) -> Mapping[Keys, Verdict]:
+    """Verdicts of which some are replaced by those with the prior of the level folder."""
+    again = job.verify_again(pairs, finished, level)
+    kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
+    return {**finished, **kept}
+
+
+def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, Verdict]) -> int:
+    """Pairs that are accepted by themselves here and not there."""
+    return sum(verdict.accepted and not others[keys].accepted for keys, verdict in verdicts.items())
 
 
 def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairVerdict:
@@ -134,15 +193,16 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
     return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
 
 
-def _with_loops(verdicts: tuple[PairVerdict, ...]) -> tuple[PairVerdict, ...]:
-    """Verdicts with what the triangles of pairs say."""
-    loops = check_loops([(verdict.image1, verdict.image2) for verdict in verdicts], verdicts)
-    doubt = "most triangles with other pairs do not close: this pair or one of those is wrong"
-    return tuple(
-        replace(
-            verdict,
-            **vars(loop),
-            warnings=(*verdict.warnings, doubt) if loop.doubtful else verdict.warnings,
-        )
-        for verdict, loop in zip(verdicts, loops, strict=True)
-    )
+def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the other pairs say."""
+    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
+    judged = []
+    for verdict, found in zip(
+        verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
+    ):
+        warnings = (*verdict.warnings, *found.doubts(verdict))
+        each = replace(verdict, **vars(found), warnings=warnings)
+        if found.confirmed:
+            each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
+        judged.append(each)
+    return tuple(judged)

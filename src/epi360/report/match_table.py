@@ -14,14 +14,19 @@ from epi360.report.text import STATUS_SENTENCES, wrapped
 COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
     "parallax_deg", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "rotation_sigma_deg",
-    "translation_sigma_deg", "num_triangles", "num_contradicted", "warnings",
+    "translation_sigma_deg", "num_triangles", "num_contradicted", "warnings", "probability",
+    "prior",
 )  # fmt: skip
 CONTRADICTED = "contradicted by other pairs"
 _MAX_LISTED = 10
 
 
 def pairs_csv(run: MatchRun) -> bytes:
-    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty."""
+    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
+
+    ``probability`` is that of the matches of the pair alone, ``prior`` what was known beforehand:
+    "upright", or in a level folder "level" or "level, one height".
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -42,6 +47,8 @@ def pairs_csv(run: MatchRun) -> bytes:
                 verdict.num_triangles,
                 verdict.num_contradicted,
                 "; ".join(verdict.warnings),
+                _number(verdict.probability),
+                verdict.prior,
             ]
         )
     return text.getvalue().encode()
@@ -59,22 +66,40 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
     if accepted:
         inliers = np.median([verdict.num_inliers for verdict in accepted])
         rows.append(("", f"median of {inliers:.0f} inliers"))
-    counts = Counter(
-        CONTRADICTED if verdict.contradicted else verdict.status
-        for verdict in run.verdicts
-        if not verdict.accepted
-    )
+    counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
     rows += [("Rejected", f"{count} {status}") for status, count in counts.most_common()]
     not_used = sorted([*run.unreadable.items(), *skipped])
     rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used])
     paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
     rows += _listed("No pair", [name for name in run.images if name not in paired])
-    return "\n".join(wrapped(label, value) for label, value in rows)
+    lines = [wrapped(label, value) for label, value in rows]
+    return "\n".join([*lines, *describe_level(run)])
+
+
+def describe_level(run: MatchRun) -> list[str]:
+    """A line that says what a level folder brought; none where it is not level."""
+    if run.level is None:
+        return []
+    known = f"tilt {run.level.gravity_sigma_deg:.1f} degrees"
+    if run.level.elevation_sigma_deg is not None:
+        known += f", one height within {run.level.elevation_sigma_deg:.1f} degrees"
+    gained = "1 more pair was" if run.num_gained == 1 else f"{run.num_gained} more pairs were"
+    line = f"The panoramas are level ({known}): {gained} accepted with that"
+    return [line + (f", {run.num_lost} not any more." if run.num_lost else ".")]
+
+
+def rejection(verdict: PairVerdict) -> str:
+    """Why a pair is not accepted, in the words that a summary counts."""
+    if verdict.contradicted:
+        return CONTRADICTED
+    return verdict.refused.partition(",")[0] or verdict.status
 
 
 def _reason(verdict: PairVerdict, run: MatchRun) -> str:
     if verdict.contradicted:
         return CONTRADICTED
+    if verdict.refused:
+        return verdict.refused
     if verdict.status in STATUS_SENTENCES:
         return STATUS_SENTENCES[verdict.status]
     names = (verdict.image1, verdict.image2)

@@ -32,6 +32,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
         "reason": STATUS_SENTENCES[result.status],
         "warnings": list(result.warnings),
         "cam2_from_cam1": pose_record(result.cam2_from_cam1),
+        "probability": result.probability,
         "rotation_sigma_deg": rotation_sigma_deg,
         "translation_sigma_deg": translation_sigma_deg,
         "covariance": result.covariance,

@@ -118,6 +118,7 @@ def _evidence_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
     coverage = number_text(result.sphere_coverage, "inliers in {:.0%} of the sphere")
     return [
         ("Inliers", f"{result.num_inliers} of {result.num_matches} matches{share}, gate {gate}"),
+        ("Probability", _probability_text(result.probability)),
         ("Noise", noise),
         ("Parallax", parallax),
         ("Coverage", coverage),
@@ -187,6 +188,12 @@ def wrapped(label: str, value: str) -> str:
     return textwrap.fill(
         value, LINE_WIDTH, initial_indent=first, subsequent_indent=indent, break_long_words=False
     )
+
+
+def _probability_text(probability: float) -> str:
+    if probability > 0.999:  # nothing is certain
+        return "over 99.9 % that the pose is right"
+    return number_text(100.0 * probability, "{:.1f} % that the pose is right")
 
 
 def _sigma_text(sigma_deg: float) -> str:

@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from epi360.cameras import load_cameras
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.hloc_pairs import HlocPairs
-from epi360.jobs.batch.sources import MatchSource, PairMatches, named_camera, parts_of
+from epi360.jobs.batch.sources import (
+    MatchSource,
+    PairMatches,
+    checked_camera,
+    named_camera,
+    parts_of,
+)
 from epi360.runs.storage import fingerprint_of_file
 
 Array = NDArray[np.float64]
@@ -27,7 +33,8 @@ def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
     with ColmapPairs(source.path) as database:
 
         def bearings(image: str) -> Array:
-            return database.camera(image).bearings_from_pixels(database.keypoints(image))
+            camera = checked_camera(database.camera(image), image, source)
+            return camera.bearings_from_pixels(database.keypoints(image))
 
         counts = (
             (table, list(database.rows(f"SELECT {key}, rows FROM {table} ORDER BY {key}")))
@@ -47,6 +54,7 @@ def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
 
         def bearings(image: str) -> Array:
             camera = named_camera(image, files.image_size(image), cameras)
+            checked_camera(camera, image, source)
             return camera.bearings_from_pixels(files.keypoints(image))
 
         pairs = files.pairs()

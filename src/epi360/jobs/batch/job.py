@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
+from epi360.cameras.upright import check_upright
 from epi360.extras import package_version
 from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.parts import Identity, merge_part_files, part_is_there, write_part
@@ -27,6 +28,11 @@ class BatchJob:
     source: MatchSource
     output: str  # Parquet file of the poses: path, or URL that fsspec understands
     seed: int = 0  # a pair's seed is a hash of this one and the names of its images
+    upright_deg: float | None = None  # all cameras stand upright to so many degrees, one sigma
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        check_upright(self.upright_deg)
 
     @property
     def parts_folder(self) -> str:
@@ -39,10 +45,11 @@ class BatchJob:
 
     def identity(self, input_fingerprint: str) -> Identity:
         """What determines the poses, as it is written into the files."""
+        options = {**asdict(IMAGE_OPTIONS), "upright_deg": self.upright_deg}
         return {
             "input": input_fingerprint,
             "seed": str(self.seed),
-            "options": " ".join(f"{name}={value}" for name, value in asdict(IMAGE_OPTIONS).items()),
+            "options": " ".join(f"{name}={value}" for name, value in options.items()),
             "epi360_version": package_version(),
         }
 
@@ -86,7 +93,7 @@ def write_poses(
     num_threads: int | None,
 ) -> None:
     """Estimate the poses of a part whose pairs are read already, and write its file."""
-    rows = estimate_rows(pairs, seed=job.seed, num_threads=num_threads)
+    rows = estimate_rows(pairs, seed=job.seed, num_threads=num_threads, upright_deg=job.upright_deg)
     write_part(job.part_path(index), rows, identity)
 
 

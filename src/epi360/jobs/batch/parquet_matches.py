@@ -18,6 +18,7 @@ from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
     check_rows,
+    checked_camera,
     named_camera,
     parts_of,
 )
@@ -46,7 +47,7 @@ class ParquetMatches:
 
     def __init__(self, source: MatchSource, file: IO[bytes]) -> None:
         parquet = extra_library("pyarrow.parquet", extra="batch", purpose="Parquet files")
-        self._path = source.path
+        self._source, self._path = source, source.path
         self._width = 2 if source.camera else 3
         self._cameras = load_cameras(source.camera) if source.camera else {}
         with _reading(self._path):
@@ -127,7 +128,8 @@ class ParquetMatches:
         )
 
     def _bearings(self, image: str, pixels: Array) -> Array:
-        return named_camera(image, None, self._cameras).bearings_from_pixels(pixels)
+        camera = named_camera(image, None, self._cameras)
+        return checked_camera(camera, image, self._source).bearings_from_pixels(pixels)
 
     def _batch_names(self, batch: Any, first_row: int) -> tuple[list[str], list[str]]:
         names = []

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
+from epi360.cameras.upright import DOWN
+from epi360.estimation import RelativePoseResult, estimate_relative_pose
 from epi360.estimation.robust import estimate_timed_poses
 from epi360.extras import extra_library
-from epi360.jobs.batch.sources import PairMatches, pair_seed
+from epi360.jobs.batch.sources import Array, PairMatches, pair_seed
 from epi360.two_view import IMAGE_OPTIONS
 
 # A database needs the inliers. Packed bits are small, so that every part has them.
@@ -43,25 +47,32 @@ def part_schema() -> Any:
             ("noise_deg", number),
             ("parallax_deg", number),
             ("seconds", number),
+            ("probability", number),
             (INLIERS, arrow.binary()),
         ]
     )
 
 
-def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> Any:
+def estimate_rows(
+    pairs: PairMatches, *, seed: int, num_threads: int | None, upright_deg: float | None = None
+) -> Any:
     """Poses of at least one pair as a pyarrow table, one row a pair, with `part_schema`.
 
     What the matches do not determine is NaN. ``seconds`` is the wall time of the pair's estimate on
     its thread, without reading and writing.
     """
-    names = list(zip(pairs.image1, pairs.image2, strict=True))
-    results, seconds = estimate_timed_poses(
-        pairs.bearings1,
-        pairs.bearings2,
-        num_threads=num_threads,
-        options=IMAGE_OPTIONS,
-        seeds=[pair_seed(seed, *pair) for pair in names],
-    )
+    names = zip(pairs.image1, pairs.image2, strict=True)
+    seeds = [pair_seed(seed, *pair) for pair in names]
+    if upright_deg is None:
+        results, seconds = estimate_timed_poses(
+            pairs.bearings1,
+            pairs.bearings2,
+            num_threads=num_threads,
+            options=IMAGE_OPTIONS,
+            seeds=seeds,
+        )
+    else:
+        results, seconds = _estimate_upright(pairs, seeds, num_threads, upright_deg)
     poses = [result.cam2_from_cam1 for result in results]
     columns: dict[str, Any] = {
         "image1": [name.encode() for name in pairs.image1],
@@ -75,9 +86,33 @@ def estimate_rows(pairs: PairMatches, *, seed: int, num_threads: int | None) -> 
         "noise_deg": [result.noise_deg for result in results],
         "parallax_deg": [result.parallax_deg for result in results],
         "seconds": seconds,
+        "probability": [result.probability for result in results],
         INLIERS: [np.packbits(result.inlier_mask).tobytes() for result in results],
     }
     return _table(columns)
+
+
+def _estimate_upright(
+    pairs: PairMatches, seeds: Sequence[int], num_threads: int | None, upright_deg: float
+) -> tuple[list[RelativePoseResult], list[float]]:
+    """Poses of upright cameras, and the time that each of them took."""
+
+    def estimate(bearings1: Array, bearings2: Array, seed: int) -> tuple[RelativePoseResult, float]:
+        start = time.perf_counter()
+        result = estimate_relative_pose(
+            bearings1,
+            bearings2,
+            gravity1=DOWN,
+            gravity2=DOWN,
+            gravity_sigma_deg=upright_deg,
+            options=IMAGE_OPTIONS,
+            seed=seed,
+        )
+        return result, time.perf_counter() - start
+
+    with ThreadPoolExecutor(num_threads) as pool:  # the core works without the interpreter's lock
+        answers = list(pool.map(estimate, pairs.bearings1, pairs.bearings2, seeds))
+    return [result for result, _ in answers], [seconds for _, seconds in answers]
 
 
 def _table(columns: Mapping[str, Any]) -> Any:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.upright import gravity_of
 from epi360.interop.hloc import camera_of_image
 from epi360.runs import storage
 
@@ -35,6 +36,7 @@ class MatchSource:
     features: str | None = None  # hloc's file of the key points
     pairs: str | None = None  # with hloc's matches: a text file of the pairs that are wanted
     pairs_per_part: int = 1000  # at most
+    upright: bool = False  # all images are panoramas, or bearings in frames whose y axis is down
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -140,6 +142,13 @@ def check_rows(path: str, pairs: PairMatches) -> None:
                     f"{where} must have bearings of non-zero length, match "
                     f"{np.flatnonzero(~is_set)[0]} is zero in image {view}"
                 )
+
+
+def checked_camera(camera: Camera, image: str, source: MatchSource) -> Camera:
+    """Return the camera; ValueError where its images shall be upright and are no panoramas."""
+    if source.upright:
+        gravity_of(camera, None, image)
+    return camera
 
 
 def named_camera(image: str, size: tuple[int, int] | None, cameras: Mapping[str, Camera]) -> Camera:
