@@ -168,13 +168,22 @@ def test_triangles_confirm_a_pose_that_is_not_believed():
     [
         {"doubted": verdict_of("c", "a").cam2_from_cam1},
         {"doubted": Pose.nan()},
-        {"probability": 0.94},
+        {"probability": 0.59},
         {"probability": np.nan},
     ],
     ids=["backwards", "no pose", "not probable", "not known"],
 )
 def test_other_poses_stay_doubted(changed):
     assert confirmed({**graph("ab bc cd da"), "ac": doubted("a", "c", **changed)}) == []
+
+
+def test_a_pose_that_is_less_probable_needs_two_triangles():
+    two, one = graph("ab bc cd da"), graph("ab bc", ab={"probability": 0.9995})
+    for probability, num_triangles in ((0.94, 2), (0.61, 2), (0.96, 1)):
+        pairs = two if num_triangles == 2 else {**one, "bc": verdict_of("b", "c", probability=1.0)}
+        assert confirmed({**pairs, "ac": doubted("a", "c", probability=probability)}) == ["ac"]
+    alone = {**one, "bc": verdict_of("b", "c", probability=1.0)}
+    assert confirmed({**alone, "ac": doubted("a", "c", probability=0.94)}) == []
 
 
 def test_only_triangles_of_accepted_pairs_confirm():

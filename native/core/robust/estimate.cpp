@@ -59,7 +59,8 @@ class Estimate {
     result_.num_iterations = sampled.num_iterations;
     prefer_most_probable(candidates);
     conclude_search(candidates);
-    if (result_.probability <= sampled.probability || status() != Status::kOk) result_ = sampled;
+    const bool is_better = status() == Status::kOk || judge(sampled.evidence).status != Status::kOk;
+    if (!is_better || result_.probability <= sampled.probability) result_ = sampled;
   }
 
   // A pose was found, or a rotation: nothing else need be tried.
@@ -282,7 +283,10 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   if (!has_translation(status) && status != Status::kPureRotation) {
     r.covariance.setConstant(RobustResult::kNaN);
   }
-  if (status == Status::kTooFewInliers) r.alternatives.clear();
+  if (status == Status::kTooFewInliers) {
+    r.alternatives.clear();
+    if (is_worth_a_look(evidence)) r.alternatives = {r.cam2_from_cam1};
+  }
   if (status == Status::kConcentratedInliers) {  // what it would have been
     r.alternatives.insert(r.alternatives.begin(), r.cam2_from_cam1);
     if (earlier == Status::kPureRotation) r.alternatives.front().t.setConstant(RobustResult::kNaN);
@@ -301,11 +305,14 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   if (priors.pose.has_gravity && !estimate.has_answer()) {
     MatchPriors free = priors;
     free.pose = PosePrior{};
-    const int num_iterations = estimate.take().num_iterations;
+    result = estimate.take();
     Estimate again(m, options, free, seed);
     again.judge_by(priors.pose);
-    result = again.take();
-    result.num_iterations += num_iterations;
+    const int num_iterations = result.num_iterations;
+    const bool has_answer = again.has_answer();
+    RobustResult other = again.take();
+    other.num_iterations += num_iterations;
+    if (has_answer || !(other.probability <= result.probability)) result = std::move(other);
   } else {
     result = estimate.take();
   }

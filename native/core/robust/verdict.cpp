@@ -129,6 +129,10 @@ bool has_translation(Status status) {
   return status == Status::kOk || status == Status::kPlanarAmbiguous;
 }
 
+bool is_worth_a_look(const Evidence& e) {
+  return std::isfinite(e.log_ratio) && e.support > 0 && probability_of_pose(e) > 0.5;
+}
+
 bool rotation_explains(const Evidence& e) {
   return e.rotation_support > 0 && e.rotation_support >= kRotationMostly * e.support &&
          e.rotation_log10_false_alarms < kFalseAlarms;

@@ -92,6 +92,9 @@ int fewest_matches(int sample_size);
 // Whether a pose with translation was found that the evidence determines up to alternatives.
 bool has_translation(Status status);
 
+// Whether a pose that is refused is more probable than not: other pairs may confirm it.
+bool is_worth_a_look(const Evidence& evidence);
+
 // Whether so many of the matches agree with a rotation that it may be all that happened.
 bool rotation_explains(const Evidence& evidence);
 

@@ -62,7 +62,8 @@ class RelativePoseResult:
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
         status says of it; NaN after a pure rotation, 0 where no pose was found.
     alternatives : tuple of Pose
-        Other poses that explain the matches about as well.
+        Other poses that explain the matches about as well. Where the pose is refused because it is
+        not probable enough or its inliers do not determine it: the pose that was found, first.
     warnings : tuple of str
         Sentences for a person; empty when there is nothing to say.
     """

@@ -19,6 +19,9 @@ _FLOOR_SHARE = 0.97  # of the inliers below the horizon, in both images
 # Sigmas of a pose that rests on too few places to state its own: triangles close to 3 degrees in
 # rotation and 7 in direction.
 _DOUBTED_ROTATION_DEG, _DOUBTED_DIRECTION_DEG = 0.5, 1.5
+# A pose under this is not even confirmed by others; under _LINK_PROBABILITY two triangles must
+# close with it.
+_DOUBTED_PROBABILITY = 0.6
 _MOST_NAMED = 4
 
 OPEN_TRIANGLES = "most triangles with other pairs do not close: this pair or one of those is wrong"
@@ -63,7 +66,7 @@ def check_graph(
     After `check_loops`, two kinds of pairs must be more probable than others: in a level folder a
     pair whose inliers all lie on the floor, unless a triangle with it closes; and a pair without
     which the graph of accepted pairs would fall apart. A probability that is not known refuses
-    nothing. In a level folder, a probable pose of concentrated inliers is accepted if triangles
+    nothing. In a level folder, a refused pose that is probable is accepted if triangles
     with it close and none is open.
     """
     loops = check_loops(pairs, verdicts)
@@ -91,7 +94,7 @@ def check_graph(
 def awaits_confirmation(verdict: Verdict) -> bool:
     """Whether a pose that is not believed is so probable that other pairs may confirm it."""
     is_known = bool(np.isfinite(verdict.doubted.translation).all())
-    return is_known and verdict.probability >= _LINK_PROBABILITY
+    return is_known and verdict.probability >= _DOUBTED_PROBABILITY
 
 
 def _confirmed(
@@ -120,7 +123,8 @@ def _confirmed(
             [pairs[row], *(pairs[each] for each in others)],
             [believed, *(verdicts[each] for each in others)],
         )[0]
-        if loop.num_triangles and not loop.num_contradicted:
+        needed = 1 if verdict.probability >= _LINK_PROBABILITY else 2
+        if loop.num_triangles >= needed and not loop.num_contradicted:
             found[row] = loop
     return found
 

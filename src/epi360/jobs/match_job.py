@@ -316,8 +316,11 @@ class MatchJob:
             self.progress(stage, done + count, total)
 
 
+DOUBTED = ("concentrated_inliers", "too_few_inliers")  # their poses other pairs may confirm
+
+
 def _doubted_pose(result: RelativePoseResult) -> Pose:
-    if result.status != "concentrated_inliers" or not result.alternatives:
+    if result.status not in DOUBTED or not result.alternatives:
         return Pose.nan()
     return result.alternatives[0]
 

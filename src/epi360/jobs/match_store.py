@@ -56,7 +56,9 @@ class Verdict:
     floor_share: float = np.nan  # of the inliers that both images see below the horizon
     prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
-    doubted: Pose = dataclasses.field(default_factory=Pose.nan)  # by concentrated inliers alone
+    doubted: Pose = dataclasses.field(
+        default_factory=Pose.nan
+    )  # a refused pose that others may confirm
 
     @property
     def accepted(self) -> bool:
