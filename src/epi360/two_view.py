@@ -19,7 +19,7 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
-from epi360.estimation.robust import check_threshold
+from epi360.estimation.options import check_threshold
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
     Features,

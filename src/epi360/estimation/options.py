@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Options of the robust estimator, checked and in radians."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from operator import index
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+Threshold = float | Literal["auto"]
+
+
+@dataclass(frozen=True)
+class RansacOptions:
+    """How the sampling runs.
+
+    Parameters
+    ----------
+    minimal_solver : str
+        "five_point" (Nistér 2004) or "eight_point".
+    min_iterations, max_iterations : int
+        Limits on the minimal samples of all rounds together.
+    confidence : float
+        Probability that at least one sample without outliers was drawn when sampling stops. Local
+        optimisation makes use of samples with an outlier too, so that more succeed.
+    min_num_inliers : int
+        Support under which a pose is not believed, whatever its odds.
+    """
+
+    minimal_solver: Literal["five_point", "eight_point"] = "five_point"
+    min_iterations: int = 20
+    max_iterations: int = 10000
+    confidence: float = 0.99
+    min_num_inliers: int = 6
+
+    def __post_init__(self) -> None:
+        """Check all options.
+
+        Raises
+        ------
+        ValueError
+            If one is out of its range.
+        """
+        if self.minimal_solver not in ("five_point", "eight_point"):
+            raise ValueError(
+                f"minimal_solver must be five_point or eight_point, got {self.minimal_solver!r}"
+            )
+        for name in ("min_iterations", "max_iterations", "min_num_inliers"):
+            if not isinstance(getattr(self, name), (int, np.integer)):
+                raise ValueError(f"{name} must be an integer, got {getattr(self, name)!r}")
+        if not 1 <= self.min_iterations <= self.max_iterations:
+            raise ValueError(
+                "1 <= min_iterations <= max_iterations must hold, got "
+                f"{self.min_iterations} and {self.max_iterations}"
+            )
+        if not 0.0 < self.confidence < 1.0:
+            raise ValueError(f"confidence must be between 0 and 1, got {self.confidence}")
+        if self.min_num_inliers < 5:
+            raise ValueError(f"min_num_inliers must be at least 5, got {self.min_num_inliers}")
+
+
+def check_threshold(inlier_threshold_deg: float | str) -> float:
+    """Return a threshold in radians, 0 for "auto".
+
+    Parameters
+    ----------
+    inlier_threshold_deg : float or "auto"
+        Degrees in (0, 45].
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+    """
+    if inlier_threshold_deg == "auto":
+        return 0.0
+    try:
+        degrees = float(inlier_threshold_deg)
+    except (TypeError, ValueError):
+        degrees = np.nan
+    if not 0.0 < degrees <= 45.0:
+        raise ValueError(
+            f'inlier_threshold_deg must be "auto" or in (0, 45], got {inlier_threshold_deg!r}'
+        )
+    return float(np.radians(degrees))
+
+
+def checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> float:
+    """Return a threshold in pixels that goes with the other options."""
+    if not uses_pixels:
+        raise ValueError(
+            'inlier_threshold_px needs residual="tangent_sampson" with jacobians1 and jacobians2'
+        )
+    if threshold_rad:
+        raise ValueError("give inlier_threshold_deg or inlier_threshold_px, not both")
+    try:
+        threshold = float(pixels)
+    except (TypeError, ValueError):
+        threshold = np.nan
+    if not (np.isfinite(threshold) and threshold > 0.0):
+        raise ValueError(f"inlier_threshold_px must be a positive number, got {pixels!r}")
+    return threshold
+
+
+def seed_of_each(seed: int | Sequence[int], num_pairs: int) -> list[int]:
+    """Return the seed of each pair."""
+    if not isinstance(seed, Sequence | np.ndarray):
+        return [index(seed)] * num_pairs
+    if len(seed) != num_pairs:
+        raise ValueError(f"seed must be one for each of {num_pairs} pairs, got {len(seed)}")
+    return [index(each) for each in seed]
+
+
+def prior_sigmas(
+    gravity_sigma_deg: float, elevation_sigma_deg: float | None
+) -> tuple[float, float]:
+    """Return both in radians, 0 where the elevation may be any."""
+    given = {"gravity_sigma_deg": gravity_sigma_deg}
+    if elevation_sigma_deg is not None:
+        given["elevation_sigma_deg"] = elevation_sigma_deg
+    for name, degrees in given.items():
+        if not (np.isreal(degrees) and 0.0 < float(degrees) <= 90.0):
+            raise ValueError(f"{name} must be in (0, 90], got {degrees!r}")
+    elevation_deg = given.get("elevation_sigma_deg", 0.0)
+    return float(np.radians(gravity_sigma_deg)), float(np.radians(elevation_deg))
+
+
+def direction_of_each(
+    gravity: Sequence[ArrayLike | None] | ArrayLike | None, num_pairs: int, name: str
+) -> Sequence[ArrayLike | None]:
+    """Return one direction for each pair, None where it is not known."""
+    if gravity is None:
+        return [None] * num_pairs
+    each: list[ArrayLike | None] = list(gravity)  # type: ignore[arg-type]
+    if len(each) == 3 and np.ndim(gravity) == 1:  # type: ignore[arg-type]
+        return [gravity] * num_pairs  # type: ignore[list-item]
+    if len(each) != num_pairs:
+        raise ValueError(
+            f"{name} must be one direction, or one for each of {num_pairs} pairs, got {len(each)}"
+        )
+    return each
+
+
+def checked_noise(max_noise_deg: float | None) -> float:
+    """Return a limit in radians, 0 for none."""
+    if max_noise_deg is None:
+        return 0.0
+    try:
+        degrees = float(max_noise_deg)
+    except (TypeError, ValueError):
+        degrees = np.nan
+    if not (np.isfinite(degrees) and degrees > 0.0):
+        raise ValueError(f"max_noise_deg must be a positive number or None, got {max_noise_deg!r}")
+    return float(np.radians(degrees))
+
+
+def noise_limits(max_noise_deg: float | Sequence[float] | None, num_pairs: int) -> list[float]:
+    """Return the limit of each pair in radians, 0 for none."""
+    if not isinstance(max_noise_deg, Sequence | np.ndarray) or isinstance(max_noise_deg, str):
+        return [checked_noise(max_noise_deg)] * num_pairs
+    if len(max_noise_deg) != num_pairs:
+        raise ValueError(
+            f"max_noise_deg must be one for each of {num_pairs} pairs, got {len(max_noise_deg)}"
+        )
+    return [checked_noise(each) for each in max_noise_deg]
+
+
+def thread_count(num_threads: int | None) -> int:
+    """Return the number of threads, by default one per core."""
+    if num_threads is None:
+        return (
+            len(os.sched_getaffinity(0))
+            if hasattr(os, "sched_getaffinity")
+            else (os.cpu_count() or 1)
+        )
+    if not isinstance(num_threads, (int, np.integer)) or num_threads < 1:
+        raise ValueError(f"num_threads must be a positive integer, got {num_threads!r}")
+    return int(num_threads)
