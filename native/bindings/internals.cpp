@@ -35,6 +35,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("rotation_support", &Evidence::rotation_support)
       .def_rw("rotation_log10_false_alarms", &Evidence::rotation_log10_false_alarms)
       .def_rw("rotation_rejection", &Evidence::rotation_rejection)
+      .def_rw("turn_sigma", &Evidence::turn_sigma)
       .def_rw("rotation_sigma", &Evidence::rotation_sigma)
       .def_rw("direction_sigma", &Evidence::direction_sigma)
       .def_rw("log_ratio", &Evidence::log_ratio)

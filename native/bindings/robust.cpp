@@ -87,6 +87,7 @@ void bind_result(nb::module_& m) {
       .def_prop_ro("translation",
                    [](const PairResult& r) { return vector(r.robust.cam2_from_cam1.t); })
       .def_prop_ro("scale", [](const PairResult& r) { return r.robust.scale; })
+      .def_prop_ro("noise", [](const PairResult& r) { return r.robust.evidence.noise; })
       .def_prop_ro("threshold", [](const PairResult& r) { return r.robust.threshold; })
       .def_prop_ro("probability", [](const PairResult& r) { return r.robust.probability; })
       .def_prop_ro("log_ratio", [](const PairResult& r) { return r.robust.evidence.log_ratio; })

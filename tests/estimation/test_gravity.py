@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from noisy_problems import errors_deg, noisy_scene, unit_pose
 
-from epi360 import estimate_relative_pose
+from epi360 import estimate_relative_pose, estimate_relative_poses
 from epi360.poses import rotation_from_vector
 
 
@@ -175,3 +175,51 @@ def test_five_matches_are_needed_with_gravity_as_without(num_matches):
 def test_wrong_gravity_is_refused(gravity, message):
     with pytest.raises(ValueError, match=message):
         estimate(noisy_scene(0), **gravity)
+
+
+def test_little_motion_stays_a_motion_where_gravity_is_known():
+    lost = 0
+    for seed in range(30):
+        scene = noisy_scene(seed, 0.06, 0.7, num_matches=150, baseline_m=0.3)
+        plain = estimate(scene)
+        known = estimate(scene, **gravity_of(scene, seed, 1.0, 1.0), gravity_sigma_deg=1.0)
+        lost += plain.success and not known.success
+    assert lost <= 1
+
+
+@pytest.mark.parametrize("num_pairs", [2, 3, 4])
+def test_gravity_may_be_unknown_for_some_of_any_number_of_pairs(num_pairs):
+    scene = noisy_scene(0, 0.1, 0.3)
+    pairs = [(scene.bearings1, scene.bearings2)] * num_pairs
+    gravity = gravity_of(scene, 0, 0.0, 0.0)
+    each = {name: [down] + [None] * (num_pairs - 1) for name, down in gravity.items()}
+    some = estimate_relative_poses(pairs, **each)
+    none = estimate_relative_poses(pairs, gravity1=[None] * num_pairs, gravity2=[None] * num_pairs)
+    for result, expected in zip(some, [estimate(scene, **gravity), *none[1:]], strict=True):
+        np.testing.assert_array_equal(
+            result.cam2_from_cam1.rotation, expected.cam2_from_cam1.rotation
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"elevation_sigma_deg": 2.0}, "needs gravity1 and gravity2"),
+        ({"gravity_sigma_deg": None}, "gravity_sigma_deg must be a number from 1e-6 to 90"),
+        ({"gravity_sigma_deg": 0.0}, "gravity_sigma_deg must be a number"),
+    ],
+)
+def test_sigmas_that_cannot_be_used_are_refused(options, message):
+    scene = noisy_scene(0, 0.1, 0.3)
+    with pytest.raises(ValueError, match=message):
+        estimate(scene, **options)
+    with pytest.raises(ValueError, match=message):
+        estimate_relative_poses([(scene.bearings1, scene.bearings2)], **options)
+
+
+def test_a_number_is_no_direction():
+    scene = noisy_scene(0, 0.1, 0.3)
+    with pytest.raises(ValueError, match="gravity1 must be a direction"):
+        estimate_relative_poses(
+            [(scene.bearings1, scene.bearings2)], gravity1=5.0, gravity2=[0.0, 1.0, 0.0]
+        )

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from epi360 import Pose, estimate_relative_pose, refine_pose
+from epi360 import Pose, RansacOptions, estimate_relative_pose, refine_pose
 from epi360.cameras import Equirectangular
 from epi360.features import extract_features
 
@@ -74,3 +74,27 @@ def test_a_numpy_integer_is_a_seed():
 def test_a_panorama_of_a_few_rows_has_no_features():
     camera = Equirectangular(1024, 14, vertical_fov_deg=4.92)
     assert len(extract_features(np.zeros((14, 1024), np.uint8), camera)) == 0
+
+
+def test_a_turn_seen_only_along_one_axis_is_not_taken_for_known():
+    rng = np.random.default_rng(0)
+    ahead = np.column_stack([rng.uniform(-1e-9, 1e-9, (60, 2)), np.ones(60)])
+    ahead[30:] *= -1.0  # two opposite points: the angle about their axis is free
+    b1 = ahead + 1e-6 * rng.normal(size=ahead.shape)
+    b2 = ahead + 1e-6 * rng.normal(size=ahead.shape)
+    for pair in ((b1, b2), (ahead, ahead)):
+        result = estimate_relative_pose(*pair)
+        assert result.status not in ("ok", "pure_rotation")
+
+
+def test_a_refused_rotation_has_no_probability_of_a_pose_and_its_own_noise():
+    rng = np.random.default_rng(7)
+    b1 = rng.normal(size=(12, 3))
+    b1 /= np.linalg.norm(b1, axis=1, keepdims=True)
+    b2 = b1 + 1e-3 * rng.normal(size=b1.shape)
+    turned = estimate_relative_pose(b1, b2, residual="angular")
+    refused = estimate_relative_pose(
+        b1, b2, residual="angular", options=RansacOptions(min_num_inliers=50)
+    )
+    assert turned.status == "pure_rotation" and refused.status == "too_few_inliers"
+    assert refused.noise_deg == turned.noise_deg and refused.probability == 0.0

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/covariance.h"
 
-#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -134,7 +133,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   }
   Matrix5 clustered = Matrix5::Zero();
   for (const Vector5& sum : sums) clustered += sum * sum.transpose();
-  result.clustering = std::max(solve_symmetric(independent, clustered).trace() / 5.0, 1.0);
+  result.clustering = std::max(1.0, solve_symmetric(independent, clustered).trace() / 5.0);
 
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
@@ -170,7 +169,12 @@ Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned ch
   result.scale = std::sqrt(sum / std::max(2.0 * count - 3.0, 1.0));
   const double variance = 2.0 * std::max(result.scale * result.scale, 1e-24);
   result.covariance.setConstant(std::nan(""));
-  result.covariance.topLeftCorner<3, 3>() = variance * information.inverse();
+  // As for a pose: noisy copies of a point seem to lie apart, and what is free is known to 60
+  // degrees.
+  information = information / variance - count * Eigen::Matrix3d::Identity();
+  Matrix5 padded = Matrix5::Identity();
+  padded.topLeftCorner<3, 3>() = information;
+  result.covariance.topLeftCorner<3, 3>() = bounded_inverse(padded).topLeftCorner<3, 3>();
   return result;
 }
 

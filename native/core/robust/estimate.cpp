@@ -26,6 +26,18 @@ constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
+// A pose is worth more than a rotation, and that more than neither.
+int worth(const RobustResult& result) {
+  const Status status = judge(result.evidence).status;
+  return status == Status::kOk ? 2 : status == Status::kPureRotation ? 1 : 0;
+}
+
+// Whether a later answer takes the place of an earlier one.
+bool is_better(const RobustResult& later, const RobustResult& earlier) {
+  if (worth(later) != worth(earlier)) return worth(later) > worth(earlier);
+  return later.probability > earlier.probability;
+}
+
 // The estimate of one set of matches, from its search to its verdict.
 class Estimate {
  public:
@@ -59,12 +71,12 @@ class Estimate {
     result_.num_iterations = sampled.num_iterations;
     prefer_most_probable(candidates);
     conclude_search(candidates);
-    const bool is_better = status() == Status::kOk || judge(sampled.evidence).status != Status::kOk;
-    if (!is_better || result_.probability <= sampled.probability) result_ = sampled;
+    if (!is_better(result_, sampled)) result_ = sampled;
   }
 
-  // A pose was found, or a rotation: nothing else need be tried.
-  bool has_answer() const { return status() == Status::kOk || status() == Status::kPureRotation; }
+  // A pose was found: nothing else need be tried. A rotation may be a wide optimum that the search
+  // among upright poses ended in.
+  bool has_answer() const { return status() == Status::kOk; }
 
   // The pose is judged by a prior that did not guide its search.
   void judge_by(const PosePrior& prior) {
@@ -78,10 +90,7 @@ class Estimate {
  private:
   Status status() const { return judge(result_.evidence).status; }
 
-  bool is_certain() const {
-    return status() == Status::kPureRotation ||
-           (status() == Status::kOk && result_.probability > kConfident);
-  }
+  bool is_certain() const { return has_answer() && result_.probability > kConfident; }
 
   void start_over() {
     result_ = RobustResult{};
@@ -107,12 +116,14 @@ class Estimate {
   void try_other_candidates(Candidates& candidates) {
     const RobustResult first = std::move(result_);
     const std::vector<unsigned char> dropped = dropped_;
-    const std::size_t most = std::min<std::size_t>(candidates.all().size(), kOtherCandidates);
+    const Candidates all = candidates;  // assessing one may add and reorder
+    const std::size_t most = std::min<std::size_t>(all.all().size(), kOtherCandidates);
     for (std::size_t k = 1; k < most; ++k) {
       start_over();
       result_.num_iterations = first.num_iterations;
-      candidates.prefer(k);
-      assess(candidates);
+      Candidates preferred = all;
+      preferred.prefer(k);
+      assess(preferred);
       if (status() == Status::kOk) return;
     }
     result_ = first;
@@ -242,6 +253,7 @@ class Estimate {
     const Uncertainty uncertainty = rotation_uncertainty(m_, r.inlier, r.residuals);
     r.scale = uncertainty.scale;
     r.covariance = uncertainty.covariance;
+    r.evidence.turn_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
     r.parallax = median_parallax(m_, r.cam2_from_cam1, r.inlier.data());
     r.probability = RobustResult::kNaN;
   }
@@ -266,7 +278,6 @@ void clear_undetermined(Status status, RelativePose& cam2_from_cam1) {
 void conclude(const Matches& m, const RobustOptions& options, std::size_t num_matches,
               double max_noise, RobustResult& r) {
   Evidence& evidence = r.evidence;
-  const Status earlier = judge(evidence).status;
   evidence.num_matches = static_cast<int>(num_matches);
   evidence.min_num_inliers = options.min_num_inliers;
   evidence.num_distinct = count_distinct(m, r.inlier.data());
@@ -274,10 +285,12 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   evidence.spread_of_matches = mean_spread(m, nullptr);
   evidence.coverage = sphere_coverage(m, r.inlier.data());
   evidence.match_coverage = sphere_coverage(m, nullptr);
-  evidence.noise = r.scale * noise_per_residual(options.residual);
+  const bool is_rotation = std::isnan(r.probability);  // its residuals are the noise
+  evidence.noise = r.scale * (is_rotation ? 1.0 : noise_per_residual(options.residual));
   evidence.max_noise = max_noise;
   r.verdict = judge(evidence);
   const Status status = r.verdict.status;
+  if (is_rotation && status != Status::kPureRotation) r.probability = 0.0;  // no pose was found
   r.translation_basis.setConstant(RobustResult::kNaN);
   if (has_translation(status)) r.translation_basis = tangent_basis(r.cam2_from_cam1.t);
   if (!has_translation(status) && status != Status::kPureRotation) {
@@ -289,7 +302,7 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   }
   if (status == Status::kConcentratedInliers) {  // what it would have been
     r.alternatives.insert(r.alternatives.begin(), r.cam2_from_cam1);
-    if (earlier == Status::kPureRotation) r.alternatives.front().t.setConstant(RobustResult::kNaN);
+    if (is_rotation) r.alternatives.front().t.setConstant(RobustResult::kNaN);
   }
   clear_undetermined(status, r.cam2_from_cam1);
 }
@@ -309,10 +322,13 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
     Estimate again(m, options, free, seed);
     again.judge_by(priors.pose);
     const int num_iterations = result.num_iterations;
-    const bool has_answer = again.has_answer();
     RobustResult other = again.take();
     other.num_iterations += num_iterations;
-    if (has_answer || !(other.probability <= result.probability)) result = std::move(other);
+    if (is_better(other, result)) {
+      result = std::move(other);
+    } else {
+      result.num_iterations = other.num_iterations;
+    }
   } else {
     result = estimate.take();
   }

@@ -51,7 +51,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
       const double weight = workspace.current.weights[i];
       if (!(weight > 0.0)) continue;
       const Eigen::Matrix<double, 5, 1> J = jacobian_of(workspace.current, m.padded, i);
-      if (weight * J.dot(covariance * J) <= kLargestLeverage) continue;
+      if (!(weight * J.dot(covariance * J) > kLargestLeverage)) continue;
       const Eigen::Vector3d a = best.cam2_from_cam1.R * view1(m, i);
       const Eigen::Vector3d b = view2(m, i);
       if (!(direction_angle(a, b) > kUnusualParallax * usual)) continue;

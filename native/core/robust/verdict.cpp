@@ -83,9 +83,11 @@ Status status_of(const Evidence& e) {
   if (!rotation && is_chance(e)) return Status::kTooFewInliers;
   if (e.num_distinct < e.min_num_inliers) return Status::kTooFewInliers;
   if (is_patch(e)) return Status::kConcentratedInliers;
-  if (rotation) return Status::kPureRotation;
+  if (rotation) {
+    return e.turn_sigma > kUnknownRotation ? Status::kConcentratedInliers : Status::kPureRotation;
+  }
   if (is_undetermined(e)) return Status::kConcentratedInliers;
-  if (probability_of_pose(e) < kLeastProbability) return Status::kTooFewInliers;
+  if (!(probability_of_pose(e) >= kLeastProbability)) return Status::kTooFewInliers;
   return has_rival(e) ? Status::kPlanarAmbiguous : Status::kOk;
 }
 

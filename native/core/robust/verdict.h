@@ -57,6 +57,9 @@ struct Evidence {
   double rotation_log10_false_alarms = kInfinity;
   double rotation_rejection = kInfinity;
 
+  // Standard deviation of the rotation alone, where it is the answer, over all its components.
+  double turn_sigma = 0.0;
+
   // Standard deviations of rotation and direction, over all their components.
   double rotation_sigma = 0.0, direction_sigma = 0.0;
 

@@ -117,15 +117,21 @@ def seed_of_each(seed: int | Sequence[int], num_pairs: int) -> list[int]:
 
 
 def prior_sigmas(
-    gravity_sigma_deg: float, elevation_sigma_deg: float | None
+    gravity_sigma_deg: float, elevation_sigma_deg: float | None, *, has_gravity: bool
 ) -> tuple[float, float]:
     """Return both in radians, 0 where the elevation may be any."""
     given = {"gravity_sigma_deg": gravity_sigma_deg}
     if elevation_sigma_deg is not None:
         given["elevation_sigma_deg"] = elevation_sigma_deg
     for name, degrees in given.items():
-        if not (np.isreal(degrees) and 0.0 < float(degrees) <= 90.0):
-            raise ValueError(f"{name} must be in (0, 90], got {degrees!r}")
+        try:
+            is_usable = 1e-6 <= float(degrees) <= 90.0
+        except (TypeError, ValueError):
+            is_usable = False
+        if not is_usable:
+            raise ValueError(f"{name} must be a number from 1e-6 to 90, got {degrees!r}")
+    if elevation_sigma_deg is not None and not has_gravity:
+        raise ValueError("elevation_sigma_deg needs gravity1 and gravity2")
     elevation_deg = given.get("elevation_sigma_deg", 0.0)
     return float(np.radians(gravity_sigma_deg)), float(np.radians(elevation_deg))
 
@@ -136,8 +142,10 @@ def direction_of_each(
     """Return one direction for each pair, None where it is not known."""
     if gravity is None:
         return [None] * num_pairs
-    each: list[ArrayLike | None] = list(gravity)  # type: ignore[arg-type]
-    if len(each) == 3 and np.ndim(gravity) == 1:  # type: ignore[arg-type]
+    if not isinstance(gravity, Sequence | np.ndarray) or getattr(gravity, "ndim", 1) == 0:
+        raise ValueError(f"{name} must be a direction, or one for each pair, got {gravity!r}")
+    each: list[ArrayLike | None] = list(gravity)
+    if len(each) == 3 and all(value is not None and np.ndim(value) == 0 for value in each):
         return [gravity] * num_pairs  # type: ignore[list-item]
     if len(each) != num_pairs:
         raise ValueError(

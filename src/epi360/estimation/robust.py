@@ -108,7 +108,7 @@ def estimate_relative_pose(
     uses_pixels = residual == "tangent_sampson"
     if uses_pixels and (jacobians1 is None or jacobians2 is None):
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
-    sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg)
+    sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
     pair = native_pair(
         bearings1,
         bearings2,
@@ -124,7 +124,7 @@ def estimate_relative_pose(
     )
     threshold = inlier_threshold_deg, inlier_threshold_px
     (answer,) = _estimate([pair], *threshold, residual, options, 1)
-    return result_of(answer, residual)
+    return result_of(answer)
 
 
 def estimate_relative_poses(
@@ -208,7 +208,7 @@ def estimate_relative_poses(
     limits = noise_limits(max_noise_deg, len(pairs))
     gravity1_of = direction_of_each(gravity1, len(pairs), "gravity1")
     gravity2_of = direction_of_each(gravity2, len(pairs), "gravity2")
-    sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg)
+    sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
     native = []
     for k, pair in enumerate(pairs):
         try:
@@ -230,7 +230,7 @@ def estimate_relative_poses(
             raise ValueError(f"pair {k}: {error}") from None
     threads = thread_count(num_threads)
     answers = _estimate(native, inlier_threshold_deg, None, residual, options, threads)
-    return [result_of(answer, residual) for answer in answers]
+    return [result_of(answer) for answer in answers]
 
 
 def estimate_timed_poses(
@@ -273,9 +273,7 @@ def estimate_timed_poses(
         )
     ]
     answers = _estimate(pairs, "auto", None, "sampson", options, thread_count(num_threads))
-    return [result_of(answer, "sampson") for answer in answers], [
-        answer.seconds for answer in answers
-    ]
+    return [result_of(answer) for answer in answers], [answer.seconds for answer in answers]
 
 
 def _estimate(

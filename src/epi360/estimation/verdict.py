@@ -18,13 +18,11 @@ from epi360.poses import Pose
 _HAS_TRANSLATION = ("ok", "planar_ambiguous")
 
 
-def result_of(answer: _core.PairResult, residual: str) -> RelativePoseResult:
+def result_of(answer: _core.PairResult) -> RelativePoseResult:
     """Return the public result of one pair."""
     status = answer.status
     pose = Pose(answer.rotation, answer.translation)
-    # A rotation's residuals have the unit of the noise already.
-    share = 1.0 if status == "pure_rotation" else _core.noise_per_residual(residual)
-    noise_deg = float(np.degrees(answer.scale)) * share
+    noise_deg = float(np.degrees(answer.noise))
     return RelativePoseResult(
         cam2_from_cam1=pose,
         E=essential_from_pose(pose) if status in _HAS_TRANSLATION else np.full((3, 3), np.nan),
