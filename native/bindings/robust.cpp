@@ -60,10 +60,10 @@ nb::object view(nb::handle result, T* values, std::initializer_list<std::size_t>
 std::vector<PairResult> estimate(const std::vector<const Pair*>& pairs, const std::string& residual,
                                  double threshold, bool threshold_in_pixels, int sample_size,
                                  int min_iterations, int max_iterations, double confidence,
-                                 int min_num_inliers, int num_threads) {
+                                 int min_num_inliers, double shared_error, int num_threads) {
   const RobustOptions options{
-      residual_named(residual), threshold,      threshold_in_pixels, sample_size,
-      min_iterations,           max_iterations, confidence,          min_num_inliers};
+      residual_named(residual), threshold,  threshold_in_pixels, sample_size, min_iterations,
+      max_iterations,           confidence, min_num_inliers,     shared_error};
   std::vector<PairInput> inputs;
   for (const Pair* pair : pairs) inputs.push_back(pair->input());
   for (const PairInput& input : inputs) {
@@ -159,7 +159,7 @@ void bind_robust(nb::module_& m) {
       "seed"_a = 0, "max_noise"_a = 0.0);
   m.def("estimate_relative_poses", &estimate, "pairs"_a, nb::kw_only(), "residual"_a, "threshold"_a,
         "threshold_in_pixels"_a, "sample_size"_a, "min_iterations"_a, "max_iterations"_a,
-        "confidence"_a, "min_num_inliers"_a, "num_threads"_a);
+        "confidence"_a, "min_num_inliers"_a, "shared_error"_a, "num_threads"_a);
   m.def(
       "noise_per_residual",
       [](const std::string& name) { return noise_per_residual(residual_named(name)); },

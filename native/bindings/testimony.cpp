@@ -3,6 +3,7 @@
 #include <nanobind/stl/string.h>
 
 #include "bindings/arrays.h"
+#include "core/robust/shared_error.h"
 #include "core/robust/testimony.h"
 #include "core/robust/upright_search.h"
 
@@ -21,6 +22,22 @@ void bind_testimony(nb::module_& m) {
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, nb::kw_only(), "scale"_a,
       "gate"_a, "density"_a, "residual"_a = "sampson", "seed"_a = 0);
+  m.def(
+      "shared_error_covariance",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double least) {
+        const Matches m = to_matches(b1, b2);
+        const RelativePose pose = to_pose(R, t);
+        const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+        Linearisation at;
+        at.resize(m.padded);
+        compute_jacobians(m, Residual::kSampson, plain(pose), basis.data(), 1.0,
+                          at.residuals.data(), at.in_front.data(), at.jacobian.data());
+        std::copy(m.weight.begin(), m.weight.end(), at.weights.begin());
+        const Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance =
+            shared_error_covariance(m, pose, at, scale, least);
+        return taken(std::vector<double>(covariance.data(), covariance.data() + 25));
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a, "least"_a);
   m.def(
       "region_weights",
       [](Bearings b1, Bearings b2) { return taken(region_weights(to_matches(b1, b2))); },

@@ -118,6 +118,7 @@ def estimate_relative_poses(
     max_iterations: int,
     confidence: float,
     min_num_inliers: int,
+    shared_error: float,
     num_threads: int,
 ) -> list[PairResult]: ...
 def noise_per_residual(residual: str) -> float: ...

@@ -43,7 +43,9 @@ from epi360.second_look import is_precise, is_settled, later_is_better
 MAX_NOISE_PX = 1.5
 # Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
 # costs nothing, and real matches have near misses that a few more samples see through.
-IMAGE_OPTIONS = RansacOptions(min_num_inliers=15, min_iterations=50, confidence=0.9999)
+IMAGE_OPTIONS = RansacOptions(
+    min_num_inliers=15, min_iterations=50, confidence=0.9999, shared_error=1.0
+)
 # Of the 55 pairs of a real sequence 2688 pixels wide, a first look at this width settles most, in a
 # third of the time and with the same errors.
 _FIRST_LOOK_WIDTH = 1920

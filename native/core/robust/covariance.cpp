@@ -7,11 +7,13 @@
 
 #include "core/bearings.h"
 #include "core/robust/evidence.h"
-#include "core/solvers/dense.h"
+#include "core/robust/shared_error.h"
 
 namespace epi360 {
 namespace {
 
+// Clustering above which a shared error is looked for; independent errors give 1.1 at most.
+constexpr double kSuspicious = 1.15;
 constexpr double kFreeSigma = 60.0 * kDegree;  // of an angle of which nothing is known
 
 // Of so many inliers, after five parameters were fitted to them.
@@ -64,8 +66,8 @@ Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam
   return noise;
 }
 
-// Inverse of an information matrix; a direction that it does not determine gets the standard
-// deviation of knowing nothing, never an infinite or a negative variance.
+}  // namespace
+
 Matrix5 bounded_inverse(const Matrix5& information) {
   constexpr double kFree = kFreeSigma * kFreeSigma;
   if (!information.allFinite()) return kFree * Matrix5::Identity();
@@ -77,8 +79,6 @@ Matrix5 bounded_inverse(const Matrix5& information) {
   }
   return axes * variances.asDiagonal() * axes.transpose();
 }
-
-}  // namespace
 
 double noise_per_residual(Residual residual) {
   return residual == Residual::kPaper || residual == Residual::kAngular ? std::sqrt(0.5) : 1.0;
@@ -101,7 +101,8 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
-                             const std::vector<double>& residuals, const PosePrior& prior) {
+                             const std::vector<double>& residuals, const PosePrior& prior,
+                             double shared_error) {
   Uncertainty result;
   result.scale = inlier_scale(m, inlier, residuals, gate);
   const double variance = result.scale * result.scale;
@@ -142,9 +143,13 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =
       std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
-  Matrix5 information =
-      (symmetric(upper) / inflated - noise_in_information(m, cam2_from_cam1, at, inflated)) /
-      result.clustering;
+  const Matrix5 independent_errors = bounded_inverse(
+      symmetric(upper) / inflated - noise_in_information(m, cam2_from_cam1, at, inflated));
+  Matrix5 errors = independent_errors;
+  if (shared_error > 0.0 || result.clustering > kSuspicious) {
+    errors += shared_error_covariance(m, cam2_from_cam1, at, std::sqrt(inflated), shared_error);
+  }
+  Matrix5 information = inverse(errors);
   Vector5 slopes = Vector5::Zero();
   prior.accumulate(cam2_from_cam1, basis, 1.0, information, slopes);
   result.covariance = bounded_inverse(information);

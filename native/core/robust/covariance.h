@@ -7,6 +7,7 @@
 #include "core/matches.h"
 #include "core/refinement/refine.h"
 #include "core/residuals/residuals.h"
+#include "core/solvers/dense.h"
 
 namespace epi360 {
 
@@ -27,15 +28,19 @@ Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t pad
 
 // Covariance of an M-estimator (Huber 1981): (mean psi^2 / (mean psi')^2) (J^T J)^-1, with the
 // derivative psi of the negative log-likelihood, so that the wrong matches which agree by chance
-// count as the noise they are. Errors of neighbouring matches go together in real images
-// (calibration, stitching, rolling shutter): the sum of psi J varies over the cells of the sphere
-// more than independent errors would let it, and the covariance grows by that ratio.
+// count as the noise they are. What the errors of neighbouring matches share is added, at least
+// shared_error standard deviations of one match: see shared_error.h.
 // residuals: those that the inliers were marked by; dropped: matches that leverage left out.
 Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
-                             const std::vector<double>& residuals, const PosePrior& prior);
+                             const std::vector<double>& residuals, const PosePrior& prior,
+                             double shared_error);
+
+// Inverse of an information matrix; a direction that it does not determine gets the standard
+// deviation of knowing nothing, never an infinite or a negative variance.
+Matrix5 bounded_inverse(const Matrix5& information);
 
 // The same of a rotation alone: NaN where the translation would be.
 Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,

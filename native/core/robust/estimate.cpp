@@ -195,9 +195,9 @@ class Estimate {
       if (status() == Status::kPureRotation) set_rotation(std::move(rotation));
       return;
     }
-    const Uncertainty uncertainty =
-        pose_uncertainty(m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss,
-                         gate, result_.inlier, dropped_, result_.residuals, prior_);
+    const Uncertainty uncertainty = pose_uncertainty(
+        m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate, result_.inlier,
+        dropped_, result_.residuals, prior_, options_.shared_error);
     result_.scale = evidence.scale = uncertainty.scale;
     result_.covariance = uncertainty.covariance;
     evidence.rotation_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());

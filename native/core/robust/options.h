@@ -19,6 +19,8 @@ struct RobustOptions {
   int max_iterations = 10000;
   double confidence = 0.99;
   int min_num_inliers = 0;  // under which no pose is believed
+  // Standard deviation of what neighbouring matches are wrong by together, over that of one match.
+  double shared_error = 0.0;
 };
 
 // What is known about the matches beyond their bearings.

@@ -87,3 +87,54 @@ def reweighting_influence(
     psi, slopes = np.zeros_like(residuals), np.zeros_like(residuals)
     psi[used], slopes[used] = model.weights * residuals[used], model.slopes
     return psi, slopes
+
+
+SHARED_ERROR_REACH_RAD = np.radians(45.0)  # as a chord: there the correlation has fallen to 1 / e
+SIGNIFICANT = 4.0  # standard deviations: once in sixty by chance
+
+
+def shared_error_covariance(
+    bearings: tuple[Array, Array],
+    gradients: tuple[Array, Array],
+    residuals: Array,
+    J: Array,
+    *,
+    scale: float,
+    least: float,
+) -> Array:
+    """Return what a pose may be off by an error that neighbouring matches share.
+
+    Parameters
+    ----------
+    bearings, gradients : tuple of ndarray, shape (N, 3)
+        Unit bearings of both views, and the derivatives of the residuals by them.
+    residuals : ndarray, shape (N,)
+        What the fit has left of the residuals, in radians.
+    J : ndarray, shape (N, 5)
+        Derivatives of the residuals by the pose.
+    scale : float
+        Standard deviation of the residuals, in radians.
+    least : float
+        Least standard deviation of the shared error, in units of the scale.
+
+    Notes
+    -----
+    Each view has a random field of displacements with standard deviation tau, whose correlation
+    falls off exponentially with the distance on the sphere. tau^2 follows from the residuals by the
+    method of moments, as a variance component does (Searle, "Linear Models", 1971).
+    """
+    lengths = np.sqrt(sum((g**2).sum(axis=1) for g in gradients))
+    K = np.zeros((len(J), len(J)))
+    for b, g in zip(bearings, gradients, strict=True):
+        directions = g / lengths[:, None]
+        chords = np.sqrt(np.maximum(2.0 - 2.0 * b @ b.T, 0.0))
+        K += np.exp(-chords / SHARED_ERROR_REACH_RAD) * (directions @ directions.T)
+    np.fill_diagonal(K, 0.0)
+    H = inverse_information(J.T @ J)
+    A = J.T @ K @ J
+    KP = K - K @ J @ H @ J.T
+    slope = float(np.trace(KP @ KP))
+    excess = float(residuals @ K @ residuals) + scale**2 * float(np.trace(H @ A))
+    shows = excess > SIGNIFICANT * scale**2 * np.sqrt(2.0 * slope)
+    tau2 = max(excess / slope if shows else 0.0, (least * scale) ** 2)
+    return np.asarray(tau2 * H @ (A + J.T @ J) @ H)

@@ -30,6 +30,10 @@ class RansacOptions:
         optimisation makes use of samples with an outlier too, so that more succeed.
     min_num_inliers : int
         Support under which a pose is not believed, whatever its odds.
+    shared_error : float
+        Standard deviation of the error that neighbouring bearings have in common (stitching,
+        calibration, rolling shutter), in units of the noise of one bearing. The covariance allows
+        for at least so much, and for more where the residuals show it. Image pairs use 1.
     """
 
     minimal_solver: Literal["five_point", "eight_point"] = "five_point"
@@ -37,6 +41,7 @@ class RansacOptions:
     max_iterations: int = 10000
     confidence: float = 0.99
     min_num_inliers: int = 6
+    shared_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Check all options.
@@ -62,6 +67,8 @@ class RansacOptions:
             raise ValueError(f"confidence must be between 0 and 1, got {self.confidence}")
         if self.min_num_inliers < 5:
             raise ValueError(f"min_num_inliers must be at least 5, got {self.min_num_inliers}")
+        if isinstance(self.shared_error, str) or not 0.0 <= self.shared_error <= 100.0:
+            raise ValueError(f"shared_error must be in [0, 100], got {self.shared_error!r}")
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:

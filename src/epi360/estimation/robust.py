@@ -301,6 +301,7 @@ def _estimate(
         max_iterations=options.max_iterations,
         confidence=options.confidence,
         min_num_inliers=options.min_num_inliers,
+        shared_error=options.shared_error,
         num_threads=num_threads,
     )
     for k, answer in enumerate(answers):

@@ -1,0 +1,127 @@
+"""What neighbouring matches are wrong by together, and what the covariance makes of it."""
+
+import numpy as np
+import pytest
+
+import epi360
+from epi360._core import internals
+from epi360.estimation.covariance import shared_error_covariance
+from epi360.poses import rotation_from_vector, vector_from_rotation
+from epi360.synthetic import two_view_scene
+
+NOISE_DEG = 0.05
+
+
+def bent(bearings, field):
+    """Bearings displaced by a smooth field: a random quadratic in the coordinates."""
+    moved = bearings + np.einsum("kij,ni,nj->nk", field, bearings, bearings)
+    return moved / np.linalg.norm(moved, axis=1, keepdims=True)
+
+
+def stitched_pair(seed, strength_deg):
+    """A pair whose views are bent by fields of their own, as badly stitched panoramas are."""
+    scene = two_view_scene(
+        seed, num_matches=300, outlier_ratio=0.1, noise_deg=NOISE_DEG, noise_in_both_views=True
+    )
+    rng = np.random.default_rng(seed)
+    fields = np.radians(strength_deg) * rng.normal(size=(2, 3, 3, 3))
+    return bent(scene.bearings1, fields[0]), bent(scene.bearings2, fields[1]), scene.cam2_from_cam1
+
+
+def squared_error(result, truth):
+    """Squared error of a pose in units of its covariance, over 5: 1 on average."""
+    pose, direction = result.cam2_from_cam1, truth.translation / np.linalg.norm(truth.translation)
+    turn = vector_from_rotation(truth.rotation @ pose.rotation.T)
+    shift = result.translation_basis.T @ direction / (direction @ pose.translation)
+    error = np.concatenate([turn, shift])
+    return error @ np.linalg.solve(result.covariance, error) / 5.0
+
+
+def median_squared_error(strength_deg, shared_error):
+    options = epi360.RansacOptions(shared_error=shared_error)
+    errors = []
+    for seed in range(40):
+        b1, b2, truth = stitched_pair(seed, strength_deg)
+        result = epi360.estimate_relative_pose(b1, b2, options=options)
+        if result.success:
+            errors.append(squared_error(result, truth))
+    assert len(errors) > 30
+    return np.median(errors)
+
+
+def linearised(b1, b2, pose):
+    """Sampson residuals, their gradients by the bearings and derivatives by the pose."""
+    basis = basis_of(pose.translation)
+
+    def residuals(step):
+        t = pose.translation + basis @ step[3:]
+        R = rotation_from_vector(step[:3]) @ pose.rotation
+        return signed_sampson(b1, b2, R, t / np.linalg.norm(t))
+
+    J = np.stack([(residuals(1e-6 * e) - residuals(-1e-6 * e)) / 2e-6 for e in np.eye(5)], axis=1)
+    values, *gradients = sampson_with_gradients(b1, b2, pose.rotation, pose.translation)
+    return values, tuple(gradients), J
+
+
+def basis_of(t):
+    return np.linalg.svd(t[None])[2][1:].T
+
+
+def signed_sampson(b1, b2, R, t):
+    return sampson_with_gradients(b1, b2, R, t)[0]
+
+
+def sampson_with_gradients(b1, b2, R, t):
+    E = np.cross(np.eye(3), t) @ R
+    sines = np.einsum("ni,ij,nj->n", b2, E, b1)
+    g1, g2 = b2 @ E - sines[:, None] * b1, b1 @ E.T - sines[:, None] * b2
+    lengths = np.sqrt((g1**2).sum(axis=1) + (g2**2).sum(axis=1))
+    return sines / lengths, g1, g2
+
+
+@pytest.mark.parametrize("least", [0.0, 1.0])
+@pytest.mark.parametrize("strength_deg", [0.0, 0.1])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_core_equals_the_formula(seed, strength_deg, least):
+    b1, b2, _ = stitched_pair(seed, strength_deg)
+    result = epi360.estimate_relative_pose(b1, b2)
+    b1, b2 = b1[result.inlier_mask][:150], b2[result.inlier_mask][:150]
+    pose = result.cam2_from_cam1
+    residuals, gradients, J = linearised(b1, b2, pose)
+    scale = 1e-3
+    expected = shared_error_covariance((b1, b2), gradients, residuals, J, scale=scale, least=least)
+    found = internals.shared_error_covariance(
+        b1, b2, pose.rotation, pose.translation, scale, least
+    ).reshape(5, 5)
+    # The basis of the direction of translation is free: compare what does not depend on it.
+    np.testing.assert_allclose(found[:3, :3], expected[:3, :3], rtol=1e-5, atol=1e-16)
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(found), np.linalg.eigvalsh(expected), rtol=1e-5, atol=1e-16
+    )
+
+
+def test_independent_errors_leave_the_covariance_alone():
+    # A chi^2 with five degrees of freedom over 5 has the median 0.87.
+    assert 0.6 < median_squared_error(0.0, shared_error=0.0) < 1.3
+
+
+def test_badly_stitched_views_get_a_covariance_that_covers():
+    # As if the errors were independent, the median is 17; the longest waves stay hidden.
+    assert median_squared_error(0.1, shared_error=0.0) < 6.0
+    assert 0.2 < median_squared_error(0.1, shared_error=1.0) < 3.0
+
+
+def test_a_shared_error_that_is_assumed_moves_no_pose():
+    b1, b2, _ = stitched_pair(0, 0.0)
+    without, assumed = (
+        epi360.estimate_relative_pose(b1, b2, options=epi360.RansacOptions(shared_error=s))
+        for s in (0.0, 1.0)
+    )
+    assert (without.cam2_from_cam1.rotation == assumed.cam2_from_cam1.rotation).all()
+    assert (np.diag(assumed.covariance) > 2.0 * np.diag(without.covariance)).all()
+
+
+@pytest.mark.parametrize("bad", [-1.0, np.nan, 1e9, "1"])
+def test_a_shared_error_out_of_range_is_named(bad):
+    with pytest.raises(ValueError, match="shared_error must be"):
+        epi360.RansacOptions(shared_error=bad)
