@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Numbers at the end of what a float holds, and options of odd types."""
 
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -181,3 +183,25 @@ def test_a_hundred_thousand_random_matches_are_refused_in_seconds():
     start = time.process_time()
     assert not estimate_relative_pose(b1, b2).success
     assert time.process_time() - start < 5.0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="limits memory as Linux does")
+def test_threads_that_cannot_start_are_done_without():
+    program = """
+import resource
+import numpy as np
+from epi360 import estimate_relative_poses
+from epi360.synthetic import two_view_scene
+
+scene = two_view_scene(0, noise_deg=0.2)
+pairs = [(scene.bearings1, scene.bearings2)] * 100
+alone = estimate_relative_poses(pairs[:1], num_threads=1)[0]
+pages = int(open("/proc/self/statm").read().split()[0])
+limit = pages * resource.getpagesize() + 60 * 2**20  # stacks of seven threads
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+for result in estimate_relative_poses(pairs, num_threads=100):
+    np.testing.assert_array_equal(result.residuals_rad, alone.residuals_rad)
+print("done")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "done\n", done.stderr
