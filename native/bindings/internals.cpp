@@ -26,6 +26,7 @@ void bind_verdict(nb::module_& m) {
       .def(nb::init<>())
       .def_rw("num_matches", &Evidence::num_matches)
       .def_rw("num_usable", &Evidence::num_usable)
+      .def_rw("num_effective", &Evidence::num_effective)
       .def_rw("sample_size", &Evidence::sample_size)
       .def_rw("support", &Evidence::support)
       .def_rw("log10_false_alarms", &Evidence::log10_false_alarms)

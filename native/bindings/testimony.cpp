@@ -3,6 +3,7 @@
 #include <nanobind/stl/string.h>
 
 #include "bindings/arrays.h"
+#include "core/robust/neighbourhoods.h"
 #include "core/robust/shared_error.h"
 #include "core/robust/testimony.h"
 #include "core/robust/upright_search.h"

@@ -4,6 +4,7 @@
 
 namespace epi360 {
 
+constexpr double kPi = 3.141592653589793;
 constexpr double kDegree = 0.017453292519943295;          // radians
 constexpr double kInverseRootTwoPi = 0.3989422804014327;  // peak of the unit Gaussian
 

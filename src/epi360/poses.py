@@ -172,6 +172,13 @@ def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
     return float(np.degrees(np.arctan2(sine, float(translation_a @ translation_b))))
 
 
+def checked_pose(pose: object, name: str = "cam2_from_cam1") -> Pose:
+    """Return a pose, or raise ``ValueError`` if it is something else."""
+    if not isinstance(pose, Pose):
+        raise ValueError(f"{name} must be a Pose, got {pose!r}")
+    return pose
+
+
 def _checked(array: ArrayLike, shape: tuple[int, ...], name: str) -> NDArray[np.float64]:
     copy = np.array(array, dtype=np.float64)
     if copy.shape != shape:

@@ -128,6 +128,19 @@ def test_directions_at_180_degrees_and_corners_go_both_ways():
     np.testing.assert_allclose(again, pinned, atol=1e-9)
 
 
+@pytest.mark.parametrize("xi", [1 - 1e-16, 1 - 1e-9, 1 - 1e-3, -1 + 1e-3, -1 + 1e-9])
+@pytest.mark.parametrize("alpha", [0.3, 0.6])
+def test_spheres_nearly_a_radius_apart_lose_no_digits(xi, alpha):
+    camera = DoubleSphere(1000, 1000, 200, 210, 500, 498, xi, alpha)
+    pixels = np.random.default_rng(0).uniform(300, 700, (1000, 2))
+    bearings = camera.bearings_from_pixels(pixels)
+    seen = np.isfinite(bearings).all(axis=1)
+    # Near xi = -1 the image holds directions within a millionth of the axis.
+    again = camera.pixels_from_bearings(bearings[seen])
+    np.testing.assert_allclose(again, pixels[seen], rtol=0, atol=1e-9 if xi > 0 else 1e-6)
+    assert seen.all()
+
+
 @pytest.mark.parametrize("xi", [-1, 1, 1.5])
 def test_spheres_too_far_apart_are_refused(xi):
     with pytest.raises(ValueError, match="xi must be between -1 and 1"):

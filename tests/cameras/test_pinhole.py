@@ -26,6 +26,15 @@ def test_pixel_outside_the_image_has_a_ray_but_is_not_given_for_it():
     np.testing.assert_array_equal(np.isnan(pixels[:, 0]), [True, True, False])
 
 
+def test_pixels_as_far_as_numbers_go_have_a_ray():
+    far = [[1e200, 240], [-1e308, 1e308], [320, 1e160]]
+    bearings = CAMERA.bearings_from_pixels(far)
+    np.testing.assert_allclose(np.linalg.norm(bearings, axis=1), 1.0, rtol=1e-15)
+    np.testing.assert_allclose(bearings[0], [1, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(bearings[2], [0, 1, 0], atol=1e-15)
+    assert np.isfinite(CAMERA.bearing_jacobians(far)).all()
+
+
 def test_pinhole_agrees_with_colmap():
     pycolmap = pytest.importorskip("pycolmap")
     colmap = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[300, 200, 320, 240])

@@ -15,6 +15,7 @@ def evidence(**changes):
     sound = {
         "num_matches": 100,
         "num_usable": 100,
+        "num_effective": 100,
         "support": 60,
         "log10_false_alarms": -50.0,
         "chance": 0.02,

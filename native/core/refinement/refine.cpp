@@ -113,6 +113,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
   }
   double damping = 1e-4;
+  bool fresh = true;  // the weights are those of the loss
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     double upper[15];
     Vector5 gradient;
@@ -135,7 +136,8 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     result.num_iterations = iteration + 1;
 
     const double sigma = options.sigma_tolerance * result.loss.scale;
-    bool accepted = false, fresh = !updated;
+    bool accepted = false;
+    fresh = !updated;
     Vector5 step = Vector5::Zero();
     while (!accepted && damping < 1e8) {
       Matrix5 damped = hessian;
@@ -151,7 +153,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       if (w.trial.objective < w.current.objective) {
         result.cam2_from_cam1 = candidate;
         std::swap(w.current, w.trial);
-        accepted = true;
+        accepted = fresh = true;
         damping = std::max(damping * 0.1, 1e-9);
       } else if (!fresh) {  // limits on the shares can make the new mixture the less likely one
         weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
@@ -165,12 +167,11 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     result.converged = !accepted || step.norm() < options.step_tolerance;
     if (result.converged) break;
   }
-  if (options.loss.loss == Loss::kMixture) {
-    weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
-  }
+  if (!fresh) weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
   result.cost = w.current.objective;
-  if (options.loss.loss == Loss::kMixture)
+  if (options.loss.loss == Loss::kMixture) {
     result.cost *= 2.0 * result.loss.scale * result.loss.scale;
+  }
   return result;
 }
 

@@ -54,6 +54,7 @@ class Candidates {
   // Polishes candidates whose log-evidence is at most `range` below the best one's to the end.
   void finish(const std::vector<Candidate>& candidates, double range);
 
+  RefineWorkspace& workspace() { return workspace_; }  // for refinements of others
   const PosePrior& prior() const { return prior_; }
   bool empty() const { return candidates_.empty(); }
   const Candidate& best() const { return candidates_.front(); }

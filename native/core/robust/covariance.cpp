@@ -84,13 +84,6 @@ double noise_per_residual(Residual residual) {
   return residual == Residual::kPaper || residual == Residual::kAngular ? std::sqrt(0.5) : 1.0;
 }
 
-double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
-                     const Eigen::Vector3d& b2, double variance) {
-  const Eigen::Vector3d& t = cam2_from_cam1.t;
-  const double squared = (cam2_from_cam1.R * b1).cross(t).squaredNorm() + b2.cross(t).squaredNorm();
-  return squared / (squared + 8.0 * variance);
-}
-
 Vector5 jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i) {
   Vector5 J;
   for (std::size_t k = 0; k < 5; ++k) J[static_cast<Eigen::Index>(k)] = at.jacobian[k * padded + i];
@@ -114,7 +107,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                     at.in_front.data(), at.jacobian.data());
   std::fill(at.weights.begin(), at.weights.end(), 0.0);
   double slope = 0.0, square = 0.0, count = 0.0;
-  Matrix5 independent = Matrix5::Zero();
+  std::vector<double> trusts(m.size, 0.0);
   std::array<Vector5, kNumCells> sums;
   sums.fill(Vector5::Zero());
   for (std::size_t i = 0; i < m.size; ++i) {
@@ -124,19 +117,20 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
     slope += m.weight[i] * psi.second;
     square += m.weight[i] * m.weight[i] * psi.first * psi.first;
     const double trust = epipole_trust(cam2_from_cam1, view1(m, i), view2(m, i), variance);
-    if (inlier[i]) {
-      at.weights[i] = m.weight[i] * trust * trust;
-      count += m.weight[i];
-    }
-    const Vector5 score = m.weight[i] * trust * psi.first * jacobian_of(at, m.padded, i);
-    independent += score * score.transpose();
-    sums[cell_of(view2(m, i))] += score;
+    trusts[i] = trust * trust;
+    if (inlier[i]) count += m.weight[i];
+    const double score = m.weight[i] * trust * psi.first;
+    at.weights[i] = score * score;
+    sums[cell_of(view2(m, i))] += score * jacobian_of(at, m.padded, i);
   }
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
   Matrix5 clustered = Matrix5::Zero();
   for (const Vector5& sum : sums) clustered += sum * sum.transpose();
-  result.clustering = std::max(1.0, solve_symmetric(independent, clustered).trace() / 5.0);
+  result.clustering = std::max(1.0, solve_symmetric(symmetric(upper), clustered).trace() / 5.0);
 
-  double upper[15], gradient[5];
+  for (std::size_t i = 0; i < m.size; ++i) at.weights[i] = inlier[i] * m.weight[i] * trusts[i];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
                               upper, gradient);
   const double freedom = count / degrees_of_freedom(count);
@@ -164,10 +158,10 @@ Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned ch
   Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
   for (std::size_t i = 0; i < m.size; ++i) {
     if (!inlier[i]) continue;
-    sum += residuals[i] * residuals[i];
-    count += 1.0;
+    sum += m.weight[i] * residuals[i] * residuals[i];
+    count += m.weight[i];
     const Eigen::Vector3d b = view2(m, i);
-    information += Eigen::Matrix3d::Identity() - b * b.transpose();
+    information += m.weight[i] * (Eigen::Matrix3d::Identity() - b * b.transpose());
   }
   Uncertainty result;
   // Two components a match, three parameters.

@@ -20,8 +20,12 @@ struct Uncertainty {
 
 // How far the first-order residual of a match can be trusted, in [0, 1]: near an epipole it
 // promises more than a bearing with noise of this variance can hold.
-double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
-                     const Eigen::Vector3d& b2, double variance);
+inline double epipole_trust(const RelativePose& cam2_from_cam1, const Eigen::Vector3d& b1,
+                            const Eigen::Vector3d& b2, double variance) {
+  const Eigen::Vector3d& t = cam2_from_cam1.t;
+  const double squared = (cam2_from_cam1.R * b1).cross(t).squaredNorm() + b2.cross(t).squaredNorm();
+  return squared / (squared + 8.0 * variance);
+}
 
 // Derivative of one residual by the five parameters of the pose.
 Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "core/robust/covariance.h"
@@ -99,6 +100,8 @@ class Estimate {
     result_.covariance.setConstant(RobustResult::kNaN);
     if (options_.threshold > 0.0) result_.threshold = options_.threshold;
     result_.evidence.num_usable = static_cast<int>(m_.size);
+    result_.evidence.num_effective =
+        static_cast<int>(std::lround(std::accumulate(m_.weight.begin(), m_.weight.end(), 0.0)));
     result_.evidence.sample_size = options_.sample_size;
     result_.evidence.has_prior = prior_.has_gravity;
     dropped_.assign(m_.size, 0);
@@ -177,7 +180,7 @@ class Estimate {
       rotation = best_rotation(m_, gate, random_);
       evidence.rotation_support = rotation.support;
       evidence.rotation_log10_false_alarms =
-          log10_false_alarms(evidence.num_usable, rotation.support,
+          log10_false_alarms(evidence.num_effective, rotation.support,
                              chance.rotation_share(rotation.R, gate), kRotationSample);
     };
     if (candidates.empty() ||
@@ -188,7 +191,7 @@ class Estimate {
                                ? kTypicalDensity
                                : chance.at(result_.cam2_from_cam1, std::max(kDegree, gate));
     evidence.chance = 2.0 * gate * density;
-    evidence.log10_false_alarms = log10_false_alarms(evidence.num_usable, evidence.support,
+    evidence.log10_false_alarms = log10_false_alarms(evidence.num_effective, evidence.support,
                                                      evidence.chance, options_.sample_size);
     if (status() == Status::kTooFewInliers) {  // no pose; a rotation may be one all the same
       evidence.rotation_rejection = 0.0;
@@ -238,11 +241,12 @@ class Estimate {
     };
     inliers(false);
     decide_cheirality(m_, r.inlier, r.cam2_from_cam1);
-    r.evidence.support = inliers(true);
+    double support = inliers(true);
     for (std::size_t i = 0; i < m_.size; ++i) {
-      r.evidence.support -= r.inlier[i] && dropped_[i];
+      if (r.inlier[i] && dropped_[i]) support -= m_.weight[i];
       r.inlier[i] = r.inlier[i] && !dropped_[i];
     }
+    r.evidence.support = static_cast<int>(std::lround(support));
   }
 
   void set_rotation(RotationFit rotation) {
@@ -280,11 +284,12 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   Evidence& evidence = r.evidence;
   evidence.num_matches = static_cast<int>(num_matches);
   evidence.min_num_inliers = options.min_num_inliers;
-  evidence.num_distinct = count_distinct(m, r.inlier.data());
-  evidence.spread = mean_spread(m, r.inlier.data());
-  evidence.spread_of_matches = mean_spread(m, nullptr);
-  evidence.coverage = sphere_coverage(m, r.inlier.data());
-  evidence.match_coverage = sphere_coverage(m, nullptr);
+  evidence.num_distinct = count_distinct(m, r.inlier.data(), options.min_num_inliers);
+  const Extents where = extents(m, r.inlier.data());
+  evidence.spread = where.chosen.spread;
+  evidence.spread_of_matches = where.all.spread;
+  evidence.coverage = where.chosen.coverage;
+  evidence.match_coverage = where.all.coverage;
   const bool is_rotation = std::isnan(r.probability);  // its residuals are the noise
   evidence.noise = r.scale * (is_rotation ? 1.0 : noise_per_residual(options.residual));
   evidence.max_noise = max_noise;

@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/bearings.h"
+#include "core/constants.h"
 #include "core/refinement/refine.h"
 #include "core/robust/random.h"
 
@@ -18,17 +19,47 @@ constexpr std::size_t kChancePairs = 768;
 int cell_index(double x, double y, double z) {
   const int band = std::min(kBands - 1, static_cast<int>(0.5 * (y + 1.0) * kBands));
   // Three sectors a quadrant, told apart by the slope: an arctangent would cost ten times as much.
-  const bool right = x >= 0.0, ahead = z >= 0.0;
-  const double along = right == ahead ? std::abs(x) : std::abs(z);
-  const double across = right == ahead ? std::abs(z) : std::abs(x);
-  const int third = along * kTan60 < across ? 0 : across * kTan60 < along ? 2 : 1;
-  const int quadrant = ahead ? (right ? 0 : 3) : (right ? 1 : 2);
+  // Nothing branches, because nobody could predict where the next bearing lies.
+  const int right = x >= 0.0, ahead = z >= 0.0;
+  const double ax = std::abs(x), az = std::abs(z);
+  const int steep = az * kTan60 < ax, flat = ax * kTan60 < az;
+  const int third = 1 + (right == ahead ? steep - flat : flat - steep);
+  const int quadrant = right ? 1 - ahead : 2 + ahead;
   return band * kSectors + 3 * quadrant + third;
 }
 
-double log10_choose(int n, int k) {
-  return (std::lgamma(n + 1.0) - std::lgamma(k + 1.0) - std::lgamma(n - k + 1.0)) / std::log(10.0);
+// Natural logarithm of n!, by Stirling's series: lgamma of the library writes a global variable.
+double log_factorial(int n) {
+  double product = 1.0, x = n + 1.0;
+  for (; x < 16.0; x += 1.0) product *= x;
+  const double y = 1.0 / (x * x);
+  const double series = (1.0 / 12.0 - y * (1.0 / 360.0 - y * (1.0 / 1260.0 - y / 1680.0))) / x;
+  return (x - 0.5) * std::log(x) - x + 0.5 * std::log(2.0 * kPi) + series - std::log(product);
 }
+
+double log10_choose(int n, int k) {
+  return (log_factorial(n) - log_factorial(k) - log_factorial(n - k)) / std::log(10.0);
+}
+
+// Sums of bearings, and the cells that hold one.
+struct Gathered {
+  double sum[3] = {0.0, 0.0, 0.0}, count = 0.0;
+  std::array<bool, kNumCells> cells{};
+
+  void add(double x, double y, double z, std::size_t cell) {
+    sum[0] += x;
+    sum[1] += y;
+    sum[2] += z;
+    count += 1.0;
+    cells[cell] = true;
+  }
+  Extent extent() const {
+    if (count == 0.0) return {};
+    const auto occupied = std::count(cells.begin(), cells.end(), true);
+    const double length = std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]);
+    return {static_cast<double>(occupied) / kNumCells, 1.0 - length / count};
+  }
+};
 
 }  // namespace
 
@@ -78,50 +109,42 @@ std::size_t cell_of(const Eigen::Vector3d& b) {
   return static_cast<std::size_t>(cell_index(b.x(), b.y(), b.z()));
 }
 
-double sphere_coverage(const Matches& m, const unsigned char* chosen) {
-  std::array<bool, kBands * kSectors> cells1{}, cells2{};
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (chosen && !chosen[i]) continue;
-    cells1[static_cast<std::size_t>(cell_index(m.x1[i], m.y1[i], m.z1[i]))] = true;
-    cells2[static_cast<std::size_t>(cell_index(m.x2[i], m.y2[i], m.z2[i]))] = true;
+Extents extents(const Matches& m, const unsigned char* chosen) {
+  Extents lower;
+  for (int view = 1; view <= 2; ++view) {
+    const double* x = view == 1 ? m.x1.data() : m.x2.data();
+    const double* y = view == 1 ? m.y1.data() : m.y2.data();
+    const double* z = view == 1 ? m.z1.data() : m.z2.data();
+    Gathered all, some;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      const auto cell = static_cast<std::size_t>(cell_index(x[i], y[i], z[i]));
+      all.add(x[i], y[i], z[i], cell);
+      if (chosen[i]) some.add(x[i], y[i], z[i], cell);
+    }
+    const auto take = [&](const Extent& extent, Extent& least) {
+      least.coverage = view == 1 ? extent.coverage : std::min(least.coverage, extent.coverage);
+      least.spread = view == 1 ? extent.spread : std::min(least.spread, extent.spread);
+    };
+    take(all.extent(), lower.all);
+    take(some.extent(), lower.chosen);
   }
-  const auto occupied = std::min(std::count(cells1.begin(), cells1.end(), true),
-                                 std::count(cells2.begin(), cells2.end(), true));
-  return static_cast<double>(occupied) / (kBands * kSectors);
+  return lower;
 }
 
-double mean_spread(const Matches& m, const unsigned char* chosen) {
-  double sums1[3] = {0.0, 0.0, 0.0}, sums2[3] = {0.0, 0.0, 0.0}, count = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (chosen && !chosen[i]) continue;
-    sums1[0] += m.x1[i];
-    sums1[1] += m.y1[i];
-    sums1[2] += m.z1[i];
-    sums2[0] += m.x2[i];
-    sums2[1] += m.y2[i];
-    sums2[2] += m.z2[i];
-    count += 1.0;
-  }
-  if (count == 0.0) return 0.0;
-  const auto spread = [&](const double* sum) {
-    return 1.0 - std::sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / count;
-  };
-  return std::min(spread(sums1), spread(sums2));
-}
-
-int count_distinct(const Matches& m, const unsigned char* chosen) {
-  std::vector<double> values;
-  for (std::size_t i = 0; i < m.size; ++i) {
+int count_distinct(const Matches& m, const unsigned char* chosen, int enough) {
+  std::vector<double> values;  // ascending
+  for (std::size_t i = 0; i < m.size && static_cast<int>(values.size()) < enough; ++i) {
     if (!chosen[i]) continue;
     // One projection tells them apart.
     double value = 0.0;
     value += m.x1[i] * 0.6180 + m.x2[i] * 1.3247;
     value += m.y1[i] * 0.7549 + m.y2[i] * 1.2207;
     value += m.z1[i] * 0.8192 + m.z2[i] * 1.1673;
-    values.push_back(std::round(value * 1e12));
+    value = std::round(value * 1e12);
+    const auto place = std::lower_bound(values.begin(), values.end(), value);
+    if (place == values.end() || *place != value) values.insert(place, value);
   }
-  std::sort(values.begin(), values.end());
-  return static_cast<int>(std::unique(values.begin(), values.end()) - values.begin());
+  return static_cast<int>(values.size());
 }
 
 double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen) {

@@ -36,16 +36,20 @@ double log10_false_alarms(int matches, int inliers, double probability, int samp
 constexpr int kBands = 4, kSectors = 12, kNumCells = kBands * kSectors;
 std::size_t cell_of(const Eigen::Vector3d& bearing);
 
-// Share of 48 equal-area cells (4 bands by 12 sectors) that hold a chosen bearing, the lower of
-// both views. chosen: one flag per match or null for all.
-double sphere_coverage(const Matches& m, const unsigned char* chosen);
+// Where bearings lie, the lower number of both views.
+struct Extent {
+  double coverage = 0.0;  // share of 48 equal-area cells that hold one
+  // One minus the length of the mean bearing: 0 for one direction, 0.06 for a cone of 40 degrees.
+  double spread = 0.0;
+};
 
-// How much of the sphere the chosen bearings see: one minus the length of the mean bearing, the
-// lower of both views; 0 for one direction and 0.06 for a cone of 40 degrees.
-double mean_spread(const Matches& m, const unsigned char* chosen);
+struct Extents {
+  Extent all, chosen;
+};
+Extents extents(const Matches& m, const unsigned char* chosen);
 
-// Chosen matches that are no copies of one another.
-int count_distinct(const Matches& m, const unsigned char* chosen);
+// Chosen matches that are no copies of one another, or `enough` if there are more.
+int count_distinct(const Matches& m, const unsigned char* chosen, int enough);
 
 // Median angle between R b1 and b2 over the chosen matches, radians.
 double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen);

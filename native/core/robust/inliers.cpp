@@ -41,20 +41,21 @@ void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlie
   }
 }
 
-int mark_inliers(const Matches& m, Residual residual, const RelativePose& pose, double gate,
-                 bool use_depths, std::vector<unsigned char>& inlier,
-                 std::vector<double>& residuals) {
+double mark_inliers(const Matches& m, Residual residual, const RelativePose& pose, double gate,
+                    bool use_depths, std::vector<unsigned char>& inlier,
+                    std::vector<double>& residuals) {
   std::vector<double> in_front(m.padded);
   residuals.resize(m.padded);
   compute_residuals(m, residual, plain(pose), std::min(gate, kLargestWrongParallax),
                     residuals.data(), in_front.data());
   inlier.assign(m.size, 0);
-  int count = 0;
+  double weight = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    inlier[i] = std::abs(residuals[i]) < gate && (!use_depths || in_front[i] > 0.5);
-    count += inlier[i];
+    const bool agrees = (std::abs(residuals[i]) < gate) & (!use_depths | (in_front[i] > 0.5));
+    inlier[i] = agrees;
+    weight += agrees * m.weight[i];
   }
-  return count;
+  return weight;
 }
 
 void release_depths(const Matches& m, Residual residual, Candidates& candidates) {
@@ -64,8 +65,7 @@ void release_depths(const Matches& m, Residual residual, Candidates& candidates)
   const double gate = gate_of(best.loss);
   std::vector<unsigned char> inlier;
   std::vector<double> residuals;
-  const int support = mark_inliers(m, residual, best.cam2_from_cam1, gate, true, inlier, residuals);
-  const double parallax = median_parallax(m, best.cam2_from_cam1, inlier.data());
+  double support = -1.0, parallax = 0.0;  // of the best, which few need
   double most = -std::numeric_limits<double>::infinity();
   for (const Candidate& c : all) {
     if (c.evidence < best.evidence - kReleasedEvidence) break;
@@ -75,9 +75,13 @@ void release_depths(const Matches& m, Residual residual, Candidates& candidates)
       most = std::max(most, released.evidence);
       continue;
     }
+    if (support < 0.0) {
+      support = mark_inliers(m, residual, best.cam2_from_cam1, gate, true, inlier, residuals);
+      parallax = median_parallax(m, best.cam2_from_cam1, inlier.data());
+    }
     mark_inliers(m, residual, released.cam2_from_cam1, gate, false, inlier, residuals);
     decide_cheirality(m, inlier, released.cam2_from_cam1);
-    const int kept =
+    const double kept =
         mark_inliers(m, residual, released.cam2_from_cam1, gate, true, inlier, residuals);
     if (kept < kReleasedSupport * support) continue;
     const double released_parallax = median_parallax(m, released.cam2_from_cam1, inlier.data());

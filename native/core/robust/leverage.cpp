@@ -21,7 +21,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
   std::vector<unsigned char> dropped(m.size, 0);
   if (candidates.empty()) return dropped;
   Matches trusted;
-  RefineWorkspace workspace;
+  RefineWorkspace& workspace = candidates.workspace();
   RefineOptions refinement;
   refinement.residual = residual;
   refinement.prior = candidates.prior();
@@ -33,7 +33,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
     refinement.loss = best.loss;
     const Matches& used = round == 0 ? m : trusted;
     // In the first round only to linearise: the pose is an optimum already.
-    refinement.max_iterations = round == 0 ? 1 : 30;
+    refinement.max_iterations = round == 0 ? 0 : 30;
     RefineResult refined = refine(used, best.cam2_from_cam1, refinement, workspace);
     if (round > 0) {
       best.cam2_from_cam1 = refined.cam2_from_cam1;
@@ -44,7 +44,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
     if (!(refined.effective_matches >= kEnoughForLeverage)) break;
     std::vector<unsigned char> believed(m.size);
     for (std::size_t i = 0; i < m.size; ++i) believed[i] = workspace.current.weights[i] > 0.0;
-    const double usual = median_parallax(m, best.cam2_from_cam1, believed.data());
+    double usual = -1.0;  // the median parallax, which few need
     const Matrix5 covariance = inverse(refined.information);
     bool any = false;
     for (std::size_t i = 0; i < m.size; ++i) {
@@ -52,6 +52,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
       if (!(weight > 0.0)) continue;
       const Eigen::Matrix<double, 5, 1> J = jacobian_of(workspace.current, m.padded, i);
       if (!(weight * J.dot(covariance * J) > kLargestLeverage)) continue;
+      if (usual < 0.0) usual = median_parallax(m, best.cam2_from_cam1, believed.data());
       const Eigen::Vector3d a = best.cam2_from_cam1.R * view1(m, i);
       const Eigen::Vector3d b = view2(m, i);
       if (!(direction_angle(a, b) > kUnusualParallax * usual)) continue;

@@ -7,7 +7,6 @@
 #include <cmath>
 #include <exception>
 #include <mutex>
-#include <system_error>
 #include <thread>
 #include <utility>
 
@@ -17,20 +16,18 @@ namespace epi360 {
 namespace {
 
 constexpr double kWidestGate = 45.0 * kDegree;
+constexpr double kNegligible = 1e-6;  // weight beside the heaviest
 
 enum class Row { kUsable, kMissing, kInfinite, kZero };
 
 // A bearing scaled to unit length.
 Row unit_row(const double* row, double* unit) {
   double largest = 0.0;
-  bool missing = false, infinite = false;
-  for (int k = 0; k < 3; ++k) {
-    missing = missing || std::isnan(row[k]);
-    infinite = infinite || std::isinf(row[k]);
-    largest = std::max(largest, std::abs(row[k]));
+  for (int k = 0; k < 3; ++k) largest = std::max(largest, std::abs(row[k]));
+  if (!std::isfinite(row[0] + row[1] + row[2]) || !std::isfinite(largest)) {
+    if (std::any_of(row, row + 3, [](double x) { return std::isinf(x); })) return Row::kInfinite;
+    if (std::any_of(row, row + 3, [](double x) { return std::isnan(x); })) return Row::kMissing;
   }
-  if (infinite) return Row::kInfinite;
-  if (missing) return Row::kMissing;
   if (!(largest > 0.0)) return Row::kZero;
   double squared = 0.0;  // divided first, so that squares neither overflow nor vanish
   for (int k = 0; k < 3; ++k) {
@@ -83,33 +80,61 @@ BadRow take_usable(const PairInput& input, UsableMatches& out) {
   return {};
 }
 
-// Weights are relative to one another.
-void normalise_weights(Matches& m) {
-  double largest = 0.0, sum = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) largest = std::max(largest, m.weight[i]);
-  for (std::size_t i = 0; i < m.size; ++i) sum += m.weight[i] /= largest;
+// Weights are relative to one another: their sum becomes the number of matches of equal weight that
+// say as much, (sum w)^2 / sum w^2 (Kish 1965), so that wherever weights are counted, evidence is.
+// Matches that weigh next to nothing beside the heaviest are left out.
+void normalise_weights(UsableMatches& usable) {
+  Matches& m = usable.m;
+  const double largest = *std::max_element(m.weight.begin(), m.weight.end());
+  std::vector<std::size_t> kept;
+  double sum = 0.0, squares = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    m.weight[i] *= static_cast<double>(m.size) / sum;
+    m.weight[i] /= largest;  // first, so that squares neither overflow nor vanish
+    if (m.weight[i] < kNegligible) continue;
+    kept.push_back(i);
+    sum += m.weight[i];
+    squares += m.weight[i] * m.weight[i];
+  }
+  if (kept.size() < m.size) {
+    m = chosen_matches(m, kept);
+    for (std::size_t k = 0; k < kept.size(); ++k) {
+      usable.rows[k] = usable.rows[kept[k]];
+      if (!usable.scores.empty()) usable.scores[k] = usable.scores[kept[k]];
+    }
+    usable.rows.resize(kept.size());
+    if (!usable.scores.empty()) usable.scores.resize(kept.size());
+  }
+  for (std::size_t i = 0; i < m.size; ++i) {
+    m.weight[i] *= sum / squares;
     m.unit_weights = m.unit_weights && m.weight[i] == 1.0;
   }
 }
 
 // Divides Jacobians by their root mean square, so that residuals in pixels become angles. Returns
-// that number.
+// that number, 1 where there is none: Jacobians of zero say nothing of pixels.
 double normalise_jacobians(Matches& m) {
-  double squares = 0.0;
+  double largest = 0.0, squares = 0.0;
+  for (const auto& columns : {jacobian_columns(m, 1), jacobian_columns(m, 2)}) {
+    for (const std::vector<double>* column : columns) {
+      for (std::size_t i = 0; i < m.size; ++i) largest = std::max(largest, std::abs((*column)[i]));
+    }
+  }
+  if (!(largest > 0.0)) return 1.0;
   for (const auto& columns : {jacobian_columns(m, 1), jacobian_columns(m, 2)}) {
     for (std::size_t i = 0; i < m.size; ++i) {
-      for (const std::vector<double>* column : columns) squares += (*column)[i] * (*column)[i];
+      for (const std::vector<double>* column : columns) {
+        const double ratio = (*column)[i] / largest;  // so that squares neither overflow nor vanish
+        squares += ratio * ratio;
+      }
     }
   }
-  const double scale = std::sqrt(squares / (4.0 * static_cast<double>(m.size)));
+  const double mean = std::sqrt(squares / (4.0 * static_cast<double>(m.size)));
   for (const auto& columns : {jacobian_columns(m, 1), jacobian_columns(m, 2)}) {
     for (std::vector<double>* column : columns) {
-      for (std::size_t i = 0; i < m.size; ++i) (*column)[i] /= scale;
+      for (std::size_t i = 0; i < m.size; ++i) (*column)[i] = (*column)[i] / largest / mean;
     }
   }
-  return scale;
+  return largest * mean;
 }
 
 // One entry for every row that was given.
@@ -126,7 +151,7 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   UsableMatches usable;
   out.bad_row = take_usable(input, usable);
   if (out.bad_row.view) return out;
-  if (input.weights) normalise_weights(usable.m);
+  if (input.weights && usable.m.size > 0) normalise_weights(usable);
   const double pixel = usable.m.has_jacobians() ? normalise_jacobians(usable.m) : 1.0;
   RobustOptions scaled = options;
   if (options.threshold_in_pixels) {
@@ -174,7 +199,7 @@ std::vector<PairResult> estimate_pairs(const std::vector<PairInput>& pairs,
   const std::size_t wanted = std::min(pairs.size(), static_cast<std::size_t>(num_threads));
   try {
     for (std::size_t k = 1; k < wanted; ++k) helpers.emplace_back(work);
-  } catch (const std::system_error&) {  // the system gives no more threads: those at hand do it all
+  } catch (const std::exception&) {  // no more threads or memory for them: those at hand do it all
   }
   work();
   for (std::thread& helper : helpers) helper.join();

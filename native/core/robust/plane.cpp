@@ -16,15 +16,31 @@ constexpr int kFewRounds = 5;  // of twelve: those before a gate of four times t
 // Along the epipolar plane, b2 is off by (|b2 x t| (n . b1) + u . (b2 x a)) / |a + t (n . b1)| for
 // a point of the plane, with a = R b1 and u = b2 x t / |b2 x t|: linear in n but for the length.
 struct PlaneTerm {
-  double lever, constant, length;
+  Eigen::Vector3d b1, a;
+  double lever, constant;
 };
 
-PlaneTerm plane_term(const RelativePose& pose, const Eigen::Vector3d& b1, const Eigen::Vector3d& b2,
-                     const Eigen::Vector3d& n) {
+PlaneTerm plane_term(const RelativePose& pose, const Eigen::Vector3d& b1,
+                     const Eigen::Vector3d& b2) {
   const Eigen::Vector3d a = pose.R * b1;
   const Eigen::Vector3d bt = b2.cross(pose.t);
   const double lever = std::max(bt.norm(), 1e-12);
-  return {lever, bt.dot(b2.cross(a)) / lever, (a + pose.t * n.dot(b1)).norm()};
+  return {b1, a, lever, bt.dot(b2.cross(a)) / lever};
+}
+
+// About a hundred of the chosen matches tell whether there may be a plane at all.
+std::vector<PlaneTerm> plane_terms(const Matches& m, const RelativePose& pose,
+                                   const std::vector<unsigned char>& chosen, bool all) {
+  const auto count = std::count(chosen.begin(), chosen.end(), 1);
+  const auto stride = all ? 1 : std::max<std::ptrdiff_t>(count / 100, 1);
+  std::vector<PlaneTerm> terms;
+  terms.reserve(static_cast<std::size_t>(count / stride + 1));
+  std::ptrdiff_t seen = 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!chosen[i] || seen++ % stride != 0) continue;
+    terms.push_back(plane_term(pose, view1(m, i), view2(m, i)));
+  }
+  return terms;
 }
 
 }  // namespace
@@ -33,25 +49,20 @@ Eigen::Vector3d fit_plane(const Matches& m, const RelativePose& pose,
                           const std::vector<unsigned char>& chosen, double gate, double* share) {
   Eigen::Vector3d n = Eigen::Vector3d::Zero();
   double total = 0.0, inside = 0.0;
-  const auto count = std::count(chosen.begin(), chosen.end(), 1);
+  std::vector<PlaneTerm> terms = plane_terms(m, pose, chosen, false);
   for (int round = 0; round < 12; ++round) {  // Cauchy weights, narrowing to the gate
-    // About a hundred points tell whether there may be a plane at all.
-    const auto stride = round < kFewRounds ? std::max<std::ptrdiff_t>(count / 100, 1) : 1;
-    std::ptrdiff_t seen = 0;
+    if (round == kFewRounds) terms = plane_terms(m, pose, chosen, true);
     const double scale = gate * std::max(1.0, std::exp2(6 - round));
     Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
     Eigen::Vector3d right = Eigen::Vector3d::Zero();
     total = inside = 0.0;
     double near = 0.0;
-    for (std::size_t i = 0; i < m.size; ++i) {
-      if (!chosen[i] || seen++ % stride != 0) continue;
-      const Eigen::Vector3d b1 = view1(m, i), b2 = view2(m, i);
-      const PlaneTerm term = plane_term(pose, b1, b2, n);
-      const double error = (term.lever * n.dot(b1) + term.constant) / term.length;
-      const double weight =
-          1.0 / ((1.0 + error * error / (scale * scale)) * term.length * term.length);
-      normal += weight * term.lever * term.lever * b1 * b1.transpose();
-      right -= weight * term.lever * term.constant * b1;
+    for (const PlaneTerm& term : terms) {
+      const double along = n.dot(term.b1), length = (term.a + pose.t * along).norm();
+      const double error = (term.lever * along + term.constant) / length;
+      const double weight = 1.0 / ((1.0 + error * error / (scale * scale)) * length * length);
+      normal += weight * term.lever * term.lever * term.b1 * term.b1.transpose();
+      right -= weight * term.lever * term.constant * term.b1;
       total += 1.0;
       inside += std::abs(error) < gate;
       near += std::abs(error) < scale;

@@ -2,6 +2,7 @@
 #include "core/robust/rotation_search.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -82,11 +83,9 @@ RotationFit best_rotation(const Matches& m, double gate, Random& random) {
   RotationFit fit;
   // Samples of nearly equal bearings fix no rotation; all of them together may.
   fit.R = result.found() ? result.model : align_rotations(m, m.weight.data());
-  problem.count_within(fit.R, gate);
+  fit.support = static_cast<int>(std::lround(problem.count_within(fit.R, gate)));
   fit.residuals = problem.residuals();
   fit.residuals.resize(m.size);
-  fit.support = static_cast<int>(std::count_if(fit.residuals.begin(), fit.residuals.end(),
-                                               [&](double r) { return r < gate; }));
   return fit;
 }
 
@@ -121,7 +120,7 @@ double rotation_rejection(const Matches& m, const std::vector<unsigned char>& in
   double count = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     weights[i] = inlier[i] ? m.weight[i] : 0.0;
-    count += inlier[i];
+    count += weights[i];
   }
   if (count < 3.0) return 0.0;
   for (int round = 0; round < kAlignments; ++round) {
@@ -133,16 +132,19 @@ double rotation_rejection(const Matches& m, const std::vector<unsigned char>& in
       weights[i] = m.weight[i] / (ratio * ratio);  // Geman-McClure
     }
   }
-  std::vector<double> angles;
+  std::vector<std::pair<double, double>> angles;  // and their weights
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (inlier[i]) angles.push_back(residuals[i]);
+    if (inlier[i]) angles.emplace_back(residuals[i], m.weight[i]);
   }
-  const auto middle = angles.begin() + static_cast<std::ptrdiff_t>(angles.size() / 2);
-  std::nth_element(angles.begin(), middle, angles.end());
+  std::sort(angles.begin(), angles.end());
+  auto middle = angles.begin();
+  for (double below = middle->second; 2.0 * below <= count && middle + 1 != angles.end();) {
+    below += (++middle)->second;
+  }
   // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
   // from the same inliers and has an error of its own.
   const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
-  return (*middle / std::sqrt(variance) - kRayleighMedian) /
+  return (middle->first / std::sqrt(variance) - kRayleighMedian) /
          (error * std::sqrt(clustering / count));
 }
 

@@ -38,7 +38,7 @@ class RotationProblem {
   std::vector<double> residuals_, weights_;
 };
 
-// A rotation, the residuals of all matches under it, and the number of those within the gate.
+// A rotation, the residuals of all matches under it, and the weight of those within the gate.
 struct RotationFit {
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> residuals;

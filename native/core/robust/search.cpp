@@ -22,15 +22,22 @@ const std::vector<double> kAllScales = {0.15 * kDegree, 0.45 * kDegree, 1.35 * k
 constexpr int kScaleRounds = 3;           // re-sampling rounds while the gate still moves
 constexpr double kGateSettled = 1.25;     // ratio of successive gates that counts as settled
 constexpr double kSmallestGate = 4e-6;    // radians, for exact data
-constexpr std::size_t kSearchSize = 768;  // matches that the search looks at; all decide in the end
-constexpr double kFinalistEvidence = 30.0;  // candidates of the search that all matches refine
+constexpr std::size_t kSearchSize = 512;  // matches that the search looks at; all decide in the end
+constexpr std::size_t kJurySize = 20000;  // that choose among its candidates, where there are more
+constexpr std::size_t kMostFinalists = 2;   // which they leave to all
+constexpr double kFinalistEvidence = 30.0;  // how much less likely a finalist may be than the best
 constexpr double kFewestOrdered =
     30.0;  // best scored matches whose share of inliers means something
 
+std::vector<std::size_t> counted_up(std::size_t n) {
+  std::vector<std::size_t> numbers(n);
+  std::iota(numbers.begin(), numbers.end(), std::size_t{0});
+  return numbers;
+}
+
 // Indices by descending score; equal scores in random order.
 std::vector<std::size_t> by_score(const std::vector<double>& scores, Random& random) {
-  std::vector<std::size_t> order(scores.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::vector<std::size_t> order = counted_up(scores.size());
   for (std::size_t k = order.size(); k > 1; --k) {
     std::swap(order[k - 1], order[random.below(static_cast<std::uint32_t>(k))]);
   }
@@ -41,13 +48,14 @@ std::vector<std::size_t> by_score(const std::vector<double>& scores, Random& ran
 
 // The matches that the search looks at, of all in the order of their scores: half of them the best,
 // the others from everywhere, because scores may mislead.
-std::vector<std::size_t> picked(std::vector<std::size_t> order, bool scored, Random& random) {
-  const std::size_t best = scored ? kSearchSize / 2 : 0;
-  for (std::size_t k = best; k < kSearchSize; ++k) {  // the beginning of a Fisher-Yates shuffle
+std::vector<std::size_t> picked(std::vector<std::size_t> order, std::size_t num, bool scored,
+                                Random& random) {
+  const std::size_t best = scored ? num / 2 : 0;
+  for (std::size_t k = best; k < num; ++k) {  // the beginning of a Fisher-Yates shuffle
     const auto left = static_cast<std::uint32_t>(order.size() - k);
     std::swap(order[k], order[k + random.below(left)]);
   }
-  order.resize(kSearchSize);
+  order.resize(num);
   return order;
 }
 
@@ -56,10 +64,9 @@ std::vector<std::size_t> searched(const Matches& m, const std::vector<double>& s
                                   Random& random) {
   const bool scored = !scores.empty(), partly = m.size > kSearchSize;
   if (!scored && !partly) return {};
-  std::vector<std::size_t> chosen(m.size);
-  std::iota(chosen.begin(), chosen.end(), std::size_t{0});
+  std::vector<std::size_t> chosen = counted_up(m.size);
   if (scored) chosen = by_score(scores, random);
-  if (partly) chosen = picked(std::move(chosen), scored, random);
+  if (partly) chosen = picked(std::move(chosen), kSearchSize, scored, random);
   if (scored && partly) {
     std::stable_sort(chosen.begin(), chosen.end(),
                      [&](std::size_t a, std::size_t b) { return scores[a] > scores[b]; });
@@ -118,6 +125,20 @@ int sample_poses(const Matches& m, const RobustOptions& options, EssentialProble
   return result.num_iterations;
 }
 
+// The candidates that all matches refine. A million of them would refine two dozen for minutes.
+std::vector<Candidate> finalists(const Matches& m, const RobustOptions& options,
+                                 const MatchPriors& priors, const std::vector<Candidate>& all,
+                                 Random& random) {
+  if (m.size <= kJurySize) return all;
+  const Matches jury = chosen_matches(m, picked(counted_up(m.size), kJurySize, false, random));
+  Candidates judged(jury, options.residual, priors.pose);
+  judged.set_depth_tolerance(default_gate());
+  judged.finish(all, kFinalistEvidence);
+  std::vector<Candidate> best = judged.all();
+  if (best.size() > kMostFinalists) best.resize(kMostFinalists);
+  return best;
+}
+
 }  // namespace
 
 double default_gate() { return kAllScales.front(); }
@@ -145,8 +166,7 @@ SearchResult search_poses(const Matches& m, const RobustOptions& options, const 
   }
   Candidates of_all(m, options.residual, priors.pose);
   of_all.set_depth_tolerance(default_gate());
-  of_all.finish(candidates.all(), kFinalistEvidence);
-  of_all.anneal();
+  of_all.finish(finalists(m, options, priors, candidates.all(), random), kFinalistEvidence);
   return {std::move(of_all), num_iterations};
 }
 

@@ -10,89 +10,35 @@
 #include "core/constants.h"
 #include "core/refinement/refine.h"
 #include "core/robust/covariance.h"
+#include "core/robust/neighbourhoods.h"
 #include "core/robust/random.h"
 #include "core/solvers/dense.h"
 
 namespace epi360 {
 namespace {
 
-using Indices = std::vector<std::size_t>;
-
-constexpr std::size_t kMostWitnesses = 512;       // more are thinned out at random
-constexpr std::size_t kLargestNeighbourhood = 5;  // matches that exchange partners
-constexpr double kRegion = 3.0 * kDegree;         // matches nearer in both views are one region
-constexpr double kFixed = 1.0 * kDegree;          // of what stands still, if stitched or bent
-constexpr double kFreeInformation = 1.0;          // per radian^2: what is known without matches
-
-// A bearing and the match it belongs to.
-struct Point {
-  double xyz[3];
-  std::size_t match;
-};
-
-// Reorders points so that each range up to a cut is one neighbourhood: halves the longest side
-// until a few are left.
-void cut_into_neighbourhoods(Point* begin, Point* end, const Point* first, Indices& cuts) {
-  const auto size = static_cast<std::size_t>(end - begin);
-  if (size <= kLargestNeighbourhood) {
-    cuts.push_back(static_cast<std::size_t>(end - first));
-    return;
-  }
-  double low[3] = {2.0, 2.0, 2.0}, high[3] = {-2.0, -2.0, -2.0};
-  for (const Point* p = begin; p != end; ++p) {
-    for (int k = 0; k < 3; ++k) {
-      low[k] = std::min(low[k], p->xyz[k]);
-      high[k] = std::max(high[k], p->xyz[k]);
-    }
-  }
-  int axis = 0;
-  for (int k = 1; k < 3; ++k) {
-    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
-  }
-  Point* middle = begin + size / 2;
-  std::nth_element(begin, middle, end, [axis](const Point& a, const Point& b) {
-    return a.xyz[axis] != b.xyz[axis] ? a.xyz[axis] < b.xyz[axis] : a.match < b.match;
-  });
-  cut_into_neighbourhoods(begin, middle, first, cuts);
-  cut_into_neighbourhoods(middle, end, first, cuts);
-}
+constexpr std::size_t kMostWitnesses = 512;  // more are thinned out at random
+constexpr double kFixed = 1.0 * kDegree;     // of what stands still, if stitched or bent
+constexpr double kFreeInformation = 1.0;     // per radian^2: what is known without matches
 
 // For each match the share of exchanged partners of its neighbourhoods, in either view, with which
 // it would be an inlier too.
 std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
                                           const RelativePose& pose, double gate) {
-  Indices rows1, rows2, owners, cuts;
-  for (Indices* rows : {&rows1, &rows2, &owners}) rows->reserve(8 * m.size);
-  std::vector<Point> points(m.size);
+  std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0), residuals, in_front;
   for (int view = 1; view <= 2; ++view) {
-    for (std::size_t i = 0; i < m.size; ++i) {
-      points[i] =
-          view == 1 ? Point{{m.x1[i], m.y1[i], m.z1[i]}, i} : Point{{m.x2[i], m.y2[i], m.z2[i]}, i};
+    const Exchange e = exchanged_partners(m, view);
+    const Matches exchanged =
+        view == 1 ? paired_matches(m, e.own, e.other) : paired_matches(m, e.other, e.own);
+    residuals.resize(exchanged.padded);
+    in_front.resize(exchanged.padded);
+    compute_residuals(exchanged, residual, plain(pose), std::min(gate, kLargestWrongParallax),
+                      residuals.data(), in_front.data());
+    for (std::size_t k = 0; k < e.own.size(); ++k) {
+      const bool agrees = (in_front[k] > 0.5) & (std::abs(residuals[k]) < gate);
+      agreeing[e.own[k]] += agrees;
+      tried[e.own[k]] += 1.0;
     }
-    cuts.clear();
-    cut_into_neighbourhoods(points.data(), points.data() + points.size(), points.data(), cuts);
-    std::size_t begin = 0;
-    for (const std::size_t end : cuts) {
-      for (std::size_t a = begin; a < end; ++a) {
-        for (std::size_t b = begin; b < end; ++b) {
-          if (a == b) continue;
-          const std::size_t own = points[a].match, other = points[b].match;
-          owners.push_back(own);
-          rows1.push_back(view == 1 ? own : other);
-          rows2.push_back(view == 1 ? other : own);
-        }
-      }
-      begin = end;
-    }
-  }
-  const Matches exchanged = paired_matches(m, rows1, rows2);
-  std::vector<double> residuals(exchanged.padded), in_front(exchanged.padded);
-  compute_residuals(exchanged, residual, plain(pose), std::min(gate, kLargestWrongParallax),
-                    residuals.data(), in_front.data());
-  std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0);
-  for (std::size_t k = 0; k < owners.size(); ++k) {
-    agreeing[owners[k]] += in_front[k] > 0.5 && std::abs(residuals[k]) < gate;
-    tried[owners[k]] += 1.0;
   }
   for (std::size_t i = 0; i < m.size; ++i) agreeing[i] /= std::max(tried[i], 1.0);
   return agreeing;
@@ -116,31 +62,10 @@ void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double g
 
 }  // namespace
 
-std::vector<double> region_weights(const Matches& m) {
-  const double chord = 2.0 * std::sin(0.5 * kRegion), squared = chord * chord;
-  Indices order(m.size);
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::sort(order.begin(), order.end(),
-            [&](std::size_t a, std::size_t b) { return m.y1[a] < m.y1[b]; });
-  std::vector<double> count(m.size, 1.0);
-  for (std::size_t a = 0; a < m.size; ++a) {
-    const std::size_t i = order[a];
-    for (std::size_t b = a + 1; b < m.size && m.y1[order[b]] - m.y1[i] < chord; ++b) {
-      const std::size_t j = order[b];
-      if ((view1(m, i) - view1(m, j)).squaredNorm() > squared) continue;
-      if ((view2(m, i) - view2(m, j)).squaredNorm() > squared) continue;
-      count[i] += 1.0;
-      count[j] += 1.0;
-    }
-  }
-  for (double& c : count) c = 1.0 / c;
-  return count;
-}
-
 Matches witnesses(const Matches& m, std::uint64_t seed) {
   if (m.size <= kMostWitnesses) return m;
   Random random(seed ^ 0x3c6ef372fe94f82bULL);
-  Indices chosen(m.size);
+  std::vector<std::size_t> chosen(m.size);
   std::iota(chosen.begin(), chosen.end(), std::size_t{0});
   for (std::size_t k = 0; k < kMostWitnesses; ++k) {  // the beginning of a Fisher-Yates shuffle
     const auto left = static_cast<std::uint32_t>(chosen.size() - k);

@@ -9,7 +9,6 @@
 #pragma once
 
 #include <cstdint>
-#include <vector>
 
 #include "core/matches.h"
 #include "core/pose.h"
@@ -29,9 +28,6 @@ struct Testimony {
 
 // All matches, or so many of them at random as are worth asking.
 Matches witnesses(const Matches& m, std::uint64_t seed);
-
-// One over the number of matches, itself included, that lie in a match's region in both views.
-std::vector<double> region_weights(const Matches& m);
 
 // scale, gate: standard deviation and limit of the inliers' residuals; density: of the residuals of
 // wrong matches, per radian.

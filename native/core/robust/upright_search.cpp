@@ -7,6 +7,7 @@
 #include "core/bearings.h"
 #include "core/constants.h"
 #include "core/robust/heading_scores.h"
+#include "core/robust/neighbourhoods.h"
 #include "core/robust/testimony.h"
 #include "core/solvers/upright.h"
 

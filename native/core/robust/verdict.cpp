@@ -48,8 +48,8 @@ bool is_rotation(const Evidence& e) {
 // Share of the matches that agree, beyond one half: repeated structures rarely make up most of
 // them.
 double majority_of(const Evidence& e) {
-  return e.num_usable > 0 ? std::max(0.0, static_cast<double>(e.support) / e.num_usable - 0.5)
-                          : 0.0;
+  if (e.num_effective <= 0) return 0.0;
+  return std::max(0.0, static_cast<double>(e.support) / e.num_effective - 0.5);
 }
 
 bool is_chance(const Evidence& e) {

@@ -40,8 +40,9 @@ struct Evidence {
   static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-  // The matches: rows given, those that are not missing, and those of a sample.
-  int num_matches = 0, num_usable = 0, sample_size = 5;
+  // The matches: rows given, those that are not missing, those of a sample, and how many matches of
+  // equal weight say as much (Kish): that many the numbers below refer to.
+  int num_matches = 0, num_usable = 0, sample_size = 5, num_effective = 0;
 
   // The pose with a translation: inliers; log10 of the poses with so many that chance would make;
   // probability that a wrong match lies inside the gate; median parallax and standard deviation of

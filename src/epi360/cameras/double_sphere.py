@@ -66,10 +66,18 @@ class DoubleSphere(LiftedCamera):
     def _heights(self, squares: Array) -> tuple[Array, Array]:
         # Back from the second sphere to the first, where the line along q meets the first one.
         z, z_slopes = heights(squares, self.alpha, 1.0)
-        squeeze = 1 - self.xi**2
+        xi, squeeze = self.xi, (1 - self.xi) * (1 + self.xi)
         roots = np.sqrt(z * z + squeeze * squares)
         root_slopes = (z * z_slopes + squeeze / 2) / roots
-        return (z - self.xi * roots) / squeeze, (z_slopes - self.xi * root_slopes) / squeeze
+        # The same written twice: a difference of nearly equal numbers has few digits.
+        sums, sum_slopes = z + xi * roots, z_slopes + xi * root_slopes
+        quotients = (z * z - xi * xi * squares) / sums
+        quotient_slopes = (2 * z * z_slopes - xi * xi - quotients * sum_slopes) / sums
+        is_sum = xi * z > 0
+        return (
+            np.where(is_sum, quotients, (z - xi * roots) / squeeze),
+            np.where(is_sum, quotient_slopes, (z_slopes - xi * root_slopes) / squeeze),
+        )
 
     def _depths(self, squares: Array, z: Array) -> Array:
         q_z = z + self.xi

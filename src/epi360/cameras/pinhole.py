@@ -34,7 +34,12 @@ class Pinhole(FocalCamera):
         bearings = np.empty((len(u), 3))
         bearings[:, 0], bearings[:, 1] = self._plane_points(u, v)
         bearings[:, 2] = 1.0
-        bearings /= np.sqrt(np.einsum("ij,ij->i", bearings, bearings))[:, None]
+        with np.errstate(over="ignore"):
+            lengths = np.sqrt(np.einsum("ij,ij->i", bearings, bearings))
+        if np.isinf(lengths).any():  # so far outside that squares overflow
+            bearings /= np.abs(bearings).max(axis=1, keepdims=True)
+            lengths = np.sqrt(np.einsum("ij,ij->i", bearings, bearings))
+        bearings /= lengths[:, None]
         return bearings
 
     def _pixels(self, x: Array, y: Array, z: Array) -> Array:

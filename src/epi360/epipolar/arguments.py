@@ -63,6 +63,13 @@ def weights_array(weights: ArrayLike | None, num_matches: int) -> Array | None:
     return array
 
 
+def unit_of_weights(weights: Array) -> float:
+    """Return by what to divide weights so that they sum to (sum w)^2 / sum w^2 (Kish 1965)."""
+    largest = float(weights.max())
+    shares = weights / largest  # first, so that squares neither overflow nor vanish
+    return largest * float(shares @ shares) / float(shares.sum())
+
+
 def jacobians_array(jacobians: ArrayLike | None, num_matches: int, name: str) -> Array | None:
     """Return derivatives of each bearing by its pixel as float64 (N, 3, 2); None stays None."""
     if jacobians is None:

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearing_pair
-from epi360.poses import Pose
+from epi360.poses import Pose, checked_pose
 
 Array = NDArray[np.float64]
 
@@ -18,9 +18,12 @@ def skew(vector: ArrayLike) -> Array:
 
 def essential_from_pose(cam2_from_cam1: Pose) -> Array:
     """Return E = [t]x R with t scaled to unit length (paper eq. 3); NaN if t is zero."""
-    t = cam2_from_cam1.translation
-    norm = float(np.linalg.norm(t))
-    return skew(t / norm if norm > 0.0 else np.full(3, np.nan)) @ cam2_from_cam1.rotation
+    t = checked_pose(cam2_from_cam1).translation
+    largest = float(np.abs(t).max())
+    if not largest > 0.0:
+        return np.full((3, 3), np.nan)
+    t = t / largest  # so that squares neither overflow nor vanish
+    return skew(t / np.linalg.norm(t)) @ cam2_from_cam1.rotation
 
 
 def project_to_essential(E: ArrayLike) -> Array:
@@ -94,7 +97,7 @@ def triangulate(
     Raises
     ------
     ValueError
-        If an array has another shape than (N, 3), or the lengths differ.
+        If an array has another shape than (N, 3), the lengths differ, or the pose is none.
 
     Notes
     -----
@@ -102,7 +105,8 @@ def triangulate(
     c = a.b2 they are (c t.b2 - t.a) / (1 - c^2) and (t.b2 - c t.a) / (1 - c^2).
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
-    R, t = cam2_from_cam1.rotation, cam2_from_cam1.translation
+    pose = checked_pose(cam2_from_cam1)
+    R, t = pose.rotation, pose.translation
     a = b1 @ R.T
     sign1, sign2, squared_sine = _depth_terms(a, b2, t)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -123,7 +127,7 @@ def cheirality_mask(
     not used, because half of a panorama's scene has z < 0.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
-    a = b1 @ cam2_from_cam1.rotation.T
+    a = b1 @ checked_pose(cam2_from_cam1).rotation.T
     sign1, sign2, _ = _depth_terms(a, b2, cam2_from_cam1.translation)
     return np.asarray((sign1 > 0.0) & (sign2 > 0.0))
 

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearing_pair, jacobians_array
 from epi360.epipolar.essential import essential_from_pose
-from epi360.poses import Pose
+from epi360.poses import Pose, checked_pose
 
 Array = NDArray[np.float64]
 
@@ -196,7 +196,7 @@ def residual_jacobians(
             f"residual must be paper, angular, sampson or solarte2021, got {residual!r}"
         )
     b1, b = bearing_pair(bearings1, bearings2)
-    t = cam2_from_cam1.translation
+    t = checked_pose(cam2_from_cam1).translation
     a = b1 @ cam2_from_cam1.rotation.T
     ta, tb = (a @ t)[:, None], (b @ t)[:, None]
     C_by_a, C_by_t = np.cross(b, t), np.cross(a, b)

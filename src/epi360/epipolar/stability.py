@@ -98,7 +98,7 @@ class Stability:
         """
         n = float(np.nansum(self.singular_values**2))
         spread = max(8.0 * self.gram_norm_squared - n**2, 0.0)
-        return float(np.sqrt(n / 8.0 - np.sqrt(spread / 7.0) / 8.0))
+        return float(np.sqrt(max(n / 8.0 - np.sqrt(spread / 7.0) / 8.0, 0.0)))
 
     @property
     def mean_alpha_rad(self) -> float:

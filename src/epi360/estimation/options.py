@@ -14,6 +14,9 @@ from numpy.typing import ArrayLike
 
 Threshold = float | Literal["auto"]
 
+MOST_ITERATIONS = 10_000_000  # half a minute of samples
+_MOST_THREADS = 1024
+
 
 @dataclass(frozen=True)
 class RansacOptions:
@@ -24,7 +27,7 @@ class RansacOptions:
     minimal_solver : str
         "five_point" (Nistér 2004) or "eight_point".
     min_iterations, max_iterations : int
-        Limits on the minimal samples of all rounds together.
+        Limits on the minimal samples of all rounds together; at most ten million.
     confidence : float
         Probability that at least one sample without outliers was drawn when sampling stops. Local
         optimisation makes use of samples with an outlier too, so that more succeed.
@@ -56,19 +59,48 @@ class RansacOptions:
                 f"minimal_solver must be five_point or eight_point, got {self.minimal_solver!r}"
             )
         for name in ("min_iterations", "max_iterations", "min_num_inliers"):
-            if not isinstance(getattr(self, name), (int, np.integer)):
-                raise ValueError(f"{name} must be an integer, got {getattr(self, name)!r}")
+            object.__setattr__(self, name, checked_integer(getattr(self, name), name))
         if not 1 <= self.min_iterations <= self.max_iterations:
             raise ValueError(
                 "1 <= min_iterations <= max_iterations must hold, got "
                 f"{self.min_iterations} and {self.max_iterations}"
             )
-        if not 0.0 < self.confidence < 1.0:
+        if self.max_iterations > MOST_ITERATIONS:
+            raise ValueError(
+                f"max_iterations must be at most {MOST_ITERATIONS}, got {self.max_iterations}"
+            )
+        confidence = number_or_nan(self.confidence)
+        if not 0.0 < confidence < 1.0:
             raise ValueError(f"confidence must be between 0 and 1, got {self.confidence}")
-        if self.min_num_inliers < 5:
+        object.__setattr__(self, "confidence", confidence)
+        if not 5 <= self.min_num_inliers < 2**31:
             raise ValueError(f"min_num_inliers must be at least 5, got {self.min_num_inliers}")
-        if isinstance(self.shared_error, str) or not 0.0 <= self.shared_error <= 100.0:
+        shared = number_or_nan(self.shared_error)
+        if not 0.0 <= shared <= 100.0:
             raise ValueError(f"shared_error must be in [0, 100], got {self.shared_error!r}")
+        object.__setattr__(self, "shared_error", shared)
+
+
+def checked_integer(value: object, name: str) -> int:
+    """Return an integer, or an array of one integer as such."""
+    try:
+        return index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise ValueError(f"{name} must be an integer, got {value!r}") from None
+
+
+def number_or_nan(value: object) -> float:
+    """Return a number as float, NaN if it is none."""
+    try:
+        return float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
+def _is_one_for_each(values: object) -> bool:
+    """Whether these are several values: an array without a dimension is one."""
+    is_array = isinstance(values, np.ndarray) and values.ndim > 0
+    return is_array or (isinstance(values, Sequence) and not isinstance(values, str))
 
 
 def check_threshold(inlier_threshold_deg: float | str) -> float:
@@ -86,10 +118,7 @@ def check_threshold(inlier_threshold_deg: float | str) -> float:
     """
     if inlier_threshold_deg == "auto":
         return 0.0
-    try:
-        degrees = float(inlier_threshold_deg)
-    except (TypeError, ValueError):
-        degrees = np.nan
+    degrees = number_or_nan(inlier_threshold_deg)
     if not 0.0 < degrees <= 45.0:
         raise ValueError(
             f'inlier_threshold_deg must be "auto" or in (0, 45], got {inlier_threshold_deg!r}'
@@ -105,10 +134,7 @@ def checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> fl
         )
     if threshold_rad:
         raise ValueError("give inlier_threshold_deg or inlier_threshold_px, not both")
-    try:
-        threshold = float(pixels)
-    except (TypeError, ValueError):
-        threshold = np.nan
+    threshold = number_or_nan(pixels)
     if not (np.isfinite(threshold) and threshold > 0.0):
         raise ValueError(f"inlier_threshold_px must be a positive number, got {pixels!r}")
     return threshold
@@ -116,11 +142,12 @@ def checked_pixels(pixels: float, threshold_rad: float, uses_pixels: bool) -> fl
 
 def seed_of_each(seed: int | Sequence[int], num_pairs: int) -> list[int]:
     """Return the seed of each pair."""
-    if not isinstance(seed, Sequence | np.ndarray):
-        return [index(seed)] * num_pairs
+    if not _is_one_for_each(seed):
+        return [checked_integer(seed, "seed")] * num_pairs
+    assert not isinstance(seed, int)
     if len(seed) != num_pairs:
         raise ValueError(f"seed must be one for each of {num_pairs} pairs, got {len(seed)}")
-    return [index(each) for each in seed]
+    return [checked_integer(each, "seed") for each in seed]
 
 
 def prior_sigmas(
@@ -131,11 +158,7 @@ def prior_sigmas(
     if elevation_sigma_deg is not None:
         given["elevation_sigma_deg"] = elevation_sigma_deg
     for name, degrees in given.items():
-        try:
-            is_usable = 1e-6 <= float(degrees) <= 90.0
-        except (TypeError, ValueError):
-            is_usable = False
-        if not is_usable:
+        if not 1e-6 <= number_or_nan(degrees) <= 90.0:
             raise ValueError(f"{name} must be a number from 1e-6 to 90, got {degrees!r}")
     if elevation_sigma_deg is not None and not has_gravity:
         raise ValueError("elevation_sigma_deg needs gravity1 and gravity2")
@@ -165,10 +188,7 @@ def checked_noise(max_noise_deg: float | None) -> float:
     """Return a limit in radians, 0 for none."""
     if max_noise_deg is None:
         return 0.0
-    try:
-        degrees = float(max_noise_deg)
-    except (TypeError, ValueError):
-        degrees = np.nan
+    degrees = number_or_nan(max_noise_deg)
     if not (np.isfinite(degrees) and degrees > 0.0):
         raise ValueError(f"max_noise_deg must be a positive number or None, got {max_noise_deg!r}")
     return float(np.radians(degrees))
@@ -176,8 +196,9 @@ def checked_noise(max_noise_deg: float | None) -> float:
 
 def noise_limits(max_noise_deg: float | Sequence[float] | None, num_pairs: int) -> list[float]:
     """Return the limit of each pair in radians, 0 for none."""
-    if not isinstance(max_noise_deg, Sequence | np.ndarray) or isinstance(max_noise_deg, str):
-        return [checked_noise(max_noise_deg)] * num_pairs
+    if max_noise_deg is None or not _is_one_for_each(max_noise_deg):
+        return [checked_noise(max_noise_deg)] * num_pairs  # type: ignore[arg-type]
+    assert not isinstance(max_noise_deg, float)
     if len(max_noise_deg) != num_pairs:
         raise ValueError(
             f"max_noise_deg must be one for each of {num_pairs} pairs, got {len(max_noise_deg)}"
@@ -193,6 +214,10 @@ def thread_count(num_threads: int | None) -> int:
             if hasattr(os, "sched_getaffinity")
             else (os.cpu_count() or 1)
         )
-    if not isinstance(num_threads, (int, np.integer)) or num_threads < 1:
+    try:
+        threads = index(num_threads)
+    except TypeError:
+        threads = 0
+    if threads < 1:
         raise ValueError(f"num_threads must be a positive integer, got {num_threads!r}")
-    return int(num_threads)
+    return min(threads, _MOST_THREADS)

@@ -4,12 +4,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import index
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
-from epi360.epipolar.arguments import bearing_pair, jacobians_array, weights_array
+from epi360.epipolar.arguments import (
+    bearing_pair,
+    jacobians_array,
+    unit_of_weights,
+    weights_array,
+)
 from epi360.epipolar.residuals import RESIDUALS, pose_residuals, residual_jacobians
 from epi360.estimation.covariance import (
     inverse_information,
@@ -17,6 +23,7 @@ from epi360.estimation.covariance import (
     reweighting_influence,
     sandwich_covariance,
 )
+from epi360.estimation.options import number_or_nan
 from epi360.estimation.refinement_reference import (
     check_parameterization,
     levenberg_marquardt,
@@ -24,7 +31,7 @@ from epi360.estimation.refinement_reference import (
     weighing,
 )
 from epi360.estimation.weights import check_weight_kind, weight_model
-from epi360.poses import Pose
+from epi360.poses import Pose, checked_pose
 
 __all__ = ["LOSSES", "RefinementResult", "refine_pose", "refine_pose_reference"]
 
@@ -34,6 +41,7 @@ LOSSES = ("squared", "huber", "cauchy", "geman_mcclure", "mixture")
 # In standard deviations: nearly as efficient as least squares on Gaussian noise (Huber 1981; Zhang,
 # "Parameter estimation techniques", 1997; the last by measurement).
 _TUNING = {"huber": 1.345, "cauchy": 2.385, "geman_mcclure": 3.0}
+_LARGEST_SCALE = 1e30  # of a loss, whose sixth power is a number
 
 
 @dataclass(frozen=True)
@@ -129,7 +137,7 @@ def refine_pose(
     ValueError
         If an array has a wrong shape, a name is unknown, fewer than five matches are usable (with a
         positive weight), the starting pose has no direction, a number is out of range or two
-        options exclude each other.
+        options exclude each other, or the start is no pose.
 
     Notes
     -----
@@ -194,6 +202,10 @@ class _Matches:
 def _refined_natively(
     matches: _Matches, start: Pose, loss: str, scale: float, max_iterations: int
 ) -> RefinementResult:
+    weights, unit = matches.weights, 1.0
+    if weights is not None:
+        unit = unit_of_weights(weights)
+        weights = weights / unit
     R, t, residuals, cost, information, squares, _, scale, iterations, converged = _core.refine(
         matches.b1,
         matches.b2,
@@ -202,18 +214,20 @@ def _refined_natively(
         residual=matches.residual,
         loss=loss,
         scale=float(scale),
-        weights=matches.weights,
+        weights=weights,
         jacobians1=matches.J1,
         jacobians2=matches.J2,
         max_iterations=max_iterations,
     )
-    pose, w = Pose(R, t), matches.constant_weights()
+    pose = Pose(R, t)
+    w = np.ones(len(matches.b1)) if weights is None else weights
     if loss in ("squared", "mixture"):
         variance = scale**2 if loss == "mixture" else _variance(squares, w)
         covariance = variance * inverse_information(information)
     else:
         influence = loss_influence(residuals, loss, scale)
         covariance = sandwich_covariance(matches.jacobians_at(pose), w, influence)
+    cost *= unit
     return RefinementResult(pose, residuals, cost, covariance, scale, iterations, bool(converged))
 
 
@@ -274,19 +288,28 @@ def _check_names(residual: str, loss: str, reweight: str | None, parameterizatio
 
 
 def _check_numbers(scale: float | None, max_iterations: int) -> None:
-    if scale is not None and not (np.isfinite(scale) and scale > 0.0):
-        raise ValueError(f"scale must be a positive number, got {scale!r}")
-    if not isinstance(max_iterations, (int, np.integer)) or max_iterations < 0:
+    if scale is not None and not 1.0 / _LARGEST_SCALE <= number_or_nan(scale) <= _LARGEST_SCALE:
+        raise ValueError(
+            f"scale must be a positive number from {1.0 / _LARGEST_SCALE:g} to "
+            f"{_LARGEST_SCALE:g}, got {scale!r}"
+        )
+    try:
+        is_usable = 0 <= index(max_iterations) < 2**31
+    except TypeError:
+        is_usable = False
+    if not is_usable:
         raise ValueError(f"max_iterations must be an integer, 0 or more, got {max_iterations!r}")
 
 
 def _checked_start(pose: Pose, num_usable: int) -> Pose:
     if num_usable < 5:
         raise ValueError(f"refinement needs at least 5 usable matches, got {num_usable}")
-    norm = float(np.linalg.norm(pose.translation))
-    if not norm > 0.0 or not np.isfinite(pose.rotation).all():
+    t = checked_pose(pose).translation
+    largest = float(np.abs(t).max())
+    if not largest > 0.0 or not np.isfinite(pose.rotation).all():
         raise ValueError("cam2_from_cam1 must be finite with a non-zero translation to start from")
-    return Pose(pose.rotation, pose.translation / norm)
+    t = t / largest  # so that squares neither overflow nor vanish
+    return Pose(pose.rotation, t / np.linalg.norm(t))
 
 
 def _default_scale(start: Pose, matches: _Matches, loss: str) -> float:

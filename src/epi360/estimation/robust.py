@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from operator import index
 from typing import NoReturn
 
 from numpy.typing import ArrayLike
@@ -15,6 +14,7 @@ from epi360.estimation.options import (
     RansacOptions,
     Threshold,
     check_threshold,
+    checked_integer,
     checked_noise,
     checked_pixels,
     direction_of_each,
@@ -67,7 +67,8 @@ def estimate_relative_pose(
         How good each match looks, higher is better (a ratio test's: minus the ratio): the best are
         sampled first. Scores order the search; they do not weigh the answer.
     weights : array_like, shape (M,), optional
-        Of the matches, relative to one another.
+        How much each match counts beside the others; only their ratios matter. Two matches say more
+        than one of weight 2. One that weighs less than a millionth of the heaviest is left out.
     gravity1, gravity2 : array_like, shape (3,), optional
         Direction of gravity (down) in both cameras: three matches make a sample then, all upright
         poses are tried where samples do not suffice, and a pose is less probable the more it tilts
@@ -119,7 +120,7 @@ def estimate_relative_pose(
         gravity=(gravity1, gravity2),
         gravity_sigma=sigmas[0],
         elevation_sigma=sigmas[1],
-        seed=index(seed),
+        seed=checked_integer(seed, "seed"),
         max_noise=checked_noise(max_noise_deg),
     )
     threshold = inlier_threshold_deg, inlier_threshold_px

@@ -16,6 +16,7 @@ WEIGHT_KINDS = ("gaussian", "student_t", "mixture")
 
 DEGREES_OF_FREEDOM = 5.0  # nu of Student's t: the paper does not print one, Kerl 2013 takes 5
 STUDENT_ROUNDS = 20
+_LARGEST = 1e100  # residual, whose square is a number
 MIXTURE_ROUNDS = 50
 # Density of an outlier's residual. The signed sine between a random direction and a plane is
 # uniform over [-1, 1] (Archimedes); an angle in radians is near it where it competes with inliers.
@@ -64,7 +65,7 @@ def residual_weights(residuals: ArrayLike, kind: str = "gaussian") -> Array:
     Raises
     ------
     ValueError
-        If the residuals are not one-dimensional, one is infinite or the kind is unknown.
+        If the residuals are not one-dimensional, one is over 1e100 or the kind is unknown.
 
     Notes
     -----
@@ -76,6 +77,10 @@ def residual_weights(residuals: ArrayLike, kind: str = "gaussian") -> Array:
         raise ValueError(f"residuals must have shape (N,), got {e.shape}")
     if np.isinf(e).any():
         raise ValueError("residuals must be finite (NaN marks a missing match)")
+    sizes = np.abs(e)
+    if (sizes > _LARGEST).any():
+        raise ValueError(f"residuals must be at most {_LARGEST:g}, got {np.nanmax(sizes):g}")
+    e = np.where(sizes < 1.0 / _LARGEST, 0.0, e)  # NaN stays; squares would vanish
     check_weight_kind(kind)
     weights = np.zeros(len(e))
     present = np.isfinite(e)
@@ -155,6 +160,8 @@ def _mixture(e: Array) -> WeightModel:
         inlier, outlier = share * density, (1.0 - share) * OUTLIER_DENSITY
         p = inlier / (inlier + outlier)
         share = float(p.mean())
+        if not share > 0.0:
+            break
         updated = math.sqrt(float(p @ e**2 / p.sum()))
         if not updated > 0.0:
             break

@@ -1,0 +1,22 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Which matches lie near one another: groups that exchange partners, and regions with one vote.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "core/matches.h"
+
+namespace epi360 {
+
+// Pairs of matches that share a neighbourhood of a few in view 1 or 2, each in both orders.
+struct Exchange {
+  std::vector<std::size_t> own, other;
+};
+Exchange exchanged_partners(const Matches& m, int view);
+
+// What each match says: matches that lie near one another in both views share one vote, or less if
+// together they weigh less than one match.
+std::vector<double> region_weights(const Matches& m);
+
+}  // namespace epi360
