@@ -35,9 +35,9 @@ def select_pairs(
 
     ``pairs`` is "sequential" (each image with ``overlap`` after it, and with those 2, 4 and 8 times
     as far ahead), "exhaustive", "auto" (exhaustive for up to 30 images, else sequential; see also
-    `dense_pairs`), or the path of a pairs file. Each unordered pair of indices comes once. A sequence is all images in
-    their order, across sub-folders; of a rig, it is each camera's images by frame, and images of
-    different cameras at most one frame apart.
+    `dense_pairs`), or the path of a pairs file. Each unordered pair of indices comes once. A
+    sequence is all images in their order, across sub-folders; of a rig, it is each camera's images
+    by frame, and images of different cameras at most one frame apart.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def dense_pairs(images: Sequence[SourceImage], pairs: str | Path) -> list[Pair]:
 
 
 def is_dense(verdicts: Sequence[Verdict]) -> bool:
-    """Whether the verdicts on `dense_pairs` are those of a dense sequence: each has many inliers."""
+    """Whether `dense_pairs` with these verdicts are a dense sequence: each has many inliers."""
     return all(
         verdict.status in ("ok", "pure_rotation", "planar_ambiguous")
         and verdict.num_inliers >= _DENSE_INLIERS
