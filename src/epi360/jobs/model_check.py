@@ -58,10 +58,12 @@ def confirmed_images(model: PlacedImages, pairs: Sequence[PairVerdict]) -> set[s
     found: list[NDArray[np.bool_]] = []
     for start in graph.connected():
         if not any(group[start].all() for group in found):
-            found.append(graph.grown_from(start))
-    best = max(found, key=np.count_nonzero, default=np.zeros(0, dtype=bool))
-    if np.count_nonzero(best) < _FEWEST_MOMENTS:
+            group = graph.grown_from(start)
+            if np.count_nonzero(group) >= _FEWEST_MOMENTS:
+                found.append(group)
+    if not found:
         return set()
+    best = max(found, key=np.count_nonzero)
     return {name for name, moment in graph.moment_of.items() if best[moment]}
 
 
@@ -75,12 +77,11 @@ class _Graph:
         self.num_moments, self.num_points = len(moments), len(model.points)
         moment_index = np.array(list(self.moment_of.values()), dtype=np.int64)[model.image_index]
         # A point that a moment of a rig sees twice counts once.
-        once = np.unique(
-            moment_index * (self.num_points + 1) + model.point_index, return_index=True
-        )
-        self.moments, self.points = moment_index[once[1]], model.point_index[once[1]]
+        seen = moment_index * (self.num_points + 1) + model.point_index
+        once = np.unique(seen, return_index=True)[1]
+        self.moments, self.points = moment_index[once], model.point_index[once]
         centers = np.array([p.inverse().translation for p in model.cam_from_world.values()])
-        self.rays = model.points[self.points] - centers.reshape(-1, 3)[model.image_index[once[1]]]
+        self.rays = model.points[self.points] - centers.reshape(-1, 3)[model.image_index[once]]
         self.pairs = np.array(
             [
                 sorted((self.moment_of[pair.image1], self.moment_of[pair.image2]))
