@@ -40,5 +40,5 @@ def room_run(room_folder, tmp_path_factory):
     from epi360.jobs.matching import MatchOptions
 
     output = tmp_path_factory.mktemp("run") / "out"
-    options = MapOptions(MatchOptions(num_threads=1))
+    options = MapOptions(MatchOptions(num_threads=1), mapper_threads=1)
     return output, map_images(find_images(room_folder[0]), output, options)

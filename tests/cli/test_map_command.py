@@ -13,6 +13,7 @@ pytest.importorskip("pycolmap")
 
 from epi360.interop import Reconstruction  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
+from epi360.jobs.map_attempts import Attempt  # noqa: E402
 from epi360.jobs.mapped_models import MappedModel  # noqa: E402
 from epi360.jobs.mapping import MapRun  # noqa: E402
 from epi360.jobs.matching import MatchRun  # noqa: E402
@@ -65,6 +66,30 @@ def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monke
     printed = capsys.readouterr().out
     assert "models       2 that do not connect: 0, 0 images" in printed
     assert f"epi360 cubemap {tmp_path / 'sparse' / '1'} {tmp_path / 'in'} NEW" in printed
+
+
+def test_the_command_says_what_was_tried_where_one_way_was_not_enough(
+    tmp_path, capsys, monkeypatch
+):
+    model = MappedModel(tmp_path / "sparse" / "0", Reconstruction({}, ()), 0.5)
+    attempts = (
+        Attempt("incremental mapper", 5, 0, 0.4, 1.0),
+        Attempt("global mapper", 9, 4, 0.5, 1.0, kept=True),
+    )
+    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
+    for tried, expected in ((attempts, 2), (attempts[:1], 0)):
+        run = MapRun(matched, (model,), {}, 17, {}, (), tried)
+        monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, run=run, **__: run)
+        assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
+        lines = [li for li in capsys.readouterr().out.splitlines() if li.startswith("tried")]
+        assert len(lines) == expected
+        if lines:
+            assert lines == [
+                "tried        incremental mapper: 5 of 17 images",
+                "tried        global mapper: 9 of 17 images, 4 more at places that nothing "
+                "confirms; kept",
+            ]
 
 
 def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):

@@ -111,17 +111,18 @@ def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, r
     images = find_images(room_folder[0])
     files = [output / "database.db", output / "sparse" / "0" / "images.bin"]
     before = [path.stat().st_mtime_ns for path in files]
-    again = map_images(images, output, MapOptions(MatchOptions(num_threads=2)))
+    one = MatchOptions(num_threads=1)
+    again = map_images(images, output, MapOptions(MatchOptions(num_threads=2), mapper_threads=1))
     assert [path.stat().st_mtime_ns for path in files] == before
     assert again.seconds["mapping"] == first.seconds["mapping"]
     assert again.was_mapped and not first.was_mapped
     assert again.unregistered == first.unregistered
-    other = map_images(images, output, MapOptions(MatchOptions(num_threads=1), mapper="global"))
+    other = map_images(images, output, MapOptions(one, mapper="global"))
     assert [path.stat().st_mtime_ns for path in files] != before
     position, degrees = aligned_errors(poses_of(other.models[0].reconstruction), room_folder[1])
     assert position < 0.004 and degrees < 0.15  # as above
     shutil.rmtree(output / "sparse")  # somebody tidied up
-    back = map_images(images, output, MapOptions(MatchOptions(num_threads=1)))
+    back = map_images(images, output, MapOptions(one, mapper_threads=1))
     for image, same in zip(
         first.models[0].reconstruction.images, back.models[0].reconstruction.images, strict=True
     ):  # mapped twice from the same matches: equal to the last bit

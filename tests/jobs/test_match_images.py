@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered_views import NAMES, image_set, pictures, truth, write_png, write_views
 
-from epi360.jobs import feature_cache, match_job, match_store
+from epi360.jobs import feature_cache, match_job, match_store, pair_selection
 from epi360.jobs.matching import MatchOptions, load_matches, match_images
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
@@ -120,6 +120,23 @@ def test_a_second_run_only_reads(run, folder, output, extractions, verified):
     assert sum(verified) == 0
     assert again.num_found == len(PAIRS)
     assert pairs_csv(again) == pairs_csv(run)
+
+
+@pytest.mark.parametrize(("inliers", "num_pairs"), [(1, 3), (10**6, 6)])
+def test_all_pairs_are_matched_unless_the_first_ones_show_a_dense_sequence(
+    run, folder, tmp_path, monkeypatch, inliers, num_pairs
+):
+    for name, value in (("_FEWEST_DENSE", 4), ("_DENSE_STEPS", (1,)), ("_DENSE_INLIERS", inliers)):
+        monkeypatch.setattr(pair_selection, name, value)
+    for num_found in (0, num_pairs):  # the second time everything is there
+        other = match_images(image_set(folder), tmp_path)
+        assert len(other.verdicts) == len(load_matches(tmp_path).pairs) == num_pairs
+        assert other.how == ("3 of a dense sequence" if num_pairs == 3 else "exhaustive")
+        assert other.num_found == num_found
+    all_poses = {(v.image1, v.image2): v.cam2_from_cam1.matrix() for v in run.verdicts}
+    for verdict in other.verdicts:
+        expected = all_poses[verdict.image1, verdict.image2]
+        np.testing.assert_array_equal(verdict.cam2_from_cam1.matrix(), expected)
 
 
 def test_threads_do_not_show(run, folder, tmp_path):

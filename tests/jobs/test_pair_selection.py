@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from epi360.jobs.image_set import SourceImage
-from epi360.jobs.pair_selection import select_pairs
+from epi360.jobs.match_store import Verdict
+from epi360.jobs.pair_selection import dense_pairs, is_dense, select_pairs
 
 
 def images(count):
@@ -32,6 +33,35 @@ def test_few_images_are_matched_exhaustively_and_many_in_sequence():
     how, pairs = select_pairs(images(31), "auto", 10)
     assert how == "sequential, 10 neighbours"
     assert len(pairs) < 31 * 13
+
+
+def test_some_pairs_of_a_few_images_are_looked_at_first_and_connect_each_in_many_ways():
+    pairs = dense_pairs(images(30), "auto")
+    assert set(pairs) <= set(select_pairs(images(30), "auto", 10)[1])
+    assert len(pairs) == len(set(pairs)) == 157
+    for index in range(30):
+        assert sum(index in pair for pair in pairs) >= 7
+    assert dense_pairs(images(16), "auto")
+
+
+def test_no_pairs_are_looked_at_first_where_others_were_asked_for_or_the_order_says_nothing():
+    assert dense_pairs(images(30), "exhaustive") == []
+    assert dense_pairs(images(31), "auto") == []  # a sequence anyway
+    assert dense_pairs(images(15), "auto") == []
+    assert dense_pairs(rig(10), "auto") == []
+
+
+@pytest.mark.parametrize(
+    ("last", "dense"),
+    [
+        (Verdict(status="ok", num_inliers=100), True),
+        (Verdict(status="pure_rotation", num_inliers=400), True),
+        (Verdict(status="ok", num_inliers=99), False),
+        (Verdict(status="too_few_inliers", num_inliers=400), False),
+    ],
+)
+def test_a_sequence_is_dense_only_if_every_pair_has_many_inliers(last, dense):
+    assert is_dense([Verdict(status="ok", num_inliers=1000), last]) is dense
 
 
 def test_a_sequence_pairs_neighbours_and_a_few_farther_ahead():

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from epi360.interop import Reconstruction
     from epi360.jobs.cube_faces import CubemapOptions
     from epi360.jobs.image_set import ImageSet
+    from epi360.jobs.map_attempts import Attempt
     from epi360.jobs.mapping import MapOptions, MapRun
 
 Face = Literal["front", "right", "back", "left", "up", "down"]
@@ -38,11 +39,11 @@ class Mapping:
     """How COLMAP maps."""
 
     mapper: Literal["incremental", "global"] = "incremental"
-    """COLMAP's mapper: one image after the other, or all at once."""
+    """COLMAP's mapper that is tried first: one image after the other, or all at once."""
     refine_cameras: Flag = False
     """Refine focal length and distortion of fisheye and pinhole cameras."""
-    mapper_threads: int = 1
-    """More are faster on many images, but the last digits then change from run to run."""
+    mapper_threads: int | None = None
+    """One per core by default; with 1, the same images give the same model to the last digit."""
 
 
 @Parameter(name="*", group=Group("Cube faces", sort_key=4))
@@ -82,9 +83,9 @@ def map_folder(
 ) -> int:
     """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
 
-    Matches pairs of images, verifies them and gives them to COLMAP's mapper. A run that was stopped
-    goes on where it was. Exit code 0 with a model, 1 when fewer than two images register, 2 for
-    wrong use.
+    Matches pairs of images, verifies them and gives them to COLMAP's mapper. If that places few,
+    other ways are tried, and the output says so. A run that was stopped goes on where it was. Exit
+    code 0 with a model, 1 when fewer than two images register, 2 for wrong use.
 
     Parameters
     ----------
@@ -215,6 +216,8 @@ def _describe(run: MapRun, images: ImageSet) -> str:
             f"{model.mean_track_length:.1f} images on average",
             f"error        {model.mean_error_px:.2f} px mean reprojection error",
         ]
+    if len(run.attempts) > 1:
+        lines += [_describe_attempt(attempt, run.num_images) for attempt in run.attempts]
     if len(run.models) > 1:
         sizes = ", ".join(str(len(model.reconstruction.images)) for model in run.models)
         lines += [
@@ -230,6 +233,14 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
     return "\n".join([*lines, *describe_level(run.matched), *run.remarks])
+
+
+def _describe_attempt(attempt: Attempt, num_images: int) -> str:
+    """Line about one way of mapping."""
+    found = f"{attempt.num_registered} of {num_images} images"
+    if attempt.num_unconfirmed:
+        found += f", {attempt.num_unconfirmed} more at places that nothing confirms"
+    return f"tried        {attempt.how}: {found}" + ("; kept" if attempt.kept else "")
 
 
 def _cut(

@@ -44,7 +44,8 @@ class MatchWork:
 
     pairs: PairsChoice = "auto"
     """Which pairs: exhaustive, sequential (neighbours by name), or a file with two names a line;
-    auto: exhaustive for up to 30 images, else sequential."""
+    auto: exhaustive for up to 30 images, unless those up to 21 ahead all match well, else
+    sequential."""
     overlap: int = 10
     """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead; with 10,
     image 1 is paired with 2 to 11, 21, 41 and 81."""

@@ -7,20 +7,25 @@ import os
 import shutil
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from epi360.extras import extra_library
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.match_graph import MatchGraph
-from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings, run_mapper
+from epi360.interop.reconstruction import Reconstruction
+from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings
 from epi360.jobs.image_set import ImageSet
+from epi360.jobs.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.match_result import Colors, load_matches_and_colors
 from epi360.jobs.matching import MatchOptions, MatchRun, match_images
+from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
@@ -35,15 +40,15 @@ class MapOptions:
     match: MatchOptions = field(default_factory=MatchOptions)  # its seed is also the mapper's
     mapper: Mapper = "incremental"  # one image after the other; "global": all at once
     refine_cameras: bool = False  # focal length and distortion; panoramas have none
-    # More than one is faster where there are many images, but the last digits of the result change
-    # from run to run.
-    mapper_threads: int = 1
+    # None: one per core. The last digits of the result then change from run to run; with 1, the
+    # same matches give the same bits.
+    mapper_threads: int | None = None
 
     def __post_init__(self) -> None:
         """Check the values."""
         if self.mapper not in ("incremental", "global"):
             raise ValueError(f"mapper must be incremental or global, got {self.mapper!r}")
-        if self.mapper_threads < 1:
+        if self.mapper_threads is not None and self.mapper_threads < 1:
             raise ValueError(f"mapper_threads must be 1 or more, got {self.mapper_threads}")
 
 
@@ -57,6 +62,7 @@ class MapRun:
     num_images: int
     seconds: Mapping[str, float]  # wall time of the "matching" of this run and of the "mapping"
     remarks: tuple[str, ...]  # sentences about what could not be written
+    attempts: tuple[Attempt, ...] = ()  # ways of mapping that were tried, in order
     was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
 
 
@@ -65,10 +71,17 @@ def map_images(
     output: str | os.PathLike[str],
     options: MapOptions | None = None,
     *,
+    initial: Reconstruction | None = None,
     restart: bool = False,
     progress: Progress = no_progress,
 ) -> MapRun:
     """Match the images of a folder and map them with COLMAP.
+
+    If the mapper finds no start, or leaves more than one image in twenty out, others are tried and
+    the result with most images is kept, see `map_by_attempts`. With ``initial``, whose images have
+    the names of ours, its poses are tried before all: the matches are triangulated there and poses
+    and points adjusted. Images may be missing in it, its scale is free, and its points are not
+    used.
 
     ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
     ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
@@ -105,24 +118,42 @@ def map_images(
     mapper = MapperOptions(
         options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
     )
-    made_from = _fingerprint(graph, mapper)
+    poses = {} if initial is None else _poses_of(images, initial)
+    made_from = _fingerprint(graph, mapper, poses)
     was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
     if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
     else:
-        record = {"fingerprint": made_from, **_map(graph, colors, output, mapper, progress)}
+        made = _map(graph, matched, colors, output, mapper, poses, progress)
+        record = {"fingerprint": made_from, **made}
         write_record(output / RECORD, record)
     models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     return MapRun(
         matched,
         models,
-        _reasons(images, matched, models),
+        _reasons(images, matched, models, record["unconfirmed"]),
         len(images.images),
         {"matching": matching_s, "mapping": record["seconds"]},
         remarks,
+        tuple(Attempt(**attempt) for attempt in record["attempts"]),
         was_mapped,
     )
+
+
+def _poses_of(images: ImageSet, initial: Reconstruction) -> dict[str, Pose]:
+    """Poses of ours that are known; ValueError if there are none."""
+    names = {image.name for image in images.images}
+    known = {
+        image.name: image.cam_from_world
+        for image in initial.images
+        if image.name in names and np.isfinite(image.cam_from_world.matrix()).all()
+    }
+    if not known:
+        raise ValueError(
+            f"initial must have poses of the images, got {len(initial.images)} other ones"
+        )
+    return known
 
 
 def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
@@ -157,9 +188,11 @@ def _has_models(output: Path, record: Mapping[str, Any]) -> bool:
     return all((output / MODELS / str(number)).is_dir() for number in numbers)
 
 
-def _fingerprint(graph: MatchGraph, options: MapperOptions) -> str:
+def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, Pose]) -> str:
     """Hash of everything that the models depend on."""
-    pieces: list[object] = [(mapper_settings(options), graph.cameras)]
+    pieces: list[object] = [(RULES, mapper_settings(options), graph.cameras)]
+    for name, pose in poses.items():
+        pieces += [name, pose.matrix()]
     for camera, pose in graph.cam_from_rig.items():
         pieces += [camera, pose.matrix()]
     for image in graph.images.values():
@@ -174,9 +207,11 @@ def _fingerprint(graph: MatchGraph, options: MapperOptions) -> str:
 
 def _map(
     graph: MatchGraph,
+    matched: MatchRun,
     colors: Colors,
     output: Path,
     options: MapperOptions,
+    poses: Mapping[str, Pose],
     progress: Progress,
 ) -> dict[str, Any]:
     """Write database and models; returns what the record says of them."""
@@ -185,21 +220,34 @@ def _map(
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
     write_colmap_database(output / DATABASE, graph)
-    found = run_mapper(output / DATABASE, options, colors=colors, progress=progress)
+    mapped = map_by_attempts(
+        output / DATABASE,
+        options,
+        graph,
+        matched.verdicts,
+        colors=colors,
+        initial=poses,
+        progress=progress,
+    )
     shutil.rmtree(output / MODELS, ignore_errors=True)
-    if found:
+    if mapped.models:
         with whole_folder(output / MODELS) as temporary:
-            for number, model in enumerate(found):
+            for number, model in enumerate(mapped.models):
                 (temporary / str(number)).mkdir()
                 model.write_binary(temporary / str(number))
     return {
         "seconds": time.perf_counter() - start,
-        "mean_error_px": [model.compute_mean_reprojection_error() for model in found],
+        "mean_error_px": [model.compute_mean_reprojection_error() for model in mapped.models],
+        "attempts": [vars(attempt) for attempt in mapped.attempts],
+        "unconfirmed": list(mapped.unconfirmed),
     }
 
 
 def _reasons(
-    images: ImageSet, matched: MatchRun, models: tuple[MappedModel, ...]
+    images: ImageSet,
+    matched: MatchRun,
+    models: tuple[MappedModel, ...],
+    unconfirmed: Collection[str],
 ) -> dict[str, str]:
     """Why each image without a pose in the first model has none."""
     model_of = {
@@ -220,6 +268,8 @@ def _reasons(
             continue
         if name in matched.unreadable:
             reasons[name] = matched.unreadable[name]
+        elif number is None and name in unconfirmed:
+            reasons[name] = "too few points and pairs confirm the place that COLMAP's mapper found"
         elif number is not None:
             reasons[name] = f"is in {MODELS}/{number}, which does not connect to {MODELS}/0"
         elif not CONFIG_OF_STATUS.keys() & statuses:

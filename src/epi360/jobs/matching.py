@@ -16,7 +16,7 @@ from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
-from epi360.jobs.pair_selection import Pair, select_pairs
+from epi360.jobs.pair_selection import Pair, dense_pairs, is_dense, select_pairs
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
 
@@ -100,6 +100,10 @@ def match_images(
     ``progress`` is told of the stages "images", "features", "pairs" and, in a level folder, "level
     pairs".
 
+    With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
+    pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
+    match well.
+
     Every image has one list of key points, strongest first. A pair is matched with the stronger
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
     warning. If the poses say that the folder is level, see `find_level`, pairs without a pose, and
@@ -118,7 +122,14 @@ def match_images(
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
     job = _open_job(images, Path(output), options, restart, progress)
     job.find_features(sorted({index for pair in pairs for index in pair}))
-    finished, num_found = job.verify(pairs)
+    few = dense_pairs(images.images, options.pairs)
+    finished, num_found = job.verify(few) if few else ({}, 0)
+    if few and len(finished) == len(few) and is_dense(list(finished.values())):
+        how, pairs = f"{len(few)} of a dense sequence", few
+    else:
+        num_seen = len(finished)
+        finished, num_there = job.verify(pairs)
+        num_found += num_there - num_seen
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None

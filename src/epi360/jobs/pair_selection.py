@@ -9,12 +9,19 @@ from pathlib import Path
 
 from epi360.interop.pairs_file import read_pairs_file
 from epi360.jobs.image_set import SourceImage
+from epi360.jobs.match_store import Verdict
 
 # Two cores match all pairs of so many panoramas in a minute or two.
 MAX_EXHAUSTIVE = 30
 # Beside its neighbours each image is matched with a few that are up to so many times as far ahead:
 # they hold the sequence together where the camera came back or a neighbour failed.
 FARTHEST = 8
+# Frames of a video so dense that all of these match well show the same things throughout: all pairs
+# would find little more. Mapped with them, 30 frames of a street are as near the reference as with
+# all pairs (0.13 % of the path against 0.14 %), from 157 pairs in place of 435.
+_DENSE_STEPS = (1, 2, 3, 5, 8, 13, 21)
+_DENSE_INLIERS = 100
+_FEWEST_DENSE = 16  # of fewer images, all pairs are not many more
 # The cameras of a rig look to different sides: what one sees, another saw a moment ago or never.
 CROSS_CAMERA_FRAMES = 1
 
@@ -27,10 +34,10 @@ def select_pairs(
     """Pairs to match, and in words how they were chosen.
 
     ``pairs`` is "sequential" (each image with ``overlap`` after it, and with those 2, 4 and 8 times
-    as far ahead), "exhaustive", "auto" (exhaustive for up to 30 images, else sequential), or the
-    path of a pairs file. Each unordered pair of indices comes once. A sequence is all images in
-    their order, across sub-folders; of a rig, it is each camera's images by frame, and images of
-    different cameras at most one frame apart.
+    as far ahead), "exhaustive", "auto" (exhaustive for up to 30 images, else sequential; see also
+    `dense_pairs`), or the path of a pairs file. Each unordered pair of indices comes once. A
+    sequence is all images in their order, across sub-folders; of a rig, it is each camera's images
+    by frame, and images of different cameras at most one frame apart.
 
     Raises
     ------
@@ -44,6 +51,28 @@ def select_pairs(
     if pairs == "sequential":
         return f"sequential, {overlap} neighbours", _sequential(images, overlap)
     return f"from {pairs}", _listed(images, Path(pairs))
+
+
+def dense_pairs(images: Sequence[SourceImage], pairs: str | Path) -> list[Pair]:
+    """Pairs of 16 to 30 images to look at before all pairs: if `is_dense`, they suffice."""
+    may_be = pairs == "auto" and _FEWEST_DENSE <= len(images) <= MAX_EXHAUSTIVE
+    if not may_be or any(image.frame is not None for image in images):
+        return []
+    return [
+        (first, first + step)
+        for first in range(len(images))
+        for step in _DENSE_STEPS
+        if first + step < len(images)
+    ]
+
+
+def is_dense(verdicts: Sequence[Verdict]) -> bool:
+    """Whether `dense_pairs` with these verdicts are a dense sequence: each has many inliers."""
+    return all(
+        verdict.status in ("ok", "pure_rotation", "planar_ambiguous")
+        and verdict.num_inliers >= _DENSE_INLIERS
+        for verdict in verdicts
+    )
 
 
 def _sequential(images: Sequence[SourceImage], overlap: int) -> list[Pair]:
