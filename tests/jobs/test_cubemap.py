@@ -374,6 +374,54 @@ class TestExport:
         assert victim.read_bytes() == b"theirs"
         assert not (tmp_path / "out").exists()
 
+    def test_no_face_is_removed_before_all_images_and_masks_are_there(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, mask = tmp_path / "out", tmp_path / "mask.png"
+        export_cubemap(folder, source, out)
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+        write_png(mask, np.full((128, 256), 255, np.uint8))
+        masks = {"a.png": mask, "b.png": tmp_path / "missing.png"}
+        with pytest.raises(FileNotFoundError, match=r"mask .*missing\.png does not exist"):
+            export_cubemap(folder, source, out, masks=masks)
+        write_png(mask, np.full((64, 128), 255, np.uint8))
+        with pytest.raises(ValueError, match=r"mask of a\.png is 128x64 but its camera is 256x128"):
+            export_cubemap(folder, source, out, masks={"a.png": mask})
+        (folder / "b.png").unlink()
+        with pytest.raises(FileNotFoundError, match=r"b\.png"):
+            export_cubemap(folder, plain_reconstruction(["b.png"]), out)
+        del before[out / "cubemap.json"]
+        assert {path: path.read_bytes() for path in before} == before
+
+    def test_a_record_with_a_name_that_leads_out_removes_nothing(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, victim = tmp_path / "out", tmp_path / "victim_front.jpg"
+        export_cubemap(folder, source, out)
+        victim.write_bytes(b"theirs")
+        record = json.loads((out / "cubemap.json").read_text())
+        record["made_from"] |= {"../../victim.png": "", str(tmp_path / "victim.png"): ""}
+        (out / "cubemap.json").write_text(json.dumps(record))
+        with pytest.raises(ValueError, match="leads out of"):
+            export_cubemap(folder, plain_reconstruction(["b.png"]), out)
+        assert victim.read_bytes() == b"theirs"
+        assert (out / "images" / "a_front.jpg").exists()
+
+    def test_a_link_in_the_output_is_not_followed_out_of_it(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, victim = tmp_path / "out", tmp_path / "victim.jpg"
+        export_cubemap(folder, source, out)
+        victim.write_bytes(b"theirs")
+        (out / "images" / "a_front.jpg").unlink()
+        (out / "images" / "a_front.jpg").symlink_to(victim)
+        with pytest.raises(ValueError, match="a link leads to"):
+            export_cubemap(folder, source, out)
+        assert victim.read_bytes() == b"theirs"
+
     def test_a_vanished_or_another_image_is_named_and_the_finished_faces_stay(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap
 
