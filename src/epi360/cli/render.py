@@ -131,11 +131,12 @@ def _camera(picture: CameraChoice) -> Camera:
 def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict[str, Any]:
     """What the pictures depend on, to recognise a sequence that can be resumed."""
     from epi360.extras import package_version
+    from epi360.runs.input_files import read_file
 
     if what.mesh is None:
         scene: dict[str, Any] = {"scene": what.scene or "living_room"}
     else:
-        digest = hashlib.sha256(what.mesh.read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_file(what.mesh)).hexdigest()
         scene = {"mesh": what.mesh.name, "mesh_sha256": digest, "up": what.up}
     calibration = None if picture.camera is None else picture.camera.name
     options = {**scene, "seed": what.seed, **asdict(path)}

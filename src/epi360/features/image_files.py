@@ -17,6 +17,7 @@ from epi360.features.image_headers import (
     TIFF_SIGNATURES,
     parse_image_header,
 )
+from epi360.runs.input_files import check_is_file
 
 MAX_PIXELS = 2**28
 """23170 x 11585: larger than any camera; 0.8 GB once decoded."""
@@ -56,6 +57,7 @@ def _read_bytes(path: Path, name: str) -> bytes:
         raise FileNotFoundError(f"{name} {path} does not exist")
     if path.is_dir():
         raise ValueError(f"{name} {path} is a folder, expected an image file")
+    check_is_file(path)
     if path.suffix.lower() in _RAW_FILES:
         raise ValueError(f"{name} {path} is {_RAW_FILES[path.suffix.lower()]}")
     try:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import extra_library
+from epi360.runs.input_files import check_is_file
 
 HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
 
@@ -34,6 +35,7 @@ def opened(path: Path) -> Iterator[Any]:
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
     if not path.exists():
         raise FileNotFoundError(f"hloc file {path} does not exist")
+    check_is_file(path)
     try:
         file = h5py.File(path, "r")
     except OSError as error:
