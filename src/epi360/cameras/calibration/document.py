@@ -44,3 +44,5 @@ def _yaml(text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from None
+    except (AttributeError, IndexError, KeyError, TypeError):  # !!int "", !!bool maybe
+        raise ValueError("a value is not of the type that its tag says") from None
