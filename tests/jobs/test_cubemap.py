@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -23,6 +27,17 @@ from epi360_scenes import furnished_room
 PANORAMA = Equirectangular(256, 128)
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)
 IDENTITY = Pose(np.eye(3), np.zeros(3))
+KILLED_AT_A_FACE = """
+import os, signal, sys
+from epi360 import cli
+replace = os.replace
+def kill_at_a_face(source, target):
+    if str(target).endswith(".jpg"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, target)
+os.replace = kill_at_a_face
+cli.main(sys.argv[1:])
+"""
 
 
 def pixel_centres(camera):
@@ -408,6 +423,23 @@ class TestExport:
             export_cubemap(folder, plain_reconstruction(["b.png"]), out)
         assert victim.read_bytes() == b"theirs"
         assert (out / "images" / "a_front.jpg").exists()
+
+    @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+    def test_what_a_killed_run_leaves_is_removed_by_the_next_one(self, tmp_path):
+        from epi360.interop import write_colmap_model
+        from epi360.jobs.cubemap import export_cubemap
+        from epi360.runs.whole_files import remove_leftovers
+
+        folder, source = two_panoramas(tmp_path, ("sub/a.png", "sub/b.png"))
+        out, model = tmp_path / "out", tmp_path / "model"
+        write_colmap_model(model, source)
+        command = [sys.executable, "-c", KILLED_AT_A_FACE, "cubemap", model, folder, out]
+        assert subprocess.run(command, timeout=60).returncode == -signal.SIGKILL
+        assert list(out.rglob(".epi360-*.tmp"))
+        remove_leftovers.cache_clear()  # of this process, which may have looked before
+        export_cubemap(folder, source, out)
+        assert list(out.rglob(".*")) == []
+        assert len(list((out / "images" / "sub").iterdir())) == 12
 
     def test_a_link_in_the_output_is_not_followed_out_of_it(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap
