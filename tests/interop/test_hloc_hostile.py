@@ -62,3 +62,36 @@ def test_a_name_that_hdf5_would_change_is_refused(tmp_path, name):
     with pytest.raises(ValueError, match="cannot stand in hloc's files"):
         write_hloc(tmp_path / "f.h5", tmp_path / "m.h5", graph)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("way", ["link", "external", "virtual"])
+def test_data_in_another_file_are_not_read(files, way, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_bytes(np.ones(2, np.int64).tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["size"] = np.array([1024, 512])
+    with h5py.File(files[0], "a") as file:
+        group = file[FIRST]
+        del group["image_size"]
+        if way == "link":
+            group["image_size"] = h5py.ExternalLink("other.h5", "/size")
+        elif way == "external":
+            place = [(str(secret), 0, 16)]
+            group.create_dataset("image_size", (2,), np.int64, external=place)
+        else:
+            layout = h5py.VirtualLayout((2,), np.int64)
+            layout[:] = h5py.VirtualSource("other.h5", "size", shape=(2,))
+            group.create_virtual_dataset("image_size", layout)
+    with pytest.raises(ValueError, match=f"{FIRST}/image_size lies in another file"):
+        read_hloc(*files)
+
+
+@pytest.mark.parametrize("kind", [np.dtype("f4"), np.float32(1)])
+def test_key_points_that_are_no_table_are_refused(files, kind):
+    from epi360.interop.hloc_pairs import HlocPairs
+
+    with h5py.File(files[0], "a") as file:
+        del file[SECOND]["keypoints"]
+        file[SECOND]["keypoints"] = kind
+    with pytest.raises(ValueError, match="is damaged"), HlocPairs(*files) as pairs:
+        pairs.matches(FIRST, SECOND)

@@ -104,3 +104,23 @@ def test_two_images_of_one_time_are_no_trajectory(tmp_path):
     with pytest.raises(ValueError, match=r"left.jpg and right.jpg have the same time stamp"):
         write_tum_trajectory(tmp_path / "a.tum", Reconstruction({}, images))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_rows_are_in_the_order_of_the_names(tmp_path, timed):
+    """OpenSfM's shots are in any order; other programs take row k for frame k."""
+    names = ["b/frame10.jpg", "frame2.jpg", "b/frame9.jpg", "frame10.jpg"]
+    expected = ["b/frame9.jpg", "b/frame10.jpg", "frame2.jpg", "frame10.jpg"]
+    images = tuple(
+        PosedImage(
+            name, None, Pose(np.eye(3), [float(index), 0, 0]), 10.0 - index if timed else None
+        )
+        for index, name in enumerate(names)
+    )
+    path = tmp_path / "poses.tum"
+    write_tum_trajectory(path, Reconstruction({}, images))
+    after = read_tum_trajectory(path).images
+    order = [names.index(name) for name in expected]
+    assert [image.cam_from_world.translation[0] for image in after] == order
+    stamps = [10.0 - index for index in order] if timed else [0, 1, 2, 3]
+    assert [image.timestamp_s for image in after] == stamps

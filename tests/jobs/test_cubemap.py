@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import cv2
 import numpy as np
@@ -23,6 +27,17 @@ from epi360_scenes import furnished_room
 PANORAMA = Equirectangular(256, 128)
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)
 IDENTITY = Pose(np.eye(3), np.zeros(3))
+KILLED_AT_A_FACE = """
+import os, signal, sys
+from epi360 import cli
+replace = os.replace
+def kill_at_a_face(source, target):
+    if str(target).endswith(".jpg"):
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(source, target)
+os.replace = kill_at_a_face
+cli.main(sys.argv[1:])
+"""
 
 
 def pixel_centres(camera):
@@ -373,6 +388,71 @@ class TestExport:
             export_cubemap(folder, plain_reconstruction(["a.png", name]), tmp_path / "out")
         assert victim.read_bytes() == b"theirs"
         assert not (tmp_path / "out").exists()
+
+    def test_no_face_is_removed_before_all_images_and_masks_are_there(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, mask = tmp_path / "out", tmp_path / "mask.png"
+        export_cubemap(folder, source, out)
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+        write_png(mask, np.full((128, 256), 255, np.uint8))
+        masks = {"a.png": mask, "b.png": tmp_path / "missing.png"}
+        with pytest.raises(FileNotFoundError, match=r"mask .*missing\.png does not exist"):
+            export_cubemap(folder, source, out, masks=masks)
+        write_png(mask, np.full((64, 128), 255, np.uint8))
+        with pytest.raises(ValueError, match=r"mask of a\.png is 128x64 but its camera is 256x128"):
+            export_cubemap(folder, source, out, masks={"a.png": mask})
+        (folder / "b.png").unlink()
+        with pytest.raises(FileNotFoundError, match=r"b\.png"):
+            export_cubemap(folder, plain_reconstruction(["b.png"]), out)
+        del before[out / "cubemap.json"]
+        assert {path: path.read_bytes() for path in before} == before
+
+    def test_a_record_with_a_name_that_leads_out_removes_nothing(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, victim = tmp_path / "out", tmp_path / "victim_front.jpg"
+        export_cubemap(folder, source, out)
+        victim.write_bytes(b"theirs")
+        record = json.loads((out / "cubemap.json").read_text())
+        record["made_from"] |= {"../../victim.png": "", str(tmp_path / "victim.png"): ""}
+        (out / "cubemap.json").write_text(json.dumps(record))
+        with pytest.raises(ValueError, match="leads out of"):
+            export_cubemap(folder, plain_reconstruction(["b.png"]), out)
+        assert victim.read_bytes() == b"theirs"
+        assert (out / "images" / "a_front.jpg").exists()
+
+    @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+    def test_what_a_killed_run_leaves_is_removed_by_the_next_one(self, tmp_path):
+        from epi360.interop import write_colmap_model
+        from epi360.jobs.cubemap import export_cubemap
+        from epi360.runs.whole_files import remove_leftovers
+
+        folder, source = two_panoramas(tmp_path, ("sub/a.png", "sub/b.png"))
+        out, model = tmp_path / "out", tmp_path / "model"
+        write_colmap_model(model, source)
+        command = [sys.executable, "-c", KILLED_AT_A_FACE, "cubemap", model, folder, out]
+        assert subprocess.run(command, timeout=60).returncode == -signal.SIGKILL
+        assert list(out.rglob(".epi360-*.tmp"))
+        remove_leftovers.cache_clear()  # of this process, which may have looked before
+        export_cubemap(folder, source, out)
+        assert list(out.rglob(".*")) == []
+        assert len(list((out / "images" / "sub").iterdir())) == 12
+
+    def test_a_link_in_the_output_is_not_followed_out_of_it(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out, victim = tmp_path / "out", tmp_path / "victim.jpg"
+        export_cubemap(folder, source, out)
+        victim.write_bytes(b"theirs")
+        (out / "images" / "a_front.jpg").unlink()
+        (out / "images" / "a_front.jpg").symlink_to(victim)
+        with pytest.raises(ValueError, match="a link leads to"):
+            export_cubemap(folder, source, out)
+        assert victim.read_bytes() == b"theirs"
 
     def test_a_vanished_or_another_image_is_named_and_the_finished_faces_stay(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap

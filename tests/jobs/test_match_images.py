@@ -325,6 +325,26 @@ def test_equal_pictures_are_searched_once(views, tmp_path, extractions):
     assert {verdict.status for verdict in run.verdicts} == {"pure_rotation"}
 
 
+def test_of_equal_pictures_another_is_taken_where_one_vanishes(views, tmp_path):
+    write_png(views / NAMES[2], pictures()[1])  # as NAMES[1]
+    images = image_set(views, NAMES[:3])
+    same = tuple(dataclasses.replace(image, camera="512x256") for image in images.images)
+    output = tmp_path / "out"
+
+    def progress(stage, done, total):
+        if (stage, done) == ("pairs", 0):
+            (views / NAMES[2]).unlink(missing_ok=True)
+            for path in (output / "features").iterdir():
+                path.write_bytes(b"damaged")  # all have to be found again
+
+    one = MatchOptions(num_threads=1)  # in turn: the picture that is there would come first
+    run = match_images(dataclasses.replace(images, images=same), output, one, progress=progress)
+    assert [verdict.status for verdict in run.verdicts] == [
+        "ok", "unreadable_image", "unreadable_image",
+    ]  # fmt: skip
+    assert list(run.unreadable) == [NAMES[2]]
+
+
 def test_a_folder_of_something_else_is_left_alone(views, tmp_path):
     with pytest.raises(ValueError, match="was not made by epi360 match"):
         match_images(image_set(views, NAMES[:2]), views)

@@ -11,17 +11,24 @@ import os
 import sys
 from collections.abc import Sequence
 
-from cyclopts import CycloptsError
+from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 
-# Importing the module of a command registers it.
-from epi360.cli import batch as _batch  # noqa: F401
-from epi360.cli import convert as _convert  # noqa: F401
-from epi360.cli import map as _map  # noqa: F401
-from epi360.cli import match as _match  # noqa: F401
-from epi360.cli import pair as _pair  # noqa: F401
-from epi360.cli import render as _render  # noqa: F401
-from epi360.cli import reproduce as _reproduce  # noqa: F401
-from epi360.cli.command import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE, app
+LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
+try:
+    from cyclopts import CycloptsError
+
+    # Importing the module of a command registers it.
+    from epi360.cli import batch as _batch  # noqa: F401
+    from epi360.cli import convert as _convert  # noqa: F401
+    from epi360.cli import map as _map  # noqa: F401
+    from epi360.cli import match as _match  # noqa: F401
+    from epi360.cli import pair as _pair  # noqa: F401
+    from epi360.cli import render as _render  # noqa: F401
+    from epi360.cli import reproduce as _reproduce  # noqa: F401
+    from epi360.cli.command import app, check_numbers
+except KeyboardInterrupt:  # half a second in which a user may think again
+    print("epi360: interrupted", file=sys.stderr)
+    raise SystemExit(INTERRUPTED) from None
 
 __all__ = ["FAILURE", "INTERRUPTED", "SUCCESS", "WRONG_USE", "app", "main"]
 
@@ -41,12 +48,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
+        _, given, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+        check_numbers(given.arguments)
         code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
     except (CycloptsError, ImportError, OSError, ValueError) as error:
         print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
+        return WRONG_USE
+    except MemoryError as error:
+        print(f"epi360: error: not enough memory: {_one_line(error)}", file=sys.stderr)
         return WRONG_USE
     except KeyboardInterrupt:
         print("epi360: interrupted", file=sys.stderr)
@@ -55,8 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _one_line(error: Exception) -> str:
-    """Error message without its number and line breaks."""
+    """Error message without its number and line breaks, cut in the middle where it is long."""
     text = str(error)
     if isinstance(error, OSError) and error.strerror is not None:
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    return " ".join(text.split()) or type(error).__name__
+    text = " ".join(text.split()) or type(error).__name__
+    if len(text) > LONGEST_MESSAGE:  # it quotes a name or a value as long as a file
+        half = (LONGEST_MESSAGE - 5) // 2
+        text = f"{text[:half]} ... {text[-half:]}"
+    return text

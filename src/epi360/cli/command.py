@@ -3,21 +3,25 @@
 
 from __future__ import annotations
 
+import reprlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import is_dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
+from epi360.cli.exit_codes import FAILURE as FAILURE
+from epi360.cli.exit_codes import SUCCESS as SUCCESS
+from epi360.cli.exit_codes import WRONG_USE as WRONG_USE
 from epi360.progress import Progress
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bars
     from rich.progress import TaskID
 
-SUCCESS, FAILURE, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 Say = Callable[[str], None]
 SECONDS_BETWEEN_LINES = 30.0
 Flag = Annotated[bool, Parameter(negative=())]
@@ -27,6 +31,23 @@ def _version() -> str:
     from epi360.extras import package_version
 
     return package_version()
+
+
+# Larger numbers are slips, and what they do depends on the machine: threads are started at once.
+LARGEST_NUMBER = 2**31 - 1
+LARGEST_OF = {"num_threads": 1024, "jobs": 1024, "mapper_threads": 1024, "seed": 2**128}
+
+
+def check_numbers(arguments: Mapping[str, Any]) -> None:
+    """Raise ``ValueError`` for a whole number that no machine can do; options may be in groups."""
+    for name, value in arguments.items():
+        if is_dataclass(value):
+            check_numbers(vars(value))
+        elif isinstance(value, int) and not isinstance(value, bool):
+            largest = LARGEST_OF.get(name, LARGEST_NUMBER)
+            if abs(value) > largest:
+                option = f"--{name.replace('_', '-')}"
+                raise ValueError(f"{option} must be at most {largest}, got {reprlib.repr(value)}")
 
 
 app = App(

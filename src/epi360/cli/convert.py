@@ -62,22 +62,18 @@ def convert(
         the names of the matches must say which images they are of: hloc writes "-" for "/".
     """
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
-    from epi360.interop.formats import FORMATS, format_of_name
+    from epi360.interop.formats import format_of_name
     from epi360.interop.reconstruction import Reconstruction
+    from epi360.runs.input_files import as_file
 
-    content: MatchGraph | Reconstruction
-    source_name = _format_of_source(source)
     target_name = output_format or format_of_name(target)
-    _check_kinds(source, source_name, target, target_name)
-    _check_options((source_name, target_name), images, camera, features, pairs)
-    _check_free(files_written(target, target_name, features, pairs), target_name)
     folder = "images" if images is None else images
-    wanted = FORMATS[target_name]
-    if wanted.kind == "matches":
-        with_descriptors = "descriptors" in wanted.keeps
-        content = _read_matches(source, source_name, camera, features, pairs, with_descriptors)
-    else:
-        content = _read_reconstruction(source, source_name, folder, camera)
+    with as_file(source) as file:  # a pipe gives its content once: to find the format, or to read
+        source_name = _format_of_source(file)
+        _check_kinds(source, source_name, target, target_name)
+        _check_options((source_name, target_name), images, camera, features, pairs)
+        _check_free(files_written(target, target_name, features, pairs), target_name)
+        content = _read(file, source_name, target_name, folder, camera, features, pairs)
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
@@ -86,6 +82,24 @@ def convert(
         write_matches(target, target_name, content, features=features, pairs=pairs)
     print(_summary(target, target_name, content))
     return SUCCESS
+
+
+def _read(
+    source: Path,
+    name: str,
+    target_name: str,
+    images: str,
+    camera: str | None,
+    features: Path | None,
+    pairs: Path | None,
+) -> MatchGraph | Reconstruction:
+    from epi360.interop.formats import FORMATS
+
+    wanted = FORMATS[target_name]
+    if wanted.kind == "matches":
+        with_descriptors = "descriptors" in wanted.keeps
+        return _read_matches(source, name, camera, features, pairs, with_descriptors)
+    return _read_reconstruction(source, name, images, camera)
 
 
 def _format_of_source(source: Path) -> str:

@@ -63,6 +63,7 @@ class CameraChoice:
     """Rays per axis in pixels at edges."""
 
 
+LARGEST_SUPERSAMPLE = 32  # a thousand rays a pixel
 ANY_SCENE, ANY_PATH, ANY_CAMERA = SceneChoice(), PathChoice(), CameraChoice()
 
 
@@ -115,27 +116,35 @@ def _check_words(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> 
     for name, value in (("num_frames", path.num_frames), ("supersample", picture.supersample)):
         if value < 1:
             raise ValueError(f"{name} must be 1 or more, got {value}")
+    if picture.supersample > LARGEST_SUPERSAMPLE:
+        raise ValueError(
+            f"supersample must be {LARGEST_SUPERSAMPLE} or less, got {picture.supersample}"
+        )
 
 
 def _camera(picture: CameraChoice) -> Camera:
     from epi360.cameras import Equirectangular, load_camera
+    from epi360.features.image_files import MAX_PIXELS
 
     if picture.camera is not None:
         return load_camera(picture.camera)
     width = 1024 if picture.width is None else picture.width
     if width < 2 or width % 2:
         raise ValueError(f"--width must be a positive even number, got {width}")
+    if width * (width // 2) > MAX_PIXELS:  # no command would read such pictures
+        raise ValueError(f"--width may give {MAX_PIXELS} pixels at most, got {width}x{width // 2}")
     return Equirectangular(width, width // 2)
 
 
 def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict[str, Any]:
     """What the pictures depend on, to recognise a sequence that can be resumed."""
     from epi360.extras import package_version
+    from epi360.runs.input_files import read_file
 
     if what.mesh is None:
         scene: dict[str, Any] = {"scene": what.scene or "living_room"}
     else:
-        digest = hashlib.sha256(what.mesh.read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_file(what.mesh)).hexdigest()
         scene = {"mesh": what.mesh.name, "mesh_sha256": digest, "up": what.up}
     calibration = None if picture.camera is None else picture.camera.name
     options = {**scene, "seed": what.seed, **asdict(path)}

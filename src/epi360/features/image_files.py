@@ -2,21 +2,21 @@
 """Image files to pixels, refusing what OpenCV would decode in part, noisily or without a limit."""
 
 import io
-import re
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL.PngImagePlugin import PngImageFile
 
+from epi360.features.complete_files import check_complete
 from epi360.features.image_headers import (
     JPEG_SIGNATURE,
     PNG_SIGNATURE,
     TIFF_SIGNATURES,
     parse_image_header,
 )
+from epi360.runs.input_files import check_is_file
 
 MAX_PIXELS = 2**28
 """23170 x 11585: larger than any camera; 0.8 GB once decoded."""
@@ -28,9 +28,6 @@ _RAW_FILES = {
     ".360": "a raw 360 video; export stitched panoramas first",
     ".dng": "a camera raw file; export a JPEG, PNG or TIFF first",
 }
-# The next marker inside JPEG scan data: FF 00 is a stuffed byte, FF D0..D7 restart, FF FF filling.
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
-_END_OF_JPEG = 0xD9
 
 
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
@@ -42,7 +39,7 @@ def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     try:
         header = parse_image_header(io.BytesIO(data))
         _check_size(header.size, max_pixels)
-        _check_complete(data)
+        check_complete(data)
         pixels = _decoded(data, header.may_have_alpha)
         _check_size((pixels.shape[1], pixels.shape[0]), max_pixels)
     except ValueError as error:
@@ -56,6 +53,7 @@ def _read_bytes(path: Path, name: str) -> bytes:
         raise FileNotFoundError(f"{name} {path} does not exist")
     if path.is_dir():
         raise ValueError(f"{name} {path} is a folder, expected an image file")
+    check_is_file(path)
     if path.suffix.lower() in _RAW_FILES:
         raise ValueError(f"{name} {path} is {_RAW_FILES[path.suffix.lower()]}")
     try:
@@ -78,39 +76,6 @@ def _check_size(size: tuple[int, int] | None, max_pixels: int) -> None:
             f"has {width}x{height} = {width * height} pixels, more than the limit of {max_pixels};"
             " reduce it or raise max_pixels"
         )
-
-
-def _check_complete(data: bytes) -> None:
-    """Refuse cut and damaged files: OpenCV decodes some in part, others noisily."""
-    if data.startswith(PNG_SIGNATURE):
-        _check_png(data)
-    elif data.startswith(JPEG_SIGNATURE):
-        _check_jpeg(data)
-    elif data.startswith(b"RIFF") and len(data) < 8 + int.from_bytes(data[4:8], "little"):
-        raise ValueError("is a truncated WebP file; copy or export it again")
-
-
-def _check_png(data: bytes) -> None:
-    try:
-        PngImageFile(io.BytesIO(data)).verify()
-    except Exception as error:  # what a damaged file makes Pillow raise is not documented
-        if "bad header checksum" in str(error):
-            raise ValueError(
-                "is a damaged PNG file (wrong checksum); copy or export it again"
-            ) from None
-        raise ValueError("is a truncated PNG file; copy or export it again") from None
-
-
-def _check_jpeg(data: bytes) -> None:
-    """Look for the end of a JPEG file by walking its segments (ITU T.81, annex B)."""
-    # Pillow finds a cut only by decoding. Thumbnails inside the segments have end markers too, and
-    # phones and 360 cameras append videos and their own data after the end.
-    at = 2
-    while marker := _JPEG_MARKER.search(data, at):
-        if data[marker.start() + 1] == _END_OF_JPEG:
-            return
-        at = marker.end() + int.from_bytes(data[marker.end() : marker.end() + 2], "big")
-    raise ValueError("is a truncated JPEG file; copy or export it again")
 
 
 def _decoded(data: bytes, may_have_alpha: bool) -> NDArray[Any]:

@@ -18,6 +18,8 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngStream
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
+from epi360.runs.input_files import check_is_file
+
 JPEG_SIGNATURE, PNG_SIGNATURE = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 LARGEST_XMP = 2**20  # a JPEG holds 64 kB of it, the longest seen in panoramas is 4 kB
@@ -36,8 +38,9 @@ class ImageHeader:
 
 
 def read_image_header(path: str | os.PathLike[str]) -> ImageHeader:
-    """Header of any file; ``OSError`` if it cannot be read."""
+    """Header of any file; ``OSError`` if it cannot be read, ``ValueError`` for a device or pipe."""
     # Unbuffered: a buffer would read all of a large PNG while its chunks are skipped.
+    check_is_file(path)
     with open(path, "rb", buffering=0) as file:
         return parse_image_header(file)
 

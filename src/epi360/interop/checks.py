@@ -14,6 +14,7 @@ from epi360.cameras.calibration import fields
 from epi360.interop.match_graph import MatchedImage
 from epi360.interop.reconstruction import PosedImage
 from epi360.poses import Pose, pose_from_quaternion
+from epi360.runs.input_files import read_text
 
 # Products of a few matrices of single precision are off by 1e-6; scaled matrices by far more.
 ROTATION_TOLERANCE = 1e-3
@@ -27,7 +28,7 @@ LENS_COEFFICIENTS: dict[type[Camera], tuple[str, ...]] = {
 def read_json(path: Path, what: str) -> Any:
     """Return the content of a JSON file; ``what`` says what it should be."""
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(read_text(path))
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist; it must be {what}") from None
     except (ValueError, RecursionError) as error:  # ValueError also for bytes that are no text

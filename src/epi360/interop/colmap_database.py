@@ -57,8 +57,9 @@ def open_colmap_database(path: PathLike) -> Any:
         raise ValueError(f"COLMAP database {path} may not be written; open a copy")
     try:
         return pycolmap.Database.open(path)
-    except RuntimeError:
-        raise ValueError(f"COLMAP database {path} cannot be opened by pycolmap") from None
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"COLMAP database {path} cannot be opened by pycolmap: {reason}") from None
 
 
 def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:

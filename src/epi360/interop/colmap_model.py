@@ -81,8 +81,11 @@ def write_colmap_model(
     files = model_files(reconstruction, text=text)
     folder.mkdir(parents=True, exist_ok=True)
     with whole_paths(*(folder / name for name in files)) as temporaries:
-        for temporary, data in zip(temporaries, files.values(), strict=True):
-            temporary.write_bytes(data)
+        for temporary, (name, data) in zip(temporaries, files.items(), strict=True):
+            try:
+                temporary.write_bytes(data)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(folder / name)) from None
 
 
 def _posed(image: ImageEntry) -> PosedImage:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, load_cameras
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number, num_parameters
 from epi360.interop.colmap_rigs import CAMERA
+from epi360.runs.input_files import read_file
 
 PIXEL = np.dtype([("pixel", "<f8", 2), ("point", "<i8")])  # the point is -1 if there is none
 NEEDED = ("cameras", "images", "points3D")  # rigs and frames came with COLMAP 3.12
@@ -98,7 +99,7 @@ def read_rig_files(folder: Path) -> tuple[list[RigEntry], list[FrameEntry]]:
 def _parsed(path: Path, parse: Callable[[bytes], T]) -> T:
     """What ``parse`` makes of the content of a file; its errors name the file."""
     try:
-        return parse(path.read_bytes())
+        return parse(read_file(path))
     except (ValueError, OverflowError, struct.error) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"COLMAP model file {path} cannot be used: {reason}") from None

@@ -7,6 +7,7 @@ https://colmap.github.io/database.html.
 """
 
 import sqlite3
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -27,9 +28,11 @@ NEEDED_COLUMNS = {
     "matches": {"pair_id", "rows", "cols", "data"},
     "two_view_geometries": {"pair_id", "rows", "cols", "data", "config"},
 }
+USED_TABLES = {*NEEDED_COLUMNS, "rigs", "rig_sensors", "frames", "frame_data"}
 # SQLite does not check types. Columns that are in neither of these sets hold integers.
 TEXTS = {"name"}
 BLOBS = {"params", "data", "E", "qvec", "tvec", "sensor_from_rig"}  # bytes or nothing
+LONGEST_STEP_S = 120.0  # from one row to the next; a second even where SQLite has to sort
 LONGEST_REASON = 200  # SQLite's messages may quote a whole table
 
 
@@ -39,13 +42,11 @@ class ColmapTables:
     def __init__(self, path: PathLike) -> None:
         self.path = Path(path)
         self._connection = _connect(self.path)
+        self._num_bytes = sum(file.stat().st_size for file in _files(self.path))
+        self._deadline = 0.0
+        self._connection.set_progress_handler(self._is_late, 1_000_000)
         try:
-            for table, columns in NEEDED_COLUMNS.items():
-                if not self.has_columns(table, *columns):
-                    raise self.error(
-                        f"it must have a table {table} with {', '.join(sorted(columns))}; "
-                        "is it a database of COLMAP?"
-                    )
+            self._check_tables()
         except BaseException:
             self.close()
             raise
@@ -63,9 +64,13 @@ class ColmapTables:
     def rows(self, query: str, *values: Any) -> Iterator[tuple[Any, ...]]:
         """Yield the rows of an SQL query; raise ``ValueError`` for damage or a wrong type."""
         try:
+            self._deadline = time.monotonic() + LONGEST_STEP_S
             cursor = self._connection.execute(query, values)
             columns = [(name, *_type_of(name)) for name, *_ in cursor.description]
-            for row in cursor:
+            for count, row in enumerate(cursor):
+                if count > self._num_bytes:  # damaged pages may lead back to each other
+                    raise self.error("it has more rows than bytes")
+                self._deadline = time.monotonic() + LONGEST_STEP_S
                 for value, (name, kind, words) in zip(row, columns, strict=True):
                     if not isinstance(value, kind):
                         got = fields.shortened(value)
@@ -79,6 +84,22 @@ class ColmapTables:
         """Return whether the database has these columns, which older ones may lack."""
         query = "SELECT name FROM pragma_table_info(?)"
         return {name for (name,) in self.rows(query, table)} >= set(columns)
+
+    def _check_tables(self) -> None:
+        """Raise for a view in place of a table: it may compute its rows without end."""
+        query = "SELECT name FROM sqlite_master WHERE type = 'view' OR sql LIKE 'CREATE VIRTUAL%'"
+        for (name,) in self.rows(query):
+            if name.lower() in USED_TABLES:
+                raise self.error(f"{name} must be a plain table, got a view or a virtual table")
+        for table, columns in NEEDED_COLUMNS.items():
+            if not self.has_columns(table, *columns):
+                raise self.error(
+                    f"it must have a table {table} with {', '.join(sorted(columns))}; "
+                    "is it a database of COLMAP?"
+                )
+
+    def _is_late(self) -> bool:
+        return time.monotonic() > self._deadline
 
     def array(self, blob: Blob, dtype: Any, what: str) -> NDArray[Any]:
         """Return the array of (rows, cols, data); an empty one has two columns."""
@@ -109,10 +130,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         raise ValueError(f"COLMAP database {path} must be a file")
     # A writer or a crash may have left changes in a second file. Only SQLite's usual mode sees
     # them, and it needs a writable folder; "immutable" needs none and leaves no file behind.
-    pending = any(
-        file.is_file() and file.stat().st_size
-        for file in (Path(f"{path.resolve()}{end}") for end in ("-wal", "-journal"))
-    )
+    pending = any(file.stat().st_size for file in _files(path)[1:])
     if not pending:
         _check_length(path)
     options = "mode=ro" if pending else "mode=ro&immutable=1"
@@ -120,6 +138,12 @@ def _connect(path: Path) -> sqlite3.Connection:
         return sqlite3.connect(f"{path.resolve().as_uri()}?{options}", uri=True)
     except sqlite3.DatabaseError as error:
         raise ValueError(f"COLMAP database {path} cannot be opened: {error}") from None
+
+
+def _files(path: Path) -> list[Path]:
+    """The file, and those beside it with changes that are not in it yet."""
+    beside = [Path(f"{path.resolve()}{end}") for end in ("-wal", "-journal")]
+    return [path, *(file for file in beside if file.is_file())]
 
 
 def _check_length(path: Path) -> None:

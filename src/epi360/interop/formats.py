@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from epi360.runs.input_files import open_input
 from epi360.runs.whole_files import PathLike
 
 Kind = Literal["reconstruction", "matches"]
@@ -51,7 +52,7 @@ def format_of_file(path: PathLike) -> str:
     if path.is_dir():
         raise ValueError(f"folder {path} must hold a COLMAP model: cameras, images and points3D")
     try:
-        with path.open("rb") as file:
+        with open_input(path) as file:
             start = file.read(4096)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist") from None

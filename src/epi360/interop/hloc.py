@@ -2,20 +2,19 @@
 """hloc's features and matches (HDF5) to a match graph and back; the layout: `hloc_layout`."""
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.extras import extra_library
+from epi360.interop.hdf5_writing import new_hdf5_files
 from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
 from epi360.interop.pairs_file import write_pairs_file
-from epi360.runs.whole_files import PathLike, whole_paths
+from epi360.runs.whole_files import PathLike
 
 __all__ = ["HlocPairs", "camera_of_image", "read_hloc", "write_hloc"]
 
@@ -126,26 +125,13 @@ def write_hloc(
     """
     if os.path.realpath(features) == os.path.realpath(matches):
         raise ValueError(f"features and matches must be two files, got {features} twice")
-    with _written_together(Path(features), Path(matches)) as (features_file, matches_file):
+    with new_hdf5_files(Path(features), Path(matches)) as (features_file, matches_file):
         for image in graph.images.values():
             _write_image(features_file, image, graph.cameras)
         for pair in graph.pairs:
             _write_pair(matches_file, pair, len(graph.images[pair.image1].keypoints))
         if pairs is not None:
             write_pairs_file(pairs, ((pair.image1, pair.image2) for pair in graph.pairs))
-
-
-@contextmanager
-def _written_together(*paths: Path) -> Iterator[list[Any]]:
-    """HDF5 files under temporary names, which get the real names together."""
-    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
-    for path in paths:
-        if path.is_dir():
-            raise IsADirectoryError(f"{path} must be a file to write, it is a folder")
-    with whole_paths(*paths) as temporaries, ExitStack() as files:
-        for temporary in temporaries:
-            temporary.touch()  # for a shorter message than HDF5's if the folder is missing
-        yield [files.enter_context(h5py.File(path, "w")) for path in temporaries]
 
 
 def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) -> None:

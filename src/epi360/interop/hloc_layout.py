@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import extra_library
+from epi360.runs.input_files import check_is_file
 
 HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
 
@@ -34,6 +35,7 @@ def opened(path: Path) -> Iterator[Any]:
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
     if not path.exists():
         raise FileNotFoundError(f"hloc file {path} does not exist")
+    check_is_file(path)
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -48,7 +50,9 @@ def reading(path: Path) -> Iterator[None]:
     """Turn what h5py raises in a damaged file into a ``ValueError`` that names the file."""
     try:
         yield
-    except (OSError, RuntimeError, KeyError, UnicodeError, OverflowError, TypeError) as error:
+    except (
+        OSError, RuntimeError, LookupError, UnicodeError, OverflowError, TypeError, AttributeError,
+    ) as error:  # fmt: skip
         reason = " ".join(str(error.args[0] if error.args else error).split())
         raise ValueError(f"{path} is damaged: {reason}") from None
 
@@ -72,10 +76,15 @@ def dataset(group: Any, name: str, path: Path) -> NDArray[Any] | None:
     with reading(path):
         if name not in group:
             return None
-        member = group[name]
-        # HDF5 reads zeros for what a file leaves out, so that a small file may claim any size.
-        if isinstance(member, h5py.Dataset) and (member.size or 0) <= LARGEST_DATASET:
-            return np.asarray(member[()])
+        is_elsewhere = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
+        member = None if is_elsewhere else group[name]
+        if isinstance(member, h5py.Dataset):
+            is_elsewhere = bool(member.external) or member.is_virtual
+            # HDF5 reads zeros for what a file leaves out, so that a small file may claim any size.
+            if not is_elsewhere and (member.size or 0) <= LARGEST_DATASET:
+                return np.asarray(member[()])
+    if is_elsewhere:
+        raise ValueError(f"{path}: {group.name}/{name} lies in another file; copy it into this one")
     raise ValueError(
         f"{path}: {group.name}/{name} must be a dataset of {LARGEST_DATASET} numbers at most"
     )

@@ -28,6 +28,7 @@ from epi360.interop import checks
 from epi360.interop.ply import read_ply_points, write_ply_points
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose
+from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a transforms.json of nerfstudio"
@@ -219,7 +220,7 @@ def _points(
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     if not isinstance(name, str):
         raise ValueError(f"ply_file_path must be a path, got {fields.shortened(name)}")
-    saved, colors = read_ply_points(path.parent / name)
+    saved, colors = read_ply_points(inside(path.parent, name))
     return saved @ original_from_saved.rotation.T + original_from_saved.translation, colors
 
 

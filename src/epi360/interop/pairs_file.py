@@ -5,6 +5,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
+from epi360.runs.input_files import read_text
 from epi360.runs.whole_files import PathLike, write_file
 
 # A name may hold any character but these two; file names do hold other Unicode white space.
@@ -77,7 +78,7 @@ def write_pairs_file(path: PathLike, pairs: Iterable[tuple[str, str]]) -> None:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Lines that are neither empty nor comments, with their numbers from 1."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError:
         raise FileNotFoundError(f"pairs file {path} does not exist") from None
     except UnicodeDecodeError:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.runs.input_files import read_file
 from epi360.runs.whole_files import write_file
 
 TYPES = {
@@ -24,7 +25,7 @@ LONGEST_HEADER = 2**16
 def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     """Return the vertices (P, 3) of a PLY file and their colors (P, 3), black if it has none."""
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist; it must hold the points as PLY") from None
     try:

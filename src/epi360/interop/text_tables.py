@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.runs.input_files import read_text
+
 UNIT_TOLERANCE = 1e-2  # of a quaternion's length; files hold four digits or more
 
 
@@ -66,7 +68,7 @@ def read_table(path: Path, columns: tuple[str, ...], delimiter: str | None) -> T
     """Rows of a text file without empty lines, "#" comments and header; None is any white space."""
     names = ",".join(columns)
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path).splitlines()
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist; its rows must hold {names}") from None
     except (UnicodeDecodeError, OSError):

@@ -5,8 +5,10 @@ A row is the pose world_from_cam, with the camera's axes x right, y down, z forw
 seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any
 
+from epi360.image_folders import natural_order
 from epi360.interop import checks
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.interop.text_tables import read_table
@@ -46,10 +48,11 @@ def read_tum_trajectory(path: PathLike) -> Reconstruction:
 
 
 def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None:
-    """Write the poses of the images as a trajectory, in the order of the images.
+    """Write the poses of the images as a trajectory, in the natural order of the images' names.
 
-    Cameras, points and image names are left out. If any image has no time stamp, every row gets the
-    index of its image, from 0, in place of the time. A file that exists is replaced.
+    That is frame2 before frame10. Cameras, points and the names themselves are left out. If any
+    image has no time stamp, the rows count from 0 in place of the time. A file that exists is
+    replaced.
 
     Raises
     ------
@@ -58,10 +61,10 @@ def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None
     OSError
         If the file cannot be written.
     """
-    stamps = [image.timestamp_s for image in reconstruction.images]
-    timed = all(stamp is not None for stamp in stamps)
+    timed = all(image.timestamp_s is not None for image in reconstruction.images)
+    images = sorted(reconstruction.images, key=_place)
     by_stamp: dict[float | None, str] = {}
-    for image in reconstruction.images if timed else ():
+    for image in images if timed else ():
         other = by_stamp.setdefault(image.timestamp_s, image.name)
         if other != image.name:
             raise ValueError(
@@ -69,10 +72,15 @@ def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None
                 "of one camera"
             )
     lines = ["# " + " ".join(COLUMNS)]
-    for index, image in enumerate(reconstruction.images):
+    for index, image in enumerate(images):
         world_from_cam = checks.known_pose(image).inverse()
         w, x, y, z = world_from_cam.quaternion_wxyz
-        numbers = (stamps[index] if timed else index, *world_from_cam.translation, x, y, z, w)
+        numbers = (image.timestamp_s if timed else index, *world_from_cam.translation, x, y, z, w)
         # The fewest digits that read back to the same number; an index has no decimal point.
         lines.append(" ".join(repr(n if isinstance(n, int) else float(n or 0.0)) for n in numbers))
     write_file(path, ("\n".join(lines) + "\n").encode())
+
+
+def _place(image: PosedImage) -> Any:
+    """Sort key: folder by folder, as files lie on a disk."""
+    return [natural_order(Path(part)) for part in PurePosixPath(image.name).parts]

@@ -7,7 +7,7 @@ import dataclasses
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.features.image_headers import read_image_header
 from epi360.features.images import nadir_mask, read_image, read_mask
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
@@ -104,6 +105,7 @@ def export_cubemap(
     write_colmap_model(output / "sparse" / "0", cube)
     mask_of = {face: f"masks/{face}.png" for face in names.values()} if cutter.masked else None
     write_nerfstudio(output / "transforms.json", cube, images="images", masks=mask_of)
+    cutter.remove_left(reconstruction)
     return Cubemap(cube, done - kept, kept)
 
 
@@ -159,42 +161,65 @@ class _Cutter:
     mask_nadir_deg: float
     masked: bool  # every face gets a mask: nerfstudio takes those of all images or of none
     _face_masks: tuple[Camera, Path | None, dict[FaceName, bytes]] | None = None
+    _left: set[str] = field(default_factory=set)  # faces of panoramas that left the model
 
     def prepare(
         self, reconstruction: Reconstruction, names: Mapping[tuple[str, FaceName], str]
     ) -> None:
-        """Make the output folder, or check it and remove faces that have another camera or mask."""
+        """Make the output folder, or check it and remove faces that have another camera or mask.
+
+        Nothing is written before all names have been looked at, and no face is removed before all
+        images and masks have been.
+        """
         if self.output.resolve() == self.folder.resolve():
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
-        for face in names.values():
-            self._face_file(face)  # ValueError, before anything is written or removed
-        self.output.mkdir(parents=True, exist_ok=True)
-        record = {
-            "options": _options(self.options, self.mask_nadir_deg),
-            "made_from": {
-                image.name: f"{reconstruction.cameras[str(image.camera)]}, "
-                f"{self._mask_words(image.name)}"
-                for image in reconstruction.images
-            },
-        }
+        record = self._record(reconstruction)
         before = check_cubemap_folder(self.output, self.options, self.mask_nadir_deg)
-        for face in self._stale(before.get("made_from", {}), record["made_from"], names):
+        made_before = before.get("made_from", {})
+        names_before = face_image_names(list(made_before), self.options)
+        for face in dict.fromkeys((*names.values(), *names_before.values())):
+            self._face_file(face)
+            self._mask_file(face)
+        changed = {
+            face
+            for (panorama, _), face in names.items()
+            if made_before.get(panorama) != record["made_from"][panorama]
+        }
+        if any(self._face_file(face).exists() for face in changed):
+            for image in reconstruction.images:
+                self._check_sizes(image.name, reconstruction.cameras[str(image.camera)])
+        self.output.mkdir(parents=True, exist_ok=True)
+        self._remove(changed)
+        # Panoramas that left the model stay in the record until their faces are removed.
+        self._left = set(names_before.values()) - set(names.values())
+        both = {**record, "made_from": {**made_before, **record["made_from"]}}
+        write_record(self.output / RECORD_FILE, both)
+
+    def remove_left(self, reconstruction: Reconstruction) -> None:
+        """Remove the faces of panoramas that left the model, once the new ones are there."""
+        if self._left:
+            self._remove(self._left)
+            write_record(self.output / RECORD_FILE, self._record(reconstruction))
+
+    def _record(self, reconstruction: Reconstruction) -> dict[str, Any]:
+        made_from = {
+            image.name: f"{reconstruction.cameras[str(image.camera)]}, "
+            f"{self._mask_words(image.name)}"
+            for image in reconstruction.images
+        }
+        return {"options": _options(self.options, self.mask_nadir_deg), "made_from": made_from}
+
+    def _remove(self, faces: Iterable[str]) -> None:
+        for face in faces:
             self._face_file(face).unlink(missing_ok=True)
             self._mask_file(face).unlink(missing_ok=True)
-        write_record(self.output / RECORD_FILE, record)
 
-    def _stale(
-        self,
-        before: Mapping[str, str],
-        now: Mapping[str, str],
-        names: Mapping[tuple[str, FaceName], str],
-    ) -> set[str]:
-        """Faces made from something else, and those of panoramas that left the model."""
-        names_before = face_image_names(list(before), self.options)
-        changed = {
-            face for (panorama, _), face in names.items() if before.get(panorama) != now[panorama]
-        }
-        return changed | (set(names_before.values()) - set(names.values()))
+    def _check_sizes(self, panorama: str, camera: Camera) -> None:
+        """Raise where an image or its mask is missing or, by its header, has another size."""
+        _check_size(f"image {panorama}", self.folder / panorama, camera)
+        mask = self.masks.get(panorama)
+        if mask is not None:
+            _check_size(f"mask of {panorama}", mask, camera)
 
     def is_cut(self, panorama: str, faces: Iterable[str]) -> bool:
         """Whether the faces of a panorama are there and newer than what they are made from."""
@@ -264,6 +289,19 @@ class _Cutter:
 
     def _mask_file(self, face: str) -> Path:
         return inside(self.output / "masks", f"{face}.png")
+
+
+def _check_size(what: str, path: Path, camera: Camera) -> None:
+    if not path.exists():
+        raise FileNotFoundError(f"{what.split()[0]} {path} does not exist")
+    try:
+        size = read_image_header(path).size
+    except OSError as error:
+        raise ValueError(f"{what} cannot be read: {error.strerror}") from None
+    if size is not None and size != (camera.width, camera.height):
+        raise ValueError(
+            f"{what} is {size[0]}x{size[1]} but its camera is {camera.width}x{camera.height}"
+        )
 
 
 _nadir_mask = lru_cache(maxsize=1)(nadir_mask)  # takes 5 s for a panorama 11008 wide

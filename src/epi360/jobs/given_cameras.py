@@ -9,6 +9,7 @@ from pathlib import Path
 
 from epi360.cameras import Camera, load_cameras, load_rig
 from epi360.poses import Pose
+from epi360.runs.input_files import read_text
 
 # Files that have one of these mean to say where cameras sit on a rig.
 _POSE_KEYS = ("cam_from_rig", "T_cn_cnm1", "T_cam_imu", "T_imu_cam")
@@ -60,6 +61,6 @@ def read_given_cameras(source: str) -> GivenCameras:
     try:
         return GivenCameras(source, cameras, load_rig(path).cam_from_rig)
     except ValueError:
-        if any(key in path.read_text(encoding="utf-8") for key in _POSE_KEYS):
+        if any(key in read_text(path) for key in _POSE_KEYS):
             raise
         return GivenCameras(source, cameras)  # the file does not say where they sit

@@ -42,7 +42,7 @@ class MaskSource:
         if mask not in self._sizes:
             try:
                 self._sizes[mask] = read_image_header(mask).size
-            except OSError:  # whoever reads the mask says why
+            except (OSError, ValueError):  # whoever reads the mask says why
                 self._sizes[mask] = None
         return self._sizes[mask]
 

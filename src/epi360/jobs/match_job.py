@@ -97,21 +97,33 @@ class MatchJob:
 
     def verify(self, pairs: Sequence[Pair]) -> tuple[dict[Keys, Verdict], int]:
         """Verdicts of the pairs by their keys, and how many of them were there."""
-        wanted = {self.keys_of(pair): pair for pair in pairs if self.is_readable(pair)}
+        wanted = {self.keys_of(pair) for pair in pairs if self.is_readable(pair)}
         finished = {
             pair.keys: pair.verdict for pair in read_parts(self.output) if pair.keys in wanted
         }
         num_found = len(finished)
-        missing = [pair for keys, pair in wanted.items() if keys not in finished]
         self.progress("pairs", num_found, len(wanted))
+        # Equal images have equal keys: if one of them turns out to be unreadable, another is taken.
+        while missing := self._missing(pairs, finished):
+            self._verify_missing(missing, finished, len(wanted))
+        return finished, num_found
+
+    def _missing(self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]) -> list[Pair]:
+        """One readable pair for each pair of keys that is not finished."""
+        readable = {self.keys_of(pair): pair for pair in pairs if self.is_readable(pair)}
+        return [pair for keys, pair in readable.items() if keys not in finished]
+
+    def _verify_missing(
+        self, missing: Sequence[Pair], finished: dict[Keys, Verdict], total: int
+    ) -> None:
+        num_before = len(finished)
         step = _PAIRS_PER_THREAD * self.num_threads
         for start in range(0, len(missing), step):
             done = self._verified(missing[start : start + step])
             if done:
                 write_part(self.output, done)
             finished.update((pair.keys, pair.verdict) for pair in done)
-            self.progress("pairs", num_found + min(start + step, len(missing)), len(wanted))
-        return finished, num_found
+            self.progress("pairs", num_before + min(start + step, len(missing)), total)
 
     def verify_again(
         self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level

@@ -26,6 +26,7 @@ from epi360.jobs.match_store import (
 )
 from epi360.poses import Pose
 from epi360.runs.arrays import Arrays, read_arrays
+from epi360.runs.inside import inside
 from epi360.runs.made_from import write_record
 
 Colors = dict[str, NDArray[np.uint8]]
@@ -128,7 +129,7 @@ _AGAIN = "run epi360 match with this --output again, it redoes what is missing"
 
 
 def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
-    arrays = read_arrays(folder / FEATURES / f"{key}.npz")
+    arrays = read_arrays(inside(folder / FEATURES, f"{key}.npz"))
     if arrays is None:
         raise ValueError(f"the key points of {name} are missing or damaged; {_AGAIN}")
     return arrays

@@ -7,6 +7,7 @@ from contextlib import suppress
 from hashlib import blake2b
 from pathlib import Path
 
+from epi360.runs.input_files import read_file
 from epi360.runs.made_from import read_record
 from epi360.runs.whole_files import write_file
 
@@ -41,7 +42,7 @@ class FileDigests:
         name = str(path.absolute())
         was, digest = self._read.get(name) or self._known.get(name) or ([], "")
         if was != now:
-            digest = blake2b(path.read_bytes()).hexdigest()
+            digest = blake2b(read_file(path)).hexdigest()
         if time.time_ns() - max(now[1:]) > _SETTLED_NS:
             self._read[name] = now, digest
         return bytes.fromhex(digest)

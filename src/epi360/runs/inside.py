@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Names from other people's files, which must not lead out of the folder that is written."""
+"""The one place that decides whether a name from somebody's file stays inside a folder."""
 
+import os
 from pathlib import Path, PurePath
+
+_LONGEST_QUOTE = 120  # characters of a name in a message
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Path of a named file in a folder; ValueError where the name is absolute or goes up ("..")."""
+    """Path of a named file in a folder; ValueError where it lies elsewhere, through links too."""
     path = PurePath(name)
-    if path.drive or path.root or ".." in path.parts or not path.parts:
-        raise ValueError(
-            f"the name {name!r} leads out of {folder}; names must be paths below the folder of the "
-            'images, without ".."'
-        )
+    if path.drive or path.root or ".." in path.parts or not path.parts or "\0" in name:
+        raise _error(folder, name, 'names must be paths below the folder, without ".."')
+    # The folder itself may be a link: whoever runs the program has named it.
+    real = Path(os.path.realpath(folder / name))
+    if not real.is_relative_to(os.path.realpath(folder)):
+        raise _error(folder, name, f"a link leads to {real}; remove the link")
     return folder / name
+
+
+def _error(folder: Path, name: str, reason: str) -> ValueError:
+    quoted = repr(name if len(name) <= _LONGEST_QUOTE else f"{name[:_LONGEST_QUOTE]}...")
+    return ValueError(f"the name {quoted} leads out of {folder}; {reason}")

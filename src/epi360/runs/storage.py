@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from epi360.extras import extra_library
+from epi360.runs.input_files import check_is_file
 from epi360.runs.made_from import fingerprint
 from epi360.runs.whole_files import whole_file
 
@@ -47,6 +48,7 @@ def open_read(path: str) -> Iterator[IO[bytes]]:
         with files.open(name, "rb", cache_type="none") as file:
             yield file
         return
+    check_is_file(local_path(path))
     with local_path(path).open("rb") as file:
         yield file
 

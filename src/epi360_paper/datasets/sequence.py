@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.poses import Pose
+from epi360.runs.input_files import read_file
 from epi360_paper.datasets.intensities import eight_bit_image
 
 
@@ -59,7 +60,7 @@ class ImageSequence:
         if not self.depth_paths:
             raise ValueError(f"{self.name} has no depth maps; only MP3D-VO scenes have them")
         path = self.depth_paths[index]
-        encoded = np.frombuffer(path.read_bytes(), np.uint8)
+        encoded = np.frombuffer(read_file(path), np.uint8)
         depth = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if len(encoded) else None
         if depth is None or depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
             raise ValueError(f"depth map {path} must be a TIFF of one float channel")

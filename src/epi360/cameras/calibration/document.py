@@ -6,6 +6,8 @@ import re
 from pathlib import Path
 from typing import Any
 
+from epi360.runs.input_files import read_text
+
 COLMAP_LINE = re.compile(r"\d+\s+[A-Z][A-Z0-9_]*\s+\d+\s+\d+(\s|$)")
 
 LARGEST_FILE = 2**25  # bytes, enough for a cameras.txt with a camera for each of 300,000 images
@@ -15,19 +17,13 @@ LONGEST_YAML = 2**18  # characters, which take half a second; a rig needs a thou
 def read_document(path: Path) -> Any:
     """Return the lines of a COLMAP file, or the content of a YAML or JSON file."""
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        text = content.decode("utf-8-sig")
+        text = read_text(path, largest=LARGEST_FILE)
     except FileNotFoundError:
         raise FileNotFoundError(f"calibration file {path} does not exist") from None
     except UnicodeDecodeError:  # for example a picture
         raise ValueError(f"calibration file {path} must be text, got binary data") from None
     except OSError:
         raise ValueError(f"calibration file {path} is a folder or may not be read") from None
-    if len(content) > LARGEST_FILE:
-        raise ValueError(
-            f"calibration file {path} must have {LARGEST_FILE} bytes at most, got more"
-        )
     lines = [line.strip() for line in text.splitlines()]
     lines = [line for line in lines if line and not line.startswith("#")]
     if lines and COLMAP_LINE.match(lines[0]):
@@ -48,3 +44,5 @@ def _yaml(text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from None
+    except (AttributeError, IndexError, KeyError, TypeError):  # !!int "", !!bool maybe
+        raise ValueError("a value is not of the type that its tag says") from None

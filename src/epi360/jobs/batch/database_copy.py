@@ -35,7 +35,10 @@ def write_database_copy(job: BatchJob, path: str, num_parts: int) -> None:
             ColmapPairs(job.source.path) as pairs,
         ):
             _copy(pairs.path, temporary)
-            _write_geometries(job, pairs, temporary, num_parts)
+            try:
+                _write_geometries(job, pairs, temporary, num_parts)
+            except ValueError as error:
+                raise ValueError(str(error).replace(str(temporary), path)) from None
     except (OSError, RuntimeError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OSError(f"COLMAP database {path} cannot be written: {reason}") from None

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pipes and devices where a command wants a file: read whole, or refused in one line, at once."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from command_line import assert_wrong_use
+
+from epi360 import cli
+from epi360.cameras import Equirectangular
+from epi360.interop import PosedImage, Reconstruction, read_tum_trajectory, write_nerfstudio
+from epi360.poses import Pose
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices are POSIX")
+POSE = Pose(np.eye(3), np.zeros(3))
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """A named pipe into which nobody writes."""
+    os.mkfifo(tmp_path / "pipe.jpg")
+    return tmp_path / "pipe.jpg"
+
+
+@pytest.fixture
+def transforms(tmp_path):
+    """A transforms.json with one panorama and one point."""
+    path = tmp_path / "transforms.json"
+    image = PosedImage("a.jpg", "1", POSE)
+    points = np.zeros((1, 3)), np.zeros((1, 3), np.uint8)
+    write_nerfstudio(path, Reconstruction({"1": Equirectangular(8, 4)}, (image,), *points))
+    return path
+
+
+def test_a_piped_trajectory_is_converted_whole(tmp_path):
+    rows = "".join(f"{time / 10} {time} 0 0 0 0 0 1\n" for time in range(2000))
+    program = "import sys; from epi360.cli import main; sys.exit(main(sys.argv[1:]))"
+    answer = subprocess.run(
+        [sys.executable, "-c", program, "convert", "/dev/stdin", str(tmp_path / "out.tum")],
+        input=rows, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert len(read_tum_trajectory(tmp_path / "out.tum").images) == 2000
+
+
+@pytest.mark.parametrize("source", ["pipe", "/dev/zero"])
+def test_convert_refuses_what_is_no_file(source, pipe, capsys, tmp_path):
+    path = pipe if source == "pipe" else source
+    assert_wrong_use(capsys, ["convert", path, tmp_path / "out.tum"], str(path))
+
+
+@pytest.mark.parametrize("file", ["cameras.txt", "images.txt", "points3D.txt"])
+def test_a_model_with_a_pipe_in_it_is_refused(file, tmp_path, capsys):
+    model = tmp_path / "model"
+    model.mkdir()
+    (model / "cameras.txt").write_text("1 EQUIRECTANGULAR 8 4 8 4\n")
+    (model / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.jpg\n\n")
+    (model / "points3D.txt").write_text("")
+    (model / file).unlink()
+    os.mkfifo(model / file)
+    assert_wrong_use(capsys, ["convert", model, tmp_path / "out.tum"])
+
+
+@pytest.mark.parametrize("points", ["/dev/zero", "../points.ply", "pipe.jpg"])
+def test_points_are_a_file_beside_the_transforms(points, transforms, pipe, tmp_path, capsys):
+    (tmp_path.parent / "points.ply").write_text("ply")
+    document = json.loads(transforms.read_text())
+    transforms.write_text(json.dumps({**document, "ply_file_path": points}))
+    words = "is a pipe" if points == "pipe.jpg" else f"the name '{points}' leads out of"
+    assert_wrong_use(capsys, ["convert", transforms, tmp_path / "out.tum"], words)
+    (tmp_path.parent / "points.ply").unlink()
+
+
+@pytest.mark.parametrize("source", ["pipe", "/dev/zero"])
+def test_pair_refuses_what_is_no_file(source, pipe, capsys):
+    path = pipe if source == "pipe" else source
+    assert_wrong_use(capsys, ["pair", path, path], str(path), "must be a file, got a ")
+    assert_wrong_use(capsys, ["pair", __file__, __file__, "--camera", path], str(path))
+    assert_wrong_use(capsys, ["batch", path, "--output", pipe.parent / "x.parquet"], str(path))
+
+
+def test_match_leaves_out_what_is_no_file(pipe, tmp_path, capsys):
+    assert cli.main(["match", str(tmp_path), "--output", str(tmp_path / "out")]) == 2
+    assert "no file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("options", [["--pairs", "PIPE"], ["--mask", "PIPE"], ["--camera", "PIPE"]])
+def test_match_refuses_options_that_are_no_files(options, pipe, tmp_path, capsys):
+    images = tmp_path / "images"
+    images.mkdir()
+    for name in ("a.png", "b.png"):
+        from epi360.features.picture_writing import encode_picture
+
+        (images / name).write_bytes(encode_picture(np.zeros((8, 16, 3), np.uint8), ".png"))
+    words = [str(pipe) if word == "PIPE" else word for word in options]
+    out = tmp_path / "out"
+    assert cli.main(["match", str(images), "--output", str(out), *words]) in (1, 2)
