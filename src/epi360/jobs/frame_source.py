@@ -22,6 +22,7 @@ from epi360.jobs.folder_files import files_below
 from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike
 
+FRAMES_RECORD = "epi360-frames.json"  # of a folder that `epi360 frames` wrote
 FRAMES_TABLE = "frames.csv"  # of `epi360 frames` and `epi360 track`: image, timestamp_s, ...
 
 
