@@ -77,8 +77,11 @@ def frame_name(video: PathLike, index: int) -> str:
 def read_frame_times(folder: Path) -> dict[str, float | None]:
     """Time of each image that the ``frames.csv`` of a folder lists, in its order."""
     path = folder / FRAMES_TABLE
-    if not path.is_file():
-        return {}
+    return read_frame_table(path) if path.is_file() else {}
+
+
+def read_frame_table(path: Path) -> dict[str, float | None]:
+    """Time of each image in a table with the columns ``image`` and ``timestamp_s``, in order."""
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = csv.DictReader(file)
         if not {"image", "timestamp_s"} <= set(rows.fieldnames or ()):
