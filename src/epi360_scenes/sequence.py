@@ -24,7 +24,7 @@ def prepare_sequence(
     """Make the folder of a sequence with its poses, camera and options, or check that they fit."""
     files = {
         OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
-        CAMERA_FILE: json.dumps(_camera_record(camera), indent=2) + "\n",
+        CAMERA_FILE: json.dumps(camera_record(camera), indent=2) + "\n",
         POSES_FILE: poses_text(world_from_cam),
     }
     check_folder(folder, options)
@@ -94,7 +94,7 @@ def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
         )
 
 
-def _camera_record(camera: Camera) -> dict[str, Any]:
+def camera_record(camera: Camera) -> dict[str, Any]:
     """Model and parameters of a camera in our own file format."""
     numbers = {
         name: value for name, value in dataclasses.asdict(camera).items() if value is not None
