@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt, load_camera
+from epi360.features import read_image
 from epi360.image_folders import natural_order
 from epi360.jobs.trajectories import PosedFrames, posed_frames, read_trajectory
 from epi360.poses import pose_from_quaternion
@@ -86,7 +87,7 @@ def real_clip(data: Path, name: str) -> Clip:
         images = folder / "frames"
         masks = {f"{path.stem}.jpg": path for path in (folder / "masks").glob("*.png")}
     files = sorted(images.glob("*.jpg"), key=natural_order)
-    width, height = (960, 480) if masks else (2688, 1344)
+    height, width = read_image(files[0]).shape[:2]
     table = folder / "poses.csv"
     truth = _read_poses(table) if table.is_file() else None
     return Clip(name, tuple(files), Equirectangular(width, height), truth, masks)

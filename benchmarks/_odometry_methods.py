@@ -9,10 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 from _odometry_data import Clip
+from numpy.typing import NDArray
 
-from epi360.features import read_image, read_mask
+from epi360.features import read_image
+from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.poses import Pose
 
@@ -37,14 +40,9 @@ def track(clip: Clip, scratch: Path) -> Placed:
     seconds = 0.0
     for index, path in enumerate(clip.frames):
         image = read_image(path)
-        mask = clip.masks.get(path.name)
+        mask = _mask(clip, path.name)
         begun = time.perf_counter()
-        if mask is None:
-            odometry.add_frame(image, index / 30)
-        else:
-            usable = read_mask(mask, image.shape[:2])
-            begun = time.perf_counter()
-            odometry.add_frame(image, index / 30, mask=usable)
+        odometry.add_frame(image, index / 30, mask=mask)
         seconds += time.perf_counter() - begun
     begun = time.perf_counter()
     trajectory = odometry.trajectory()
@@ -68,8 +66,7 @@ def map_frames(clip: Clip, scratch: Path) -> Placed:
 
     calibration = scratch / "camera.yaml"
     calibration.write_text(yaml.safe_dump(camera_record(clip.camera)))
-    masks = _linked(scratch / "masks", clip, clip.masks) if clip.masks else None
-    images = find_images(_links(clip, scratch), camera=str(calibration), mask=masks)
+    images = find_images(_links(clip, scratch), camera=str(calibration), mask=_masks(clip, scratch))
     begun = time.perf_counter()
     run = map_images(images, scratch / "out", MapOptions())
     seconds = time.perf_counter() - begun
@@ -97,8 +94,9 @@ def _pycolmap(clip: Clip, scratch: Path, mapper: str) -> Placed:
     reader = pycolmap.ImageReaderOptions(
         camera_model=camera.model.name, camera_params=",".join(map(repr, map(float, camera.params)))
     )
-    if clip.masks:
-        reader.mask_path = _linked(scratch / "masks", clip, clip.masks)
+    masks = _masks(clip, scratch)
+    if masks is not None:
+        reader.mask_path = masks
     begun = time.perf_counter()
     pycolmap.extract_features(
         database,
@@ -127,14 +125,33 @@ def _pycolmap(clip: Clip, scratch: Path, mapper: str) -> Placed:
 
 def _links(clip: Clip, scratch: Path) -> Path:
     """Folder of links to the frames: some methods write beside the images."""
-    return _linked(scratch / "images", clip, {path.name: path for path in clip.frames}, mask=False)
-
-
-def _linked(folder: Path, clip: Clip, files: dict[str, Path], *, mask: bool = True) -> Path:
+    folder = scratch / "images"
     folder.mkdir()
-    for name, path in files.items():  # COLMAP's mask of a.jpg is a.jpg.png
-        (folder / (f"{name}.png" if mask else name)).symlink_to(path.resolve())
+    for path in clip.frames:
+        (folder / path.name).symlink_to(path.resolve())
     return folder
+
+
+def _masks(clip: Clip, scratch: Path) -> Path | None:
+    """Folder of the masks as COLMAP calls them, a.jpg.png for a.jpg."""
+    if not clip.masks:
+        return None
+    folder = scratch / "masks"
+    folder.mkdir()
+    for path in clip.frames:
+        mask = _mask(clip, path.name)
+        if mask is not None:
+            (folder / f"{path.name}.png").write_bytes(encode_picture(mask, ".png"))
+    return folder
+
+
+def _mask(clip: Clip, name: str) -> NDArray[np.bool_] | None:
+    """Mask of a frame in the size of the frame; those of the clips are larger."""
+    if name not in clip.masks:
+        return None
+    grey = cv2.imread(str(clip.masks[name]), cv2.IMREAD_GRAYSCALE)
+    size = (clip.camera.width, clip.camera.height)
+    return cv2.resize(grey, size, interpolation=cv2.INTER_NEAREST) > 127
 
 
 METHODS: dict[str, Callable[[Clip, Path], Placed]] = {

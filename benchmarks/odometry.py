@@ -163,7 +163,7 @@ def _errors(clip: Clip, placed: Placed) -> tuple[float, float, float, float, flo
         100 * ate.max / result.path_m,
         Statistics.of(result.steps.translation_m).rmse,
         100 * Statistics.of(stretches.translation_m / stretches.length_m).rmse,
-        Statistics.of(result.rotation_errors_deg).rmse,
+        Statistics.of(result.orientation_errors_deg).rmse,
     )
 
 

@@ -36,7 +36,7 @@ def test_a_still_camera_is_said_to_be_still(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_video(tmp_path / "still.mp4", noise_frames(1) * 8)
     assert main(["match", "still.mp4"]) == FAILURE
-    assert "the camera moved less than 3 degrees of parallax" in capsys.readouterr().out
+    assert "the camera moved less than 0.3 degrees of parallax" in capsys.readouterr().out
 
 
 def test_wrong_use_is_one_line(tmp_path, capsys):

@@ -88,6 +88,17 @@ def test_a_camera_that_is_turned_by_a_degree_has_that_error():
     np.testing.assert_allclose(result.steps.direction_deg, [0, 0, 1, 0, 0], atol=1e-9)
 
 
+def test_a_straight_way_says_nothing_about_the_turn_of_the_cameras_about_it():
+    poses = [Pose(np.eye(3), np.array([float(k), 0.0, 0.0])) for k in range(6)]
+    turned = Pose(rotation_from_vector([0.7, 0.0, 0.0]), np.zeros(3))
+    result = evaluate(frames_of([turned @ pose for pose in poses]), frames_of(poses))
+    np.testing.assert_allclose(result.orientation_errors_deg, 0, atol=1e-9)
+    unaligned = evaluate(
+        frames_of([turned @ pose for pose in poses]), frames_of(poses), alignment="none"
+    )
+    np.testing.assert_allclose(unaligned.orientation_errors_deg, np.degrees(0.7), atol=1e-9)
+
+
 def test_drift_of_scale_is_said_for_a_metre():
     poses = [Pose(np.eye(3), np.array([0.1 * k, 0.0, 0.0])) for k in range(101)]
     longer = [Pose(np.eye(3), 1.02 * pose.translation) for pose in poses]

@@ -99,7 +99,7 @@ def test_a_camera_that_stands_still_needs_bounded_memory():
 
 
 def test_the_folder_holds_the_frames_and_the_times_of_the_file(video, walk, tmp_path):
-    run = extract_frames(video, tmp_path / "out", FramesOptions())
+    run = extract_frames(video, tmp_path / "out", FramesOptions(parallax_deg=3.0))
     with (tmp_path / "out" / "frames.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(run.chosen) > 3
@@ -109,6 +109,13 @@ def test_the_folder_holds_the_frames_and_the_times_of_the_file(video, walk, tmp_
         written = cv2.imread(str(tmp_path / "out" / row["image"]))[:, :, ::-1]
         assert np.abs(written.astype(int) - walk[frame.index]).mean() < 6
     assert run.num_frames == STEPS and run.remarks == ()
+
+
+def test_a_short_video_gives_more_frames_that_are_nearer_to_each_other(video, tmp_path):
+    few = extract_frames(video, tmp_path / "few", FramesOptions(parallax_deg=3.0))
+    run = extract_frames(video, tmp_path / "out", FramesOptions())
+    assert len(run.chosen) > 1.5 * len(few.chosen)
+    assert "the camera moved little: frames are" in run.remarks[0]
 
 
 def test_a_stopped_run_goes_on_and_equals_one_that_was_not(video, tmp_path):

@@ -22,9 +22,9 @@ class FramesChoice:
 
     every: int | None = None
     """Every n-th frame. Without it, sharp frames between which the camera has moved."""
-    parallax_deg: float = 3.0
-    """Parallax between a chosen frame and the next, half of the points move by more; what the
-    camera turned is taken out."""
+    parallax_deg: float | None = None
+    """Parallax between a chosen frame and the next: half of the points move by more, what the
+    camera turned taken out. Default: 3, or 1 or 0.3 where that gives less than 20 frames."""
     start: float | None = None
     """Seconds of the video to begin at."""
     end: float | None = None

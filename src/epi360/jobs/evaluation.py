@@ -66,7 +66,10 @@ class Evaluation:
     num_truth: int
     num_estimate: int
     position_errors_m: Floats  # (N,)
-    rotation_errors_deg: Floats  # (N,)
+    rotation_errors_deg: Floats  # (N,) after the alignment of the positions, as evo counts
+    # (N,) after the rotation that fits the orientations best: positions near a line leave the
+    # rotation about the line open.
+    orientation_errors_deg: Floats
     steps: PairErrors  # each matched frame and the next one
     distance_m: float
     stretches: PairErrors  # each frame and the first that is so far ahead on the true way
@@ -126,10 +129,21 @@ def evaluate(
         num_estimate=len(estimate),
         position_errors_m=np.linalg.norm(found.positions - true_frames.positions, axis=1),
         rotation_errors_deg=_angles_deg(_transposed(true_frames.rotations) @ found.rotations),
+        orientation_errors_deg=_orientation_errors_deg(found, true_frames, alignment),
         steps=_pair_errors(found, true_frames, following),
         distance_m=distance_m,
         stretches=_pair_errors(found, true_frames, _stretches(true_frames, distance_m)),
     )
+
+
+def _orientation_errors_deg(
+    estimate: PosedFrames, truth: PosedFrames, alignment: Alignment
+) -> Floats:
+    turn = np.eye(3)
+    if alignment != "none":
+        u, _, vt = np.linalg.svd(np.einsum("nij,nkj->ik", truth.rotations, estimate.rotations))
+        turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return _angles_deg(_transposed(truth.rotations) @ turn @ estimate.rotations)
 
 
 def _why_so_few(estimate: PosedFrames, truth: PosedFrames, max_gap_s: float) -> str:

@@ -25,7 +25,8 @@ from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import first_difference, read_record, write_record
 from epi360.runs.whole_files import write_file
 
-DEFAULT_PARALLAX_DEG = 3.0
+# Without a parallax, the first of these that gives enough frames to map.
+PARALLAXES_DEG, ENOUGH_FRAMES = (3.0, 1.0, 0.3), 20
 _ENDS = 2**20  # bytes of the beginning and of the end of a video by which it is known again
 
 
@@ -34,7 +35,7 @@ class FramesOptions:
     """Which frames are written, and how."""
 
     every: int | None = None  # every n-th frame; None: by sharpness and parallax
-    parallax_deg: float = DEFAULT_PARALLAX_DEG
+    parallax_deg: float | None = None  # None: 3 degrees, less if that gives few frames
     start_s: float | None = None
     end_s: float | None = None
     jpeg_quality: int = 95
@@ -46,7 +47,7 @@ class FramesOptions:
         """Check the values."""
         if self.every is not None and self.every < 1:
             raise ValueError(f"every must be 1 or more, got {self.every}")
-        if not 0 < self.parallax_deg < 90:
+        if self.parallax_deg is not None and not 0 < self.parallax_deg < 90:
             raise ValueError(f"parallax_deg must be between 0 and 90, got {self.parallax_deg}")
         if not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be from 1 to 100, got {self.jpeg_quality}")
@@ -139,39 +140,59 @@ def _content_key(path: Path) -> str:
 def _choose(video: Video, options: FramesOptions, progress: Progress) -> dict[str, Any]:
     reader = _Reader(video, options, progress)
     if options.every is None:
-        chooser = _chooser(video, options)
-        chosen: list[ChosenFrame] = []
-        for frame in reader:
-            chosen += chooser.add(frame.index, frame.timestamp_s, _picture(frame))
-        chosen += chooser.finish()
+        chosen, notes = _by_parallax(video, reader, options)
     else:
-        chosen = [
-            ChosenFrame(frame.index, frame.timestamp_s, float("nan"))
-            for count, frame in enumerate(reader)
-            if count % options.every == 0
-        ]
+        chosen, notes = _every(reader, options.every), []
     if not chosen:
-        raise ValueError(
-            f"video {video.path} has no frame to use"
-            + ("" if options.start_s is None and options.end_s is None else " between these times")
-        )
-    remarks = reader.remarks()
-    if options.every is None and len(chosen) == 1 and reader.num_read > 1:
-        remarks.append(
-            f"the camera moved less than {options.parallax_deg:g} degrees of parallax in all of "
-            "the video: one frame was chosen; --parallax-deg or --every give more"
-        )
+        between = options.start_s is not None or options.end_s is not None
+        where = " between these times" if between else ""
+        raise ValueError(f"video {video.path} has no frame to use{where}")
     frames = [
         [frame.index, frame.timestamp_s, _null_for_nan(frame.parallax_deg)] for frame in chosen
     ]
-    return {"frames": frames, "num_frames": reader.num_read, "remarks": remarks}
+    return {
+        "frames": frames,
+        "num_frames": reader.num_read,
+        "remarks": [*reader.remarks(), *notes],
+    }
+
+
+def _every(reader: _Reader, every: int) -> list[ChosenFrame]:
+    return [
+        ChosenFrame(frame.index, frame.timestamp_s, float("nan"))
+        for count, frame in enumerate(reader)
+        if count % every == 0
+    ]
+
+
+def _by_parallax(
+    video: Video, reader: _Reader, options: FramesOptions
+) -> tuple[list[ChosenFrame], list[str]]:
+    """Chosen frames, and sentences about a camera that moved little."""
+    levels = PARALLAXES_DEG if options.parallax_deg is None else (options.parallax_deg,)
+    chosen: list[ChosenFrame] = []
+    for parallax_deg in levels:
+        chooser, chosen = _chooser(video, options, parallax_deg), []
+        for frame in reader:
+            chosen += chooser.add(frame.index, frame.timestamp_s, _picture(frame))
+        chosen += chooser.finish()
+        if len(chosen) >= min(ENOUGH_FRAMES, reader.num_read):
+            break
+    if len(chosen) == 1 and reader.num_read > 1:
+        return chosen, [
+            f"the camera moved less than {parallax_deg:g} degrees of parallax in all of the video: "
+            "one frame was chosen; --parallax-deg or --every give more"
+        ]
+    if parallax_deg != levels[0]:
+        return chosen, [f"the camera moved little: frames are {parallax_deg:g} degrees apart"]
+    return chosen, []
 
 
 def _null_for_nan(number: float) -> float | None:
     return None if np.isnan(number) else number
 
 
-def _chooser(video: Video, options: FramesOptions) -> FrameChooser:
+def _chooser(video: Video, options: FramesOptions, parallax_deg: float) -> FrameChooser:
     camera = _camera(video, options)
     mask: NDArray[np.bool_] | None = None
     if options.mask is not None:
@@ -179,7 +200,7 @@ def _chooser(video: Video, options: FramesOptions) -> FrameChooser:
     if options.mask_nadir_deg:
         below = nadir_mask(camera, options.mask_nadir_deg)
         mask = below if mask is None else mask & below
-    return FrameChooser(camera, options.parallax_deg, mask)
+    return FrameChooser(camera, parallax_deg, mask)
 
 
 def _camera(video: Video, options: FramesOptions) -> Camera:
@@ -206,22 +227,25 @@ class _Reader:
 
     def __init__(self, video: Video, options: FramesOptions, progress: Progress) -> None:
         self._video, self._options, self._progress = video, options, progress
-        self.num_read = 0
+        self.num_read, self._num_passes = 0, 0
         self._damaged: list[VideoFrame] = []
 
     def __iter__(self) -> Iterator[VideoFrame]:
         info = self._video.info
         total = info.num_frames or round((info.duration_s or 0.0) * (info.frame_rate or 0.0))
-        self._progress("choosing", 0, max(total, 1))
+        self.num_read, self._damaged = 0, []
+        self._num_passes += 1
+        stage = "choosing" if self._num_passes == 1 else f"choosing, pass {self._num_passes}"
+        self._progress(stage, 0, max(total, 1))
         for frame in self._video.frames(self._options.start_s, self._options.end_s):
             self.num_read += 1
-            self._progress("choosing", self.num_read, max(total, self.num_read + (total == 0)))
+            self._progress(stage, self.num_read, max(total, self.num_read + (total == 0)))
             if frame.image is not None and frame.image.shape[:2] == (info.height, info.width):
                 yield frame
             else:
                 self._damaged.append(frame)
         if self.num_read != total:
-            self._progress("choosing", self.num_read, self.num_read)
+            self._progress(stage, self.num_read, self.num_read)
 
     def remarks(self) -> list[str]:
         sentences = [] if self._video.ending is None else [self._video.ending]

@@ -19,7 +19,8 @@ ALIGNMENTS = {
 
 def describe_evaluation(result: Evaluation) -> str:
     """Lines for people."""
-    ate, turned = Statistics.of(result.position_errors_m), Statistics.of(result.rotation_errors_deg)
+    ate = Statistics.of(result.position_errors_m)
+    turned = Statistics.of(result.orientation_errors_deg)
     share = 100 / result.path_m if result.path_m else math.nan
     lines = [
         f"frames      {len(result.truth)} of {result.num_truth} have a pose "
@@ -85,6 +86,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
             Statistics.of(result.position_errors_m).rmse / result.path_m if result.path_m else None
         ),
         "rotation_deg": asdict(Statistics.of(result.rotation_errors_deg)),
+        "orientation_deg": asdict(Statistics.of(result.orientation_errors_deg)),
         "rpe_frame": _pair_record(result.steps),
         "rpe_distance_m": result.distance_m,
         "rpe_distance": _pair_record(result.stretches),
@@ -98,6 +100,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
         "frames": list(result.truth.names),
         "position_errors_m": result.position_errors_m.tolist(),
         "rotation_errors_deg": result.rotation_errors_deg.tolist(),
+        "orientation_errors_deg": result.orientation_errors_deg.tolist(),
     }
     return {key: _plain(value) for key, value in record.items()}
 

@@ -28,7 +28,7 @@ def evaluation_figure(result: Evaluation) -> Figure:
     way = np.concatenate([[0.0], np.cumsum(_steps(result.truth.positions))])
     position.plot(way, result.position_errors_m, color=ESTIMATE, linewidth=1)
     position.set_ylabel("position error, m")
-    rotation.plot(way, result.rotation_errors_deg, color=ESTIMATE, linewidth=1)
+    rotation.plot(way, result.orientation_errors_deg, color=ESTIMATE, linewidth=1)
     rotation.set_ylabel("rotation error, deg")
     rotation.set_xlabel("way, m")
     for axes in (position, rotation):
