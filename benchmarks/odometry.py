@@ -33,7 +33,7 @@ HEADER = (
     "sequence", "method", "poses", "ATE %", "largest %", "RPE, frame", "RPE, m %", "rot deg",
     "frames/s", "s", "CPU s",
 )  # fmt: skip
-BETWEEN_LINES = 1000  # frames, of --memory
+BETWEEN_LINES = 500  # frames, of --memory
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 """Videos: frames with their times, metadata of the sphere, and what is refused."""
 
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -62,6 +63,13 @@ def test_uneven_time_stamps_are_kept(tmp_path):
     times = [0, 40, 95, 130, 300, 310, 350, 1000]
     path = write_video(tmp_path / "uneven.mkv", noise_frames(8), times=times)
     assert [round(1000 * frame.timestamp_s) for frame in open_video(path)] == times
+
+
+def test_a_last_frame_that_is_shown_for_long_is_no_early_end(tmp_path):
+    times = [0, 40, 80, 120, 160, 200, 240, 3000]
+    video = open_video(write_video(tmp_path / "slides.mp4", noise_frames(8), times=times))
+    assert [round(1000 * frame.timestamp_s) for frame in video] == times
+    assert video.ending is None
 
 
 @pytest.mark.parametrize("start_s", [0.0, 0.48, 0.5, 1.0, 1.96])
@@ -213,6 +221,12 @@ def test_a_film_of_damaged_boxes_ends_the_reading_of_boxes(tmp_path, clip):
             open_video(path)
         except ValueError as error:
             assert str(path) in str(error) and "\n" not in str(error)
+
+
+def test_without_pyav_the_message_says_what_to_install(clip, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(ImportError, match=r"videos need av: pip install 'epi360\[video\]'"):
+        open_video(clip)
 
 
 def test_names_of_videos(tmp_path):

@@ -153,7 +153,12 @@ class Video:
         expected_s, rate = self.info.duration_s, self.info.frame_rate
         if num_read == 0:
             return f"video {self.path} has no frame that can be decoded; copy or export it again"
-        if expected_s is None or rate is None or expected_s - last_s < max(0.1, 4.0 / rate):
+        if expected_s is None or rate is None:
+            return None
+        # The last frame of an uneven video may be shown for long, so that the count decides if the
+        # header states it.
+        stated = self.info.num_frames
+        if num_read >= stated if stated else expected_s - last_s < max(0.5, 4.0 / rate):
             return None
         return (
             f"video {self.path} ends at frame {num_read - 1} ({last_s:.2f} s) although its header "

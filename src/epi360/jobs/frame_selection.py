@@ -17,6 +17,7 @@ from epi360.features.tracking import track_features
 Picture = NDArray[np.uint8]
 
 TRACKED_WIDTH = 640  # half a degree a pixel: enough to measure degrees of parallax
+_LOOKS = 8  # frames that are looked at between two choices, about
 _RUNS = (4, 8, 16, 32)  # frames after which the tracks are looked at; the last is the memory
 # Below this share of the points, two frames have too little in common for the next one to wait.
 _LEAST_SURVIVAL = 0.4
@@ -56,7 +57,7 @@ class FrameChooser:
     mask: NDArray[np.bool_] | None = None
     _waiting: list[_Candidate] = field(default_factory=list)
     _anchor_parallax_deg: float = float("nan")
-    _stride: int = 1  # a camera that hardly moves: one frame in so many is looked at
+    _stride: int = 1  # a camera that moves slowly: one frame in so many is looked at
     _pending: _Candidate | None = None
     _count: int = 0
 
@@ -111,7 +112,8 @@ class FrameChooser:
             yield self._chosen(self._waiting[0])
             self._anchor_parallax_deg = float(parallax_deg[next_one])
             self._waiting = self._waiting[next_one:]
-            self._stride = 1
+            # The next choice is likely to take about as long.
+            self._stride = max(1, self._stride * next_one // _LOOKS)
 
     def _moved(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Median parallax of each waiting frame to the first, and the share of points left."""
