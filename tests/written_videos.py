@@ -17,12 +17,14 @@ def noise_frames(count, size=(128, 256), seed=0):
     return [np.roll(picture, 4 * index, axis=1) for index in range(count)]
 
 
-def write_video(path, frames, *, rate=25, options=None, times=None):
+def write_video(path, frames, *, rate=25, options=None, times=None, codec_options=None):
     """Write RGB frames with H.264, at a rate or at given times in milliseconds."""
     import av
 
     with av.open(str(path), "w", options=options or {}) as container:
-        stream = container.add_stream("libx264", rate=rate, options={"bf": "2", "g": "12"})
+        stream = container.add_stream(
+            "libx264", rate=rate, options=codec_options or {"bf": "2", "g": "12"}
+        )
         stream.height, stream.width = frames[0].shape[:2]
         stream.pix_fmt = "yuv420p"
         if times is not None:

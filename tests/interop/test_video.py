@@ -82,6 +82,19 @@ def test_frames_from_the_middle_are_those_of_the_whole_video(clip, start_s):
         np.testing.assert_array_equal(frame.image, other.image)
 
 
+@pytest.mark.parametrize("start_s", [0.3, 0.52, 1.0])
+def test_frames_that_lean_on_the_group_before_keep_their_index(tmp_path, start_s):
+    codec_options = {"x264-params": "open-gop=1:bframes=3:b-adapt=0:keyint=10:scenecut=0"}
+    path = write_video(tmp_path / "open.mp4", noise_frames(40), codec_options=codec_options)
+    video = open_video(path)
+    whole = {frame.index: frame for frame in video}
+    part = list(video.frames(start_s))
+    assert part[0].index == int(np.ceil(start_s * 25)) and len(part) == 40 - part[0].index
+    for frame in part:
+        assert frame.timestamp_s == whole[frame.index].timestamp_s
+        np.testing.assert_array_equal(frame.image, whole[frame.index].image)
+
+
 def test_a_video_that_was_cut_off_gives_the_frames_up_to_there_and_says_so(tmp_path):
     options = {"movflags": "faststart"}
     whole = write_video(tmp_path / "whole.mp4", noise_frames(100, seed=1), options=options)

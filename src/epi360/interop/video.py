@@ -104,7 +104,7 @@ class Video:
         with av.open(str(self.path), metadata_errors="replace") as container:
             stream = container.streams[self._stream]
             stream.thread_type = "AUTO"
-            index = self._seek(av, container, stream, start_s)
+            index, key = self._seek(av, container, stream, start_s)
             step_s = 1.0 / (self.info.frame_rate or 30.0)
             last_s = math.nan
             for packet in _packets(av, container, stream):
@@ -115,6 +115,9 @@ class Video:
                         return  # what the decoder still held; `_early_end` says that it is missing
                     frames = [None]
                 for frame in frames:
+                    # Frames before the key frame may lack what they were made from.
+                    if frame is not None and frame.pts is not None and frame.pts < key:
+                        continue
                     damaged = frame is None or frame.is_corrupt
                     time = None if frame is None else frame.time
                     guess_s = 0.0 if math.isnan(last_s) else last_s + step_s
@@ -122,17 +125,19 @@ class Video:
                     yield index, last_s, None if damaged else frame
                     index += 1
 
-    def _seek(self, av: Any, container: Any, stream: Any, start_s: float | None) -> int:
-        """Go to the last key frame before a time and return the index of the frame there."""
+    def _seek(
+        self, av: Any, container: Any, stream: Any, start_s: float | None
+    ) -> tuple[int, float]:
+        """Go to the last key frame before a time; its index and its time in units of the stream."""
         if start_s is None or stream.time_base is None:
-            return 0
+            return 0, -math.inf
         start = round(start_s / stream.time_base)
         times, key = self._packet_times(av, start)
         try:
             container.seek(key, stream=stream)
         except av.error.FFmpegError:  # it cannot: decode from the beginning
-            return 0
-        return bisect_left(times, key)
+            return 0, -math.inf
+        return bisect_left(times, key), key
 
     def _packet_times(self, av: Any, until: int) -> tuple[list[int], int]:
         """Sorted times of the packets up to a time, and of the last key frame before it."""
