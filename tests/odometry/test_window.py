@@ -73,10 +73,10 @@ def test_gradient_of_the_twin_is_the_slope_of_its_cost():
 @pytest.mark.parametrize("seed", range(4))
 def test_core_takes_the_steps_of_its_twin(seed, loss):
     # A wrong bearing leads least squares astray, where it magnifies roundings.
-    problem, _, _ = window(seed, num_points=40, outliers=0.0 if loss == "squared" else 0.05)
+    problem, _, _ = window(seed, num_points=20, outliers=0.0 if loss == "squared" else 0.05)
     if seed % 2:
         problem = replace(problem, gravity=problem.rotations[:, :, 1], gravity_sigma_rad=0.01)
-    for max_iterations in (1, 2, 50):
+    for max_iterations in (1, 2, 40):
         twin, cost, num_iterations, _ = reference(problem, loss, max_iterations)
         found = adjust_window(problem, loss=loss, max_iterations=max_iterations, tolerance=1e-12)
         np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
@@ -101,7 +101,7 @@ def test_errors_are_those_of_the_noise():
         squares.append(found.cost / freedom)
         errors.append(worst_center_error(found, poses))
     assert abs(np.mean(squares) - 1.0) < 0.05
-    assert max(errors) < 0.01  # of a path of 1.5
+    assert max(errors) < 0.02  # of a path of 1.5
 
 
 def test_fixed_frames_and_points_seen_once_stay():

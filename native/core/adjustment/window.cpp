@@ -11,6 +11,9 @@
 namespace epi360 {
 namespace {
 
+// Cost of an observation, in units of the noise's variance, that is only rounding: beyond it a step
+// would wander where nothing is determined.
+constexpr double kExact = 1e-12;
 constexpr double kFirstDamping = 1e-4, kLeastDamping = 1e-9, kMostDamping = 1e8;
 
 using RowMatrix3 = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
@@ -46,6 +49,8 @@ WindowReport adjust(Window& w, const WindowOptions& options, WindowWorkspace& s)
   s.trial_points = w.points;
   WindowReport report;
   report.cost = window_cost(w, options, w.rotations.data(), w.translations.data(), w.points.data());
+  const double exact = kExact * static_cast<double>(w.frame.size());
+  report.converged = report.cost <= exact;
   double damping = kFirstDamping;
   while (report.num_iterations < options.max_iterations && !report.converged) {
     ++report.num_iterations;
@@ -70,7 +75,7 @@ WindowReport adjust(Window& w, const WindowOptions& options, WindowWorkspace& s)
       }
     }
     // Without a step that lowers the cost it is a minimum to working precision.
-    report.converged = !(decrease > options.tolerance * report.cost);
+    report.converged = !(decrease > options.tolerance * report.cost) || report.cost <= exact;
   }
   return report;
 }

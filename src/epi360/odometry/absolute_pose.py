@@ -20,7 +20,7 @@ Status = Literal["ok", "too_few_inliers", "degenerate"]
 
 # Standard deviation of the pose in its worst direction, in radians of rotation and in median
 # distances of the points of translation, beyond which it is not determined.
-LARGEST_SIGMA = 0.05
+LARGEST_SIGMA = 0.01
 SIGMA_OF_MEDIAN = 1.1774100225154747  # median length of a standard normal vector in the plane
 LOSS_SCALE = 2.0  # of Cauchy's loss, in units of the noise
 
@@ -44,8 +44,8 @@ class AbsolutePoseResult:
     noise_rad : float
         Standard deviation of the inliers' bearings in radians, per axis.
     status : str
-        "ok", "too_few_inliers" or "degenerate": the inliers do not determine the pose to 0.05 rad
-        and a twentieth of their median distance, for example if all lie in one small patch, or are
+        "ok", "too_few_inliers" or "degenerate": the inliers do not determine the pose to 0.01 rad
+        and a hundredth of their median distance, for example if all lie in one small patch, or are
         very far away (then the rotation may still be good: see the covariance).
     """
 
@@ -161,12 +161,14 @@ def _judged(
     unit = np.repeat([1.0, float(np.median(np.linalg.norm(x, axis=1)))], 3)
     information = _information(pose, b[inliers], x, noise, level) * np.outer(unit, unit)
     values, vectors = np.linalg.eigh(information)
-    values = np.maximum(values, 1e-12 * values[-1])  # never infinite
-    status: Status = "ok" if values[0] * LARGEST_SIGMA**2 > 1.0 else "degenerate"
+    rounding = 1e-11 * values[-1]
+    determined = values[0] > max(rounding, LARGEST_SIGMA**-2)
+    values = np.maximum(values, rounding)  # never infinite
     at_camera = (vectors / values) @ vectors.T * np.outer(unit, unit)
     to_world = np.eye(6)
     to_world[3:, :3] = -skew(pose.translation)
     covariance = to_world @ at_camera @ to_world.T
+    status: Status = "ok" if determined else "degenerate"
     return AbsolutePoseResult(pose, inliers, residuals, covariance, noise, status)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -119,7 +120,7 @@ def _widest_parallax(b: Array, track: NDArray[np.int64], num_tracks: int) -> Arr
 
 def _sums(values: Array, track: NDArray[np.int64], num_tracks: int) -> Array:
     """Return the sum of the rows of each track."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
     columns = [np.bincount(track, flat[:, k], num_tracks) for k in range(flat.shape[1])]
     sums = np.stack(columns, axis=1).astype(np.float64)  # counts, if there are no rows
     return sums.reshape(num_tracks, *values.shape[1:])

@@ -233,7 +233,9 @@ def _with_held_scale(found: Problem, start: Problem, points_fixed: bool) -> Prob
         return found
     origin = before[held[0]]
     distances = np.where(present, np.linalg.norm(before - origin, axis=1), 0.0)
-    if distances[held].max() > 0.0 or not distances.max() > 0.0:
+    reach = np.linalg.norm(start.points - origin, axis=1)
+    rounding = 1e-9 * float(np.nanmax(reach, initial=0.0))
+    if distances[held].max() > rounding or not distances.max() > rounding:
         return found
     far = int(distances.argmax())
     size = float(np.linalg.norm(after[far] - origin))

@@ -19,6 +19,7 @@ Indices = NDArray[np.int64]
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-9, 1e8
 FLOOR = 1e-10  # share of a block's own size that is added to its diagonal: no block is singular
+EXACT = 1e-12  # cost of an observation that is only rounding
 LARGEST_STRETCH = 10.0  # a step may bring a point so many times nearer or farther
 
 
@@ -141,6 +142,9 @@ def adjust_reference(
 ) -> tuple[Problem, float, int, bool]:
     """Return the adjusted problem, its cost, the iterations and whether they converged."""
     cost, damping = cost_of(problem, loss, scale), FIRST_DAMPING
+    exact = EXACT * len(problem.bearings)
+    if cost <= exact:
+        return problem, cost, 0, True
     for iteration in range(max_iterations):
         H, g = normal_equations(problem, loss, scale)
         decrease = 0.0
@@ -153,7 +157,7 @@ def adjust_reference(
                 damping = max(0.1 * damping, LEAST_DAMPING)
                 break
             damping *= 10.0
-        if decrease <= tolerance * cost:
+        if decrease <= tolerance * cost or cost <= exact:
             return problem, cost, iteration + 1, True
     return problem, cost, max_iterations, False
 
