@@ -246,6 +246,15 @@ def test_missing_rows_are_not_inliers():
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(result.residuals_rad)), [3, 5])
 
 
+def test_a_point_in_the_centre_of_the_camera_is_no_inlier():
+    _, points, _ = scene(15)
+    shifted = np.vstack([points, [[0.0, 0.0, 0.0]]])
+    pose = Pose(np.eye(3), np.zeros(3))
+    seen = np.vstack([seen_from(pose, points), [[0.0, 0.0, 1.0]]])
+    result = estimate_absolute_pose(seen, shifted, guess=pose)
+    assert result.success and not result.inlier_mask[-1] and np.isfinite(result.residuals_rad).all()
+
+
 def test_one_point_many_times_is_degenerate():
     pose, points, bearings = scene(14)
     points[:], bearings[:] = points[0], bearings[0]

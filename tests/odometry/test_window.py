@@ -84,6 +84,26 @@ def test_core_takes_the_steps_of_its_twin(seed, loss):
         np.testing.assert_allclose(found.translations, twin.translations, atol=1e-6)
 
 
+def test_frames_far_apart_share_no_points_and_a_loop_is_closed():
+    rng = np.random.default_rng(20)
+    poses, points = walk(rng, 14), points_around(rng, 70)
+    frame, point = np.nonzero(abs(np.arange(14)[:, None] - np.arange(70) / 5.0) < 1.6)
+    again = np.array([0, 1, 2])  # the last frame sees the first points once more
+    frame, point = np.append(frame, [13] * 3), np.append(point, again)
+    bearings = np.stack([
+        seen_from(poses[f], points[p : p + 1])[0] for f, p in zip(frame, point, strict=True)
+    ])  # fmt: skip
+    problem = problem_of(poses, points, bearings[:0])
+    problem = replace(
+        problem, frame_index=frame, point_index=point, bearings=noisy(rng, bearings, 1e-3)
+    )
+    for max_iterations in (1, 3):
+        twin, cost, _, _ = reference(problem, "huber", max_iterations)
+        found = adjust_window(problem, loss="huber", max_iterations=max_iterations, tolerance=1e-12)
+        np.testing.assert_allclose(found.cost, cost, rtol=1e-9)
+        np.testing.assert_allclose(found.translations, twin.translations, atol=1e-6)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_exact_bearings_give_the_exact_world(seed):
     problem, poses, points = window(seed, noise_rad=0.0)
@@ -250,6 +270,7 @@ def problem_of(poses, points, bearings):
     rotations = np.stack([pose.rotation for pose in poses])
     translations = np.stack([pose.translation for pose in poses])
     frames, tracks = np.repeat(np.arange(F), P), np.tile(np.arange(P), F)
+    frames, tracks = frames[: len(bearings)], tracks[: len(bearings)]
     return WindowProblem(
         rotations, translations, points, frames, tracks, bearings, 1e-3, np.arange(F) < 2
     )
@@ -261,6 +282,9 @@ def test_a_point_in_the_centre_of_a_camera_gives_no_nan():
     points[0] = -problem.rotations[3].T @ problem.translations[3]
     found = adjust_window(replace(problem, points=points), max_iterations=50)
     assert np.isfinite(found.points).all() and np.isfinite(found.translations).all()
+    assert np.isfinite(
+        adjust_window(replace(problem, points=points), max_iterations=0).residuals_rad
+    ).all()
 
 
 def test_missing_numbers_stay_missing_and_harm_nothing():
@@ -288,6 +312,20 @@ def test_gravity_levels_what_points_leave_open():
     gravity = problem.rotations[:, :, 1] @ rotation_from_vector([0.3, -0.2, 0.1])
     found = adjust_window(replace(problem, **only(problem, 0), gravity=gravity), **EXACT)
     np.testing.assert_allclose(found.rotations[1:, :, 1], gravity[1:], atol=1e-6)
+
+
+def test_weights_multiply_the_losses():
+    problem, _, _ = window(13, outliers=0.1)
+    twice = {name: np.concatenate([getattr(problem, name)] * 2) for name in
+             ("frame_index", "point_index", "bearings")}  # fmt: skip
+    heavy = adjust_window(replace(problem, weights=np.full(len(problem.bearings), 2.0)), **EXACT)
+    double = adjust_window(replace(problem, **twice), **EXACT)
+    np.testing.assert_allclose(heavy.cost, double.cost, rtol=1e-9)
+    np.testing.assert_allclose(heavy.points, double.points, atol=1e-6)
+    # Weight zero is the same as no observation.
+    weights = (problem.frame_index != 4).astype(float)
+    without = adjust_window(replace(problem, weights=weights), **EXACT)
+    np.testing.assert_array_equal(without.translations[4], problem.translations[4])
 
 
 def test_nothing_to_adjust_is_an_answer():

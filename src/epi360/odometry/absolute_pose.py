@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array
 from epi360.epipolar.essential import skew
-from epi360.odometry.window_reference import bearing_residuals
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -117,7 +116,7 @@ def estimate_absolute_pose(
         raise ValueError(f"gravity_sigma_rad must be positive, got {gravity_sigma_rad}")
     down = None if gravity is None else direction_array(gravity, "gravity")
     level = Gravity(down, direction_array(world_gravity, "world_gravity"), gravity_sigma_rad)
-    usable = np.isfinite(b[:, 0]) & np.isfinite(X).all(axis=1)
+    usable = np.isfinite(b[:, 0]) & np.isfinite(X.sum(axis=1))
     found = _core.absolute_pose(
         b[usable], X[usable], guess=_start(guess), gravity=level.in_camera,
         world_gravity=level.in_world, gravity_sigma=level.sigma, threshold=threshold_rad,
@@ -159,7 +158,8 @@ def _judged(
     noise = float(np.median(residuals[inliers])) / SIGMA_OF_MEDIAN
     noise *= np.sqrt(len(x) / (len(x) - 3.0))  # six parameters were fitted to two numbers a point
     unit = np.repeat([1.0, float(np.median(np.linalg.norm(x, axis=1)))], 3)
-    information = _information(pose, b[inliers], x, noise, level) * np.outer(unit, unit)
+    information = _information(pose, x, residuals[inliers], noise, level)
+    information *= np.outer(unit, unit)
     values, vectors = np.linalg.eigh(information)
     rounding = 1e-11 * values[-1]
     determined = values[0] > max(rounding, LARGEST_SIGMA**-2)
@@ -172,28 +172,33 @@ def _judged(
     return AbsolutePoseResult(pose, inliers, residuals, covariance, noise, status)
 
 
-def _information(pose: Pose, b: Array, x: Array, noise: float, level: Gravity) -> Array:
+def _information(pose: Pose, x: Array, angles: Array, noise: float, level: Gravity) -> Array:
     """Return the inverse of the covariance of (w, d) with R' = exp(w) R, t' = exp(w) t + d.
 
     That of an M-estimator (Huber 1981, 7.6): a Cauchy weight w of a length in the plane has
     psi' = w^2 on average over the directions.
     """
-    residuals, by_x = bearing_residuals(b, x)
-    squares = np.einsum("ni,ni->n", residuals, residuals)
-    least = max(noise, 1e-12)
+    least, squares = max(noise, 1e-12), angles**2
     weights = 1.0 / (1.0 + squares / (LOSS_SCALE * least) ** 2)
     variance = float(weights**2 @ squares) / (2.0 * len(x) - 6.0) / float(np.mean(weights**2)) ** 2
-    J = np.concatenate([np.cross(x[:, None], by_x), by_x], axis=2).reshape(-1, 6)
-    information = J.T @ J / max(variance, least**2 * 1e-4)
+    # A direction u at distance r moves by w x u + (1 - u u^T) d / r.
+    distances = np.linalg.norm(x, axis=1)
+    u, near = x / distances[:, None], x / distances[:, None] ** 2
+    information = np.empty((6, 6))
+    information[:3, :3] = len(x) * np.eye(3) - u.T @ u
+    information[3:, 3:] = float(np.sum(distances**-2.0)) * np.eye(3) - near.T @ near
+    information[:3, 3:] = skew(near.sum(axis=0))
+    information[3:, :3] = information[:3, 3:].T
+    information /= max(variance, least**2 * 1e-4)
     if level.in_camera is not None:
         down = pose.rotation @ level.in_world
-        _, by_down = bearing_residuals(level.in_camera[None], down[None])
-        turn = np.cross(down, by_down[0])
-        information[:3, :3] += turn.T @ turn / level.sigma**2
-    return np.asarray(information)
+        information[:3, :3] += (np.eye(3) - np.outer(down, down)) / level.sigma**2
+    return information
 
 
 def _angles(pose: Pose, b: Array, X: Array) -> Array:
     x = X @ pose.rotation.T + pose.translation
-    across = np.linalg.norm(np.cross(b, x), axis=1)
-    return np.asarray(np.arctan2(across, np.einsum("ni,ni->n", b, x)))
+    u = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
+    # The half angle's tangent keeps all digits near 0 and near pi (Kahan 2006).
+    lengths = (np.linalg.norm(v, axis=1) for v in (u - b, u + b))
+    return np.asarray(2.0 * np.arctan2(*lengths))

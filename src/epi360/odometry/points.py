@@ -71,7 +71,8 @@ def triangulate_tracks(
         np.linalg.norm(np.cross(b, towards), axis=1), np.einsum("mi,mi->m", b, towards)
     )
     residuals = np.full(num_tracks, -np.inf)
-    np.maximum.at(residuals, track, angles)
+    met = np.isfinite(angles)
+    np.maximum.at(residuals, track[met], angles[met])
     residuals[np.isinf(residuals)] = np.nan
     in_front = residuals < np.pi / 2  # false where NaN
     return TriangulatedTracks(points, parallax, residuals, in_front)

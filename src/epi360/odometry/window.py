@@ -189,17 +189,20 @@ def _checked(problem: WindowProblem, points_fixed: bool) -> tuple[Problem, NDArr
         np.ones(M) if weights is None else weights, float(problem.noise_rad), ~fixed,
         not points_fixed, levels, gravity, direction_array(problem.world_gravity, "world_gravity"),
     )  # fmt: skip
-    used = np.isfinite(points_in_cameras(checked)).all(axis=1) & np.isfinite(bearings[:, 0])
+    used = np.isfinite(points_in_cameras(checked).sum(axis=1) + bearings[:, 0])
+    used &= checked.weights > 0.0
     if not points_fixed:
-        used &= _num_frames(checked, used)[tracks] > 1
+        used &= _seen_twice(checked, used)[tracks]
     return checked, used
 
 
-def _num_frames(problem: Problem, used: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return how many different frames see each point."""
-    pairs = problem.point_index[used] * len(problem.rotations) + problem.frame_index[used]
-    points = np.unique(pairs) // len(problem.rotations)
-    return np.bincount(points, minlength=len(problem.points))
+def _seen_twice(problem: Problem, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which points at least two different frames see."""
+    first = np.full(len(problem.points), len(problem.rotations))
+    last = np.full(len(problem.points), -1)
+    np.minimum.at(first, problem.point_index[used], problem.frame_index[used])
+    np.maximum.at(last, problem.point_index[used], problem.frame_index[used])
+    return first < last
 
 
 def _observations(problem: Problem, used: NDArray[np.bool_]) -> Problem:
@@ -257,8 +260,13 @@ def _centers(problem: Problem) -> Array:
 
 def _angles(problem: Problem) -> Array:
     x = points_in_cameras(problem)
-    across = np.linalg.norm(np.cross(problem.bearings, x), axis=1)
-    return np.asarray(np.arctan2(across, np.einsum("mi,mi->m", problem.bearings, x)))
+    lengths = np.sqrt(np.einsum("mi,mi->m", x, x))
+    u = x / np.maximum(lengths, 1e-300)[:, None]  # in the camera's centre: a right angle
+    # The half angle's tangent keeps all digits near 0 and near pi (Kahan 2006).
+    sides = (
+        np.sqrt(np.einsum("mi,mi->m", v, v)) for v in (u - problem.bearings, u + problem.bearings)
+    )
+    return np.asarray(2.0 * np.arctan2(*sides))
 
 
 def _gravity(problem: WindowProblem, num_frames: int) -> tuple[Array, Array]:

@@ -185,9 +185,8 @@ def _moved(problem: Problem, step: Array) -> Problem:
     centers = -np.einsum("fji,fj->fi", problem.rotations, problem.translations)
     points = problem.points.copy()
     for p in np.unique(problem.point_index) if problem.points_free else []:
-        seen_by = np.unique(problem.frame_index[(problem.point_index == p) & (problem.weights > 0)])
-        if len(seen_by):
-            points[p] = _stretched(points[p], centers[seen_by], shifts[p])
+        seen_by = np.unique(problem.frame_index[problem.point_index == p])
+        points[p] = _stretched(points[p], centers[seen_by], shifts[p])
     return replace(
         problem,
         rotations=turns @ problem.rotations,
