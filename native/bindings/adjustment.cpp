@@ -84,7 +84,8 @@ nb::list p3p_binding(Matrix3 bearings, Matrix3 points) {
   AbsolutePose poses[4];
   const int count = p3p(to_matrix(bearings).transpose(), to_matrix(points).transpose(), poses);
   nb::list out;
-  for (int k = 0; k < count; ++k) out.append(nb::make_tuple(matrix(poses[k].R), vector(poses[k].t)));
+  for (int k = 0; k < count; ++k)
+    out.append(nb::make_tuple(matrix(poses[k].R), vector(poses[k].t)));
   return out;
 }
 

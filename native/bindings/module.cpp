@@ -88,9 +88,9 @@ nb::list upright_binding(Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gra
 }  // namespace
 
 namespace epi360 {
-void bind_paper(nb::module_& m);      // paper.cpp
-void bind_robust(nb::module_& m);     // robust.cpp
-void bind_internals(nb::module_& m);  // internals.cpp
+void bind_paper(nb::module_& m);       // paper.cpp
+void bind_robust(nb::module_& m);      // robust.cpp
+void bind_internals(nb::module_& m);   // internals.cpp
 void bind_adjustment(nb::module_& m);  // adjustment.cpp
 }  // namespace epi360
 

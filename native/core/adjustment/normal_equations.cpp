@@ -179,6 +179,34 @@ EPI360_INLINE void move_points(const Window& w, WindowWorkspace& s) {
   }
 }
 
+// Rows of the reduced system, each from the first slot that shares a point with its own.
+void lay_out_rows(const Window& w, bool points_free, std::uint32_t slots, WindowWorkspace& s) {
+  std::vector<std::uint32_t> first(slots);
+  for (std::uint32_t a = 0; a < slots; ++a) first[a] = a;
+  for (std::size_t p = 0; points_free && p < w.num_points(); ++p) {
+    std::uint32_t least = kNoSlot;
+    for (auto i = s.first_seen[p]; i < s.first_seen[p + 1]; ++i) {
+      least = std::min(least, s.slot[w.frame[i]]);
+    }
+    for (auto i = s.first_seen[p]; i < s.first_seen[p + 1]; ++i) {
+      const std::uint32_t a = s.slot[w.frame[i]];
+      if (a != kNoSlot) first[a] = std::min(first[a], least);
+    }
+  }
+  s.first_column.resize(6 * slots);
+  s.row_start.resize(6 * slots);
+  std::size_t size = 0;
+  for (std::uint32_t a = 0; a < slots; ++a) {
+    for (std::uint32_t r = 6 * a; r < 6 * a + 6; ++r) {
+      s.first_column[r] = 6 * first[a];
+      s.row_start[r] = size;
+      size += 6 * (a - first[a] + 1);
+    }
+  }
+  s.reduced.resize(size);
+  s.pose_steps.resize(6 * slots);
+}
+
 }  // namespace
 
 EPI360_MULTIVERSION
@@ -210,30 +238,7 @@ void lay_out(const Window& w, const WindowOptions& options, WindowWorkspace& s) 
   s.first_seen.assign(P + 1, 0);
   for (std::size_t i = 0; i < M; ++i) ++s.first_seen[w.point[i] + 1];
   for (std::size_t p = 0; p < P; ++p) s.first_seen[p + 1] += s.first_seen[p];
-  std::vector<std::uint32_t> first(slots);
-  for (std::uint32_t a = 0; a < slots; ++a) first[a] = a;
-  for (std::size_t p = 0; p < P && options.points_free; ++p) {
-    std::uint32_t least = kNoSlot;
-    for (auto i = s.first_seen[p]; i < s.first_seen[p + 1]; ++i) {
-      least = std::min(least, s.slot[w.frame[i]]);
-    }
-    for (auto i = s.first_seen[p]; i < s.first_seen[p + 1]; ++i) {
-      const std::uint32_t a = s.slot[w.frame[i]];
-      if (a != kNoSlot) first[a] = std::min(first[a], least);
-    }
-  }
-  s.first_column.resize(6 * slots);
-  s.row_start.resize(6 * slots);
-  std::size_t size = 0;
-  for (std::uint32_t a = 0; a < slots; ++a) {
-    for (std::uint32_t r = 6 * a; r < 6 * a + 6; ++r) {
-      s.first_column[r] = 6 * first[a];
-      s.row_start[r] = size;
-      size += 6 * (a - first[a] + 1);
-    }
-  }
-  s.reduced.resize(size);
-  s.pose_steps.resize(6 * slots);
+  lay_out_rows(w, options.points_free, slots, s);
   s.poses.resize(kPoseBlock * F);
   s.pose_gradients.resize(6 * F);
   s.points.resize(6 * P);

@@ -29,7 +29,8 @@ SeenPoints::SeenPoints(const double* bearings, const double* points, std::size_t
   std::vector<double>* columns[6] = {&bx, &by, &bz, &x, &y, &z};
   for (int k = 0; k < 6; ++k) {
     columns[k]->assign(padded, k < 3 ? 2.0 : 1.0);
-    for (std::size_t i = 0; i < n; ++i) (*columns[k])[i] = (k < 3 ? bearings : points)[3 * i + k % 3];
+    for (std::size_t i = 0; i < n; ++i)
+      (*columns[k])[i] = (k < 3 ? bearings : points)[3 * i + k % 3];
   }
 }
 

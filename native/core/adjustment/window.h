@@ -44,12 +44,13 @@ struct WindowWorkspace {
   // Blocks of J^T W J and J^T W r: poses (6 x 6 and 6 a frame), points (3 x 3 as the upper triangle
   // and 3 each) and both (an observation's 6 x 3, transposed).
   std::vector<double> poses, pose_gradients, points, point_gradients, mixed;
-  std::vector<double> inverses;             // of the points' damped blocks, 6 each
-  std::vector<std::uint32_t> slot;          // of a frame among the free ones
-  std::vector<std::size_t> first_column;    // of each row of the reduced system, before it zeros
-  std::vector<std::uint32_t> first_seen;    // first observation of each point, and one past all
-  std::vector<std::size_t> row_start;       // of each row of the reduced system
-  std::vector<double> reduced, pose_steps;  // reduced: rows from their first column that is not zero
+  std::vector<double> inverses;           // of the points' damped blocks, 6 each
+  std::vector<std::uint32_t> slot;        // of a frame among the free ones
+  std::vector<std::size_t> first_column;  // of each row of the reduced system, before it zeros
+  std::vector<std::uint32_t> first_seen;  // first observation of each point, and one past all
+  std::vector<std::size_t> row_start;     // of each row of the reduced system
+  std::vector<double> reduced,
+      pose_steps;  // reduced: rows from their first column that is not zero
   std::vector<double> trial_rotations, trial_translations, trial_points;
 };
 
