@@ -122,4 +122,4 @@ def _inverse_left_jacobian(vectors: Array) -> Array:
     exact = (1.0 - half / np.tan(half)) / (4.0 * half**2)
     factor = np.where(angle > 1e-3, exact, 1.0 / 12.0 + angle**2 / 720.0)
     cross = _cross_matrices(vectors)
-    return np.eye(3) - 0.5 * cross + factor[:, None, None] * (cross @ cross)
+    return np.asarray(np.eye(3) - 0.5 * cross + factor[:, None, None] * (cross @ cross))
