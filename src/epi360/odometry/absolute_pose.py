@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pose of a camera from bearings and points, anywhere on the sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from epi360.epipolar.arguments import bearings_array, direction_array
+from epi360.epipolar.essential import skew
+from epi360.odometry.absolute_pose_reference import p3p_reference
+from epi360.odometry.window_reference import Problem, adjust_reference, bearing_residuals
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Status = Literal["ok", "too_few_inliers", "degenerate"]
+
+# Standard deviation of the pose in its worst direction, in radians of rotation and in median
+# distances of the points of translation, beyond which it is not determined.
+LARGEST_SIGMA = 0.05
+SIGMA_OF_MEDIAN = 1.1774100225154747  # median length of a standard normal vector in the plane
+LOSS_SCALE = 2.0  # of Cauchy's loss, in units of the noise
+
+
+@dataclass(frozen=True)
+class AbsolutePoseResult:
+    """Pose of a camera and the evidence for it.
+
+    Attributes
+    ----------
+    cam_from_world : Pose
+        NaN if there are too few inliers; the best that was found if it is degenerate.
+    inlier_mask : ndarray, shape (N,)
+        Bearings that are less than the threshold from their point's direction.
+    residuals_rad : ndarray, shape (N,)
+        Angle between each bearing and the direction to its point, up to pi; NaN where a row is
+        missing or there is no pose.
+    covariance : ndarray, shape (6, 6)
+        Of (w, d), where the true pose is R' = exp([w]x) R, t' = t + d; radians and the unit of the
+        points. NaN without a pose; large, not infinite, where the points do not determine it.
+    noise_rad : float
+        Standard deviation of the inliers' bearings in radians, per axis.
+    status : str
+        "ok", "too_few_inliers" or "degenerate": the inliers do not determine the pose to 0.05 rad
+        and a twentieth of their median distance, for example if all lie in one small patch, or are
+        very far away (then the rotation may still be good: see the covariance).
+    """
+
+    cam_from_world: Pose
+    inlier_mask: NDArray[np.bool_]
+    residuals_rad: Array
+    covariance: Array
+    noise_rad: float
+    status: Status
+
+    @property
+    def success(self) -> bool:
+        """Whether the status is "ok"."""
+        return self.status == "ok"
+
+
+def estimate_absolute_pose(
+    bearings: ArrayLike,
+    points: ArrayLike,
+    *,
+    threshold_rad: float = 0.01,
+    guess: Pose | None = None,
+    gravity: ArrayLike | None = None,
+    gravity_sigma_rad: float = 0.02,
+    world_gravity: ArrayLike = (0.0, 1.0, 0.0),
+    min_inliers: int = 10,
+    seed: int = 0,
+) -> AbsolutePoseResult:
+    """Return the pose ``cam_from_world`` of a camera that sees points in known places.
+
+    Parameters
+    ----------
+    bearings : array_like, shape (N, 3)
+        Directions in the camera's frame; rows with NaN are missing.
+    points : array_like, shape (N, 3)
+        Points of the same rows in the world; rows with NaN are missing.
+    threshold_rad : float
+        Largest angle of an inlier in radians, below pi / 2.
+    guess : Pose, optional
+        Where the pose is searched first. Samples of three are drawn without it, or where fewer
+        than half of the points agree with what it leads to.
+    gravity : array_like, shape (3,), optional
+        Direction of ``world_gravity`` in the camera.
+    gravity_sigma_rad : float
+        Its standard deviation in radians, per axis.
+    world_gravity : array_like, shape (3,)
+        Direction of gravity in the world.
+    min_inliers : int
+        Fewest inliers of a pose, at least 4.
+    seed : int
+        Random seed of the samples.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number infinite or an option out of its range.
+    """
+    b = bearings_array(bearings, "bearings")
+    X = np.ascontiguousarray(points, dtype=np.float64)
+    if X.shape != b.shape:
+        raise ValueError(f"points must have shape {b.shape} like bearings, got {X.shape}")
+    if np.isinf(X).any():
+        raise ValueError("points must be finite (NaN marks a missing row)")
+    if not 0.0 < threshold_rad < np.pi / 2:
+        raise ValueError(f"threshold_rad must be between 0 and pi / 2, got {threshold_rad}")
+    if min_inliers < 4:
+        raise ValueError(f"min_inliers must be at least 4, got {min_inliers}")
+    if not gravity_sigma_rad > 0.0:
+        raise ValueError(f"gravity_sigma_rad must be positive, got {gravity_sigma_rad}")
+    down = None if gravity is None else direction_array(gravity, "gravity")
+    level = Gravity(down, direction_array(world_gravity, "world_gravity"), gravity_sigma_rad)
+    usable = np.isfinite(b[:, 0]) & np.isfinite(X).all(axis=1)
+    pose = _searched(b[usable], X[usable], threshold_rad, guess, level, min_inliers, seed)
+    return _judged(pose, b, X, threshold_rad, level, min_inliers)
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Direction of gravity in the camera, if known, and in the world."""
+
+    in_camera: Array | None
+    in_world: Array
+    sigma: float
+
+
+def _judged(
+    pose: Pose | None, b: Array, X: Array, threshold: float, level: Gravity, min_inliers: int
+) -> AbsolutePoseResult:
+    residuals = np.full(len(b), np.nan)
+    if pose is not None:
+        residuals = _angles(pose, b, X)
+    inliers = residuals < threshold
+    if pose is None or inliers.sum() < min_inliers:
+        nothing = np.full((6, 6), np.nan)
+        lost = np.full(len(b), np.nan)
+        none = np.zeros(len(b), dtype=bool)
+        return AbsolutePoseResult(Pose.nan(), none, lost, nothing, np.nan, "too_few_inliers")
+    x = X[inliers] @ pose.rotation.T + pose.translation
+    noise = float(np.median(residuals[inliers])) / SIGMA_OF_MEDIAN
+    noise *= np.sqrt(len(x) / (len(x) - 3.0))  # six parameters were fitted to two numbers a point
+    unit = np.repeat([1.0, float(np.median(np.linalg.norm(x, axis=1)))], 3)
+    information = _information(pose, b[inliers], x, noise, level) * np.outer(unit, unit)
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * values[-1])  # never infinite
+    status: Status = "ok" if values[0] * LARGEST_SIGMA**2 > 1.0 else "degenerate"
+    at_camera = (vectors / values) @ vectors.T * np.outer(unit, unit)
+    to_world = np.eye(6)
+    to_world[3:, :3] = -skew(pose.translation)
+    covariance = to_world @ at_camera @ to_world.T
+    return AbsolutePoseResult(pose, inliers, residuals, covariance, noise, status)
+
+
+def _information(pose: Pose, b: Array, x: Array, noise: float, level: Gravity) -> Array:
+    """Return the inverse of the covariance of (w, d) with R' = exp(w) R, t' = exp(w) t + d.
+
+    That of an M-estimator (Huber 1981, 7.6): a Cauchy weight w of a length in the plane has
+    psi' = w^2 on average over the directions.
+    """
+    residuals, by_x = bearing_residuals(b, x)
+    squares = np.einsum("ni,ni->n", residuals, residuals)
+    least = max(noise, 1e-12)
+    weights = 1.0 / (1.0 + squares / (LOSS_SCALE * least) ** 2)
+    variance = float(weights**2 @ squares) / (2.0 * len(x) - 6.0) / float(np.mean(weights**2)) ** 2
+    J = np.concatenate([np.cross(x[:, None], by_x), by_x], axis=2).reshape(-1, 6)
+    information = J.T @ J / max(variance, least**2 * 1e-4)
+    if level.in_camera is not None:
+        down = pose.rotation @ level.in_world
+        _, by_down = bearing_residuals(level.in_camera[None], down[None])
+        turn = np.cross(down, by_down[0])
+        information[:3, :3] += turn.T @ turn / level.sigma**2
+    return np.asarray(information)
+
+
+def _angles(pose: Pose, b: Array, X: Array) -> Array:
+    x = X @ pose.rotation.T + pose.translation
+    across = np.linalg.norm(np.cross(b, x), axis=1)
+    return np.asarray(np.arctan2(across, np.einsum("ni,ni->n", b, x)))
+
+
+def _searched(
+    b: Array,
+    X: Array,
+    threshold: float,
+    guess: Pose | None,
+    level: Gravity,
+    min_inliers: int,
+    seed: int,
+) -> Pose | None:
+    """Return the best pose, or None where even the samples cannot be drawn."""
+    if len(b) < min_inliers:
+        return None
+    best = None if guess is None else _refined(guess, b, X, threshold, level)
+    if best is not None and (_angles(best, b, X) < threshold).mean() >= 0.5:
+        return best
+    rng = np.random.default_rng(seed)
+    cost = np.inf if best is None else _score(best, b, X, threshold)
+    for _ in range(200):
+        sample = rng.choice(len(b), 3, replace=False)
+        for pose in p3p_reference(b[sample], X[sample]):
+            if _score(pose, b, X, threshold) < cost:
+                best, cost = pose, _score(pose, b, X, threshold)
+    return None if best is None else _refined(best, b, X, threshold, level)
+
+
+def _score(pose: Pose, b: Array, X: Array, threshold: float) -> float:
+    return float(np.minimum(_angles(pose, b, X), threshold) @ np.ones(len(b)))
+
+
+def _refined(pose: Pose, b: Array, X: Array, threshold: float, level: Gravity) -> Pose:
+    known = level.in_camera is not None
+    n = np.arange(len(b))
+    problem = Problem(
+        pose.rotation[None], pose.translation[None], X, 0 * n, n, b, np.ones(len(b)), 1.0,
+        np.ones(1, dtype=bool), False, np.array([known / level.sigma**2]),
+        np.array([level.in_camera if known else level.in_world]), level.in_world,
+    )  # fmt: skip
+    scale = max(float(np.median(_angles(pose, b, X))), 0.5 * threshold)
+    while True:
+        noise = scale / LOSS_SCALE
+        weights = problem.gravity_weights * noise**2
+        level_problem = replace(problem, noise=noise, gravity_weights=weights)
+        found = adjust_reference(level_problem, "cauchy", LOSS_SCALE, 10, 1e-9)[0]
+        problem = replace(problem, rotations=found.rotations, translations=found.translations)
+        pose = Pose(found.rotations[0], found.translations[0])
+        angles = _angles(pose, b, X)
+        if scale < 0.5 * threshold:
+            return pose
+        if scale > 0.5 * threshold:
+            scale = max(min(0.5 * scale, float(np.median(angles))), 0.5 * threshold)
+            continue
+        close = angles[angles < threshold]
+        noise = float(np.median(close)) / SIGMA_OF_MEDIAN if len(close) else threshold
+        scale = min(max(LOSS_SCALE * noise, 1e-7), 0.499 * threshold)
