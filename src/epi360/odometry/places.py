@@ -144,4 +144,4 @@ def _checked(descriptors: Descriptors) -> Descriptors:
 def _spread(descriptors: Descriptors) -> Descriptors:
     """Descriptors at even distances in the order of strength, as words."""
     count = min(_WORDS_PER_FRAME, len(descriptors))
-    return descriptors[np.linspace(0, len(descriptors) - 1, count).astype(int)]
+    return np.asarray(descriptors[np.linspace(0, len(descriptors) - 1, count).astype(int)])
