@@ -67,4 +67,13 @@ Residual residual_named(const std::string& name) {
   refuse("residual", name);
 }
 
+Loss loss_named(const std::string& name) {
+  if (name == "squared") return Loss::kSquared;
+  if (name == "huber") return Loss::kHuber;
+  if (name == "cauchy") return Loss::kCauchy;
+  if (name == "geman_mcclure") return Loss::kGemanMcClure;
+  if (name == "mixture") return Loss::kMixture;
+  refuse("loss", name);
+}
+
 }  // namespace epi360

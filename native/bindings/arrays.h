@@ -12,6 +12,7 @@
 
 #include "core/matches.h"
 #include "core/pose.h"
+#include "core/refinement/loss.h"
 #include "core/residuals/residuals.h"
 
 namespace epi360 {
@@ -42,6 +43,7 @@ Matches to_matches(const Bearings& bearings1, const Bearings& bearings2,
 
 [[noreturn]] void refuse(const char* what, const std::string& name);
 Residual residual_named(const std::string& name);
+Loss loss_named(const std::string& name);
 
 // The result of a computation without Python's lock.
 template <typename Compute>

@@ -25,15 +25,6 @@ void check_jacobians(Residual residual, const Matches& m) {
   }
 }
 
-Loss loss_named(const std::string& name) {
-  if (name == "squared") return Loss::kSquared;
-  if (name == "huber") return Loss::kHuber;
-  if (name == "cauchy") return Loss::kCauchy;
-  if (name == "geman_mcclure") return Loss::kGemanMcClure;
-  if (name == "mixture") return Loss::kMixture;
-  refuse("loss", name);
-}
-
 nb::list five_point_binding(Bearings b1, Bearings b2) {
   if (b1.shape(0) != 5 || b2.shape(0) != 5) throw nb::value_error("five matches are needed");
   Eigen::Matrix<double, 3, 3, Eigen::RowMajor> essentials[10];
@@ -100,12 +91,14 @@ namespace epi360 {
 void bind_paper(nb::module_& m);      // paper.cpp
 void bind_robust(nb::module_& m);     // robust.cpp
 void bind_internals(nb::module_& m);  // internals.cpp
+void bind_adjustment(nb::module_& m);  // adjustment.cpp
 }  // namespace epi360
 
 NB_MODULE(_core, m) {
   bind_paper(m);
   bind_robust(m);
   bind_internals(m);
+  bind_adjustment(m);
   m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
   m.def(
       "eight_point",

@@ -144,6 +144,40 @@ def search_sk(
     bearings1: _Array, bearings2: _Array, sk_search: str, weights: _Array | None = None
 ) -> tuple[float, float, float, int]: ...
 
+def adjust_window(
+    rotations: _Array,
+    translations: _Array,
+    points: _Array,
+    free_frames: NDArray[np.bool_],
+    frame_index: NDArray[np.uint32],
+    point_index: NDArray[np.uint32],
+    bearings: _Array,
+    weights: _Array,
+    *,
+    gravity: _Array,
+    gravity_weights: _Array,
+    world_gravity: _Array,
+    noise: float,
+    loss: str,
+    loss_scale: float,
+    max_iterations: int,
+    tolerance: float,
+    points_free: bool,
+) -> tuple[_Array, _Array, _Array, float, int, bool]: ...
+def absolute_pose(
+    bearings: _Array,
+    points: _Array,
+    *,
+    guess: tuple[_Array, _Array] | None,
+    gravity: _Array | None,
+    world_gravity: _Array,
+    gravity_sigma: float,
+    threshold: float,
+    min_inliers: int,
+    seed: int,
+) -> tuple[_Array, _Array] | None: ...
+def p3p(bearings: _Array, points: _Array) -> list[tuple[_Array, _Array]]: ...
+
 class internals:  # noqa: N801 - a submodule, for tests
     class Evidence: ...
 

@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array
 from epi360.epipolar.essential import skew
-from epi360.odometry.absolute_pose_reference import p3p_reference
-from epi360.odometry.window_reference import Problem, adjust_reference, bearing_residuals
+from epi360.odometry.window_reference import bearing_residuals
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -118,7 +118,12 @@ def estimate_absolute_pose(
     down = None if gravity is None else direction_array(gravity, "gravity")
     level = Gravity(down, direction_array(world_gravity, "world_gravity"), gravity_sigma_rad)
     usable = np.isfinite(b[:, 0]) & np.isfinite(X).all(axis=1)
-    pose = _searched(b[usable], X[usable], threshold_rad, guess, level, min_inliers, seed)
+    found = _core.absolute_pose(
+        b[usable], X[usable], guess=_start(guess), gravity=level.in_camera,
+        world_gravity=level.in_world, gravity_sigma=level.sigma, threshold=threshold_rad,
+        min_inliers=min_inliers, seed=seed,
+    )  # fmt: skip
+    pose = None if found is None else Pose(*found)
     return _judged(pose, b, X, threshold_rad, level, min_inliers)
 
 
@@ -129,6 +134,13 @@ class Gravity:
     in_camera: Array | None
     in_world: Array
     sigma: float
+
+
+def _start(guess: Pose | None) -> tuple[Array, Array] | None:
+    """Return rotation and translation of a guess that is one."""
+    if guess is None or np.isnan(guess.matrix()).any():
+        return None
+    return guess.rotation, guess.translation
 
 
 def _judged(
@@ -183,59 +195,3 @@ def _angles(pose: Pose, b: Array, X: Array) -> Array:
     x = X @ pose.rotation.T + pose.translation
     across = np.linalg.norm(np.cross(b, x), axis=1)
     return np.asarray(np.arctan2(across, np.einsum("ni,ni->n", b, x)))
-
-
-def _searched(
-    b: Array,
-    X: Array,
-    threshold: float,
-    guess: Pose | None,
-    level: Gravity,
-    min_inliers: int,
-    seed: int,
-) -> Pose | None:
-    """Return the best pose, or None where even the samples cannot be drawn."""
-    if len(b) < min_inliers:
-        return None
-    best = None if guess is None else _refined(guess, b, X, threshold, level)
-    if best is not None and (_angles(best, b, X) < threshold).mean() >= 0.5:
-        return best
-    rng = np.random.default_rng(seed)
-    cost = np.inf if best is None else _score(best, b, X, threshold)
-    for _ in range(200):
-        sample = rng.choice(len(b), 3, replace=False)
-        for pose in p3p_reference(b[sample], X[sample]):
-            if _score(pose, b, X, threshold) < cost:
-                best, cost = pose, _score(pose, b, X, threshold)
-    return None if best is None else _refined(best, b, X, threshold, level)
-
-
-def _score(pose: Pose, b: Array, X: Array, threshold: float) -> float:
-    return float(np.minimum(_angles(pose, b, X), threshold) @ np.ones(len(b)))
-
-
-def _refined(pose: Pose, b: Array, X: Array, threshold: float, level: Gravity) -> Pose:
-    known = level.in_camera is not None
-    n = np.arange(len(b))
-    problem = Problem(
-        pose.rotation[None], pose.translation[None], X, 0 * n, n, b, np.ones(len(b)), 1.0,
-        np.ones(1, dtype=bool), False, np.array([known / level.sigma**2]),
-        np.array([level.in_camera if known else level.in_world]), level.in_world,
-    )  # fmt: skip
-    scale = max(float(np.median(_angles(pose, b, X))), 0.5 * threshold)
-    while True:
-        noise = scale / LOSS_SCALE
-        weights = problem.gravity_weights * noise**2
-        level_problem = replace(problem, noise=noise, gravity_weights=weights)
-        found = adjust_reference(level_problem, "cauchy", LOSS_SCALE, 10, 1e-9)[0]
-        problem = replace(problem, rotations=found.rotations, translations=found.translations)
-        pose = Pose(found.rotations[0], found.translations[0])
-        angles = _angles(pose, b, X)
-        if scale < 0.5 * threshold:
-            return pose
-        if scale > 0.5 * threshold:
-            scale = max(min(0.5 * scale, float(np.median(angles))), 0.5 * threshold)
-            continue
-        close = angles[angles < threshold]
-        noise = float(np.median(close)) / SIGMA_OF_MEDIAN if len(close) else threshold
-        scale = min(max(LOSS_SCALE * noise, 1e-7), 0.499 * threshold)

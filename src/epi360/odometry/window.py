@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array, weights_array
-from epi360.odometry.window_reference import Problem, adjust_reference, points_in_cameras
+from epi360.odometry.window_reference import Problem, points_in_cameras
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def adjust_window(
     loss: str = "cauchy",
     loss_scale: float = 2.0,
     max_iterations: int = 20,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-6,
     points_fixed: bool = False,
 ) -> WindowResult:
     """Return the poses and points of least robust angular error.
@@ -135,14 +136,21 @@ def adjust_window(
         raise ValueError(f"loss_scale must be positive, got {loss_scale}")
     checked, used = _checked(problem, points_fixed)
     start = _observations(checked, used)
-    found, cost, num_iterations, converged = adjust_reference(
-        start, loss, loss_scale, max_iterations, tolerance
-    )
+    rotations, translations, points, cost, num_iterations, converged = _core.adjust_window(
+        start.rotations, start.translations, start.points, start.free,
+        start.frame_index.astype(np.uint32), start.point_index.astype(np.uint32), start.bearings,
+        start.weights, gravity=start.gravity, world_gravity=start.world_gravity,
+        gravity_weights=start.gravity_weights / start.noise**2, noise=start.noise,
+        loss=loss, loss_scale=loss_scale, max_iterations=max_iterations, tolerance=tolerance,
+        points_free=start.points_free,
+    )  # fmt: skip
     found = replace(
         checked,
-        rotations=np.where(np.isnan(checked.rotations), np.nan, found.rotations),
-        translations=np.where(np.isnan(checked.translations), np.nan, found.translations),
-        points=np.where(np.isnan(checked.points), np.nan, found.points),
+        rotations=np.where(
+            np.isnan(checked.rotations), np.nan, rotations.reshape(checked.rotations.shape)
+        ),
+        translations=np.where(np.isnan(checked.translations), np.nan, translations.reshape(-1, 3)),
+        points=np.where(np.isnan(checked.points), np.nan, points.reshape(-1, 3)),
     )
     found = _with_held_scale(found, checked, points_fixed)
     return WindowResult(
