@@ -143,7 +143,6 @@ def solve_linear(
 def search_sk(
     bearings1: _Array, bearings2: _Array, sk_search: str, weights: _Array | None = None
 ) -> tuple[float, float, float, int]: ...
-
 def adjust_window(
     rotations: _Array,
     translations: _Array,

@@ -76,7 +76,7 @@ def extract_binary_features(
     order = np.argsort(-np.concatenate(strengths), kind="stable")
     all_pixels = np.concatenate(pixels)
     bearings = camera.bearings_from_pixels(all_pixels)
-    usable: NDArray[np.bool_] = np.isfinite(bearings).all(axis=1)
+    usable = np.asarray(np.isfinite(bearings).all(axis=1))
     if mask is not None:
         rows = np.clip(all_pixels[:, 1].astype(int), 0, height - 1)
         columns = np.clip(all_pixels[:, 0].astype(int), 0, width - 1)

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from epi360.estimation import RansacOptions, estimate_relative_pose
 from epi360.features.binary_features import BinaryFeatures, match_binary_descriptors
@@ -20,11 +21,23 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 Status = Literal[
-    "ok", "too_few_matches", "two_views_disagree", "too_few_inliers", "concentrated_inliers"
+    "ok",
+    "too_few_matches",
+    "two_views_disagree",
+    "too_few_inliers",
+    "concentrated_inliers",
+    "unexplained_points",
 ]
 
 # Latitude bands of equal area and sectors of the sphere whose share is the spread of inliers.
 _BANDS, _SECTORS = 4, 12
+# A point is looked for where the camera found anything within this angle: lens and mask have ends.
+_SIGHT_RAD = 0.25
+# Two views and points that agree turn the camera by the same angle, but for noise.
+_LARGEST_TURN_DEG = 5.0
+# Features near a point's direction that are compared with it, by at most so many of 256 bits.
+_NUM_NEAR, _EXPLAINED_BITS = 8, 70
+_BITS = np.array([number.bit_count() for number in range(256)], dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -41,6 +54,10 @@ class PlaceOptions:
         Least share of the matches with a point that support it: twin rooms share some furniture.
     min_cells : int
         Fewest of 48 equal cells of the sphere of view with an inlier, in both views.
+    min_explained_share : float
+        Least share of the key frame's points in sight that the camera sees as well, matched or
+        not. In rendered homes 0.59 to 0.82 (90 % of the cases) within half a metre of the key
+        frame, and at most 0.47 in a twin room, whose furniture gives 100 inliers all around.
     min_parallax_rad : float
         Least angle between the rays of a point that is used.
     """
@@ -48,7 +65,8 @@ class PlaceOptions:
     threshold_rad: float = 0.012
     min_inliers: int = 30
     min_inlier_share: float = 0.5
-    min_cells: int = 10
+    min_cells: int = 8
+    min_explained_share: float = 0.55
     min_parallax_rad: float = 0.02
 
 
@@ -86,6 +104,8 @@ class Relocalization:
         Rows of features of the key frame and of the camera.
     num_cells : int
         Cells of 48 of the sphere of view that hold an inlier, the lower number of both views.
+    explained_share : float
+        Share of the key frame's points in sight that the camera sees from the pose.
     status : str
         "ok" or why the pose must not be used.
     """
@@ -94,6 +114,7 @@ class Relocalization:
     pose: AbsolutePoseResult
     matches: NDArray[np.int64]
     num_cells: int
+    explained_share: float
     status: Status
 
     @property
@@ -163,7 +184,7 @@ def relocalize(
 def nowhere() -> Relocalization:
     """Return the answer where there is no candidate."""
     none = estimate_absolute_pose(np.zeros((0, 3)), np.zeros((0, 3)))
-    return Relocalization(-1, none, np.zeros((0, 2), np.int64), 0, "too_few_matches")
+    return Relocalization(-1, none, np.zeros((0, 2), np.int64), 0, 0.0, "too_few_matches")
 
 
 def locate(
@@ -176,7 +197,7 @@ def locate(
     has_point = np.isfinite(points[:, 0])
     none = nowhere().pose
     if has_point.sum() < options.min_inliers:
-        return Relocalization(view.key_frame, none, matches, 0, "too_few_matches")
+        return Relocalization(view.key_frame, none, matches, 0, 0.0, "too_few_matches")
     two_view = estimate_relative_pose(
         b1, b2,
         max_noise_deg=float(np.degrees(options.threshold_rad)) / 2.0,
@@ -184,7 +205,7 @@ def locate(
         seed=seed,
     )  # fmt: skip
     if two_view.status not in ("ok", "pure_rotation"):
-        return Relocalization(view.key_frame, none, matches, 0, "two_views_disagree")
+        return Relocalization(view.key_frame, none, matches, 0, 0.0, "two_views_disagree")
     in_view = points @ view.cam_from_world.rotation.T + view.cam_from_world.translation
     guess = _scaled(two_view.cam2_from_cam1, in_view, b2, two_view.inlier_mask & has_point)
     pose = estimate_absolute_pose(
@@ -193,14 +214,39 @@ def locate(
     )  # fmt: skip
     inliers = pose.inlier_mask
     cells = min(num_cells(b1[inliers]), num_cells(b2[inliers]))
+    explained = explained_share(view, features, pose.cam_from_world, options.threshold_rad)
+    turn_deg = rotation_error_deg(pose.cam_from_world, guess @ view.cam_from_world)
     status: Status = "ok"
     if not pose.success or inliers.sum() < options.min_inlier_share * has_point.sum():
         status = "too_few_inliers"
-    elif rotation_error_deg(pose.cam_from_world, guess @ view.cam_from_world) > 5.0:
+    elif turn_deg > _LARGEST_TURN_DEG:
         status = "two_views_disagree"
     elif cells < options.min_cells:
         status = "concentrated_inliers"
-    return Relocalization(view.key_frame, pose, matches, cells, status)
+    elif explained < options.min_explained_share:
+        status = "unexplained_points"
+    return Relocalization(view.key_frame, pose, matches, cells, explained, status)
+
+
+def explained_share(
+    view: MappedView, features: BinaryFeatures, cam_from_world: Pose, threshold_rad: float
+) -> float:
+    """Share of a key frame's points in sight of which a camera has a similar feature in place.
+
+    Matches alone do not say what is missing: the walls of a twin room.
+    """
+    known = np.flatnonzero(np.isfinite(view.points[:, 0]))
+    if len(known) == 0 or len(features) == 0 or np.isnan(cam_from_world.translation).any():
+        return 0.0
+    expected = view.points[known] @ cam_from_world.rotation.T + cam_from_world.translation
+    expected /= np.maximum(np.linalg.norm(expected, axis=1, keepdims=True), 1e-12)
+    num_near = min(_NUM_NEAR, len(features))
+    chords, near = cKDTree(features.bearings).query(expected, k=np.arange(1, num_near + 1))
+    differing = view.features.descriptors[known, None] ^ features.descriptors[near]
+    similar = _BITS[differing].sum(axis=2) <= _EXPLAINED_BITS
+    seen = (similar & (chords < threshold_rad)).any(axis=1)
+    in_sight = chords[:, 0] < _SIGHT_RAD
+    return float(seen[in_sight].mean()) if in_sight.any() else 0.0
 
 
 def num_cells(bearings: Array) -> int:
