@@ -9,7 +9,8 @@ import numpy as np
 
 from epi360.estimation import RelativePoseResult
 
-_PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.1, 0.3  # one sigma, over all components
+# One sigma, over all components, shared errors included, which more key points do not lessen.
+_PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.25, 0.75
 
 
 def is_settled(status: str, warnings: Sequence[str] = ()) -> bool:
