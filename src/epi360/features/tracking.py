@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import ImageSource, read_image, read_mask
+from epi360.features.lucas_kanade import erode_mask, find_corners, follow_there_and_back
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -220,28 +221,12 @@ def _follow(
     if len(pixels) == 0:
         return pixels
     start = view.padded_from_pixels(pixels)
-    end, found = _lucas_kanade(previous, current, start, options)
-    back, found_back = _lucas_kanade(current, previous, end, options)
-    moved = view.pixels_from_padded(end)
-    missed = np.hypot(*(back - start).T) > options.forward_backward_px
-    moved[~(found & found_back & view.is_usable(moved)) | missed] = np.nan
-    return moved
-
-
-def _lucas_kanade(
-    image1: Picture, image2: Picture, points: NDArray[np.float32], o: _Options
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
-    moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        image1,
-        image2,
-        points,
-        np.empty_like(points),
-        winSize=(o.window_px, o.window_px),
-        maxLevel=o.pyramid_levels,
-        criteria=criteria,
+    end, missed_px = follow_there_and_back(
+        previous, current, start, options.window_px, options.pyramid_levels
     )
-    return np.asarray(moved, dtype=np.float32), found.ravel() == 1
+    moved = view.pixels_from_padded(end)
+    moved[~view.is_usable(moved) | (missed_px > options.forward_backward_px)] = np.nan
+    return moved
 
 
 def _detect(padded: Picture, view: _View, options: _Options, known: Array) -> Array:
@@ -250,15 +235,11 @@ def _detect(padded: Picture, view: _View, options: _Options, known: Array) -> Ar
     wanted = options.max_features - len(known)
     if wanted <= 0:
         return np.empty((0, 2))
-    # Half a window away from masked pixels: their edge would be tracked instead of the scene.
-    window = np.ones((options.window_px, options.window_px), dtype=np.uint8)
-    usable = cv2.erode(view.pad(view.mask.astype(np.uint8)), window)
+    usable = erode_mask(view.pad(view.mask.astype(np.uint8)), options.window_px)
     usable[:, : view.margin] = 0
     usable[:, usable.shape[1] - view.margin :] = 0
-    corners = cv2.goodFeaturesToTrack(padded, 0, options.quality_level, 0, mask=usable)
-    if corners is None:
-        return np.empty((0, 2))
-    pixels = view.pixels_from_padded(np.asarray(corners, dtype=np.float32).reshape(-1, 2))
+    corners, _ = find_corners(padded, usable, options.quality_level)
+    pixels = view.pixels_from_padded(corners)
     bearings = view.camera.bearings_from_pixels(pixels)
     taken = view.camera.bearings_from_pixels(known)
     return pixels[_spread(bearings, taken, options.min_distance_rad, wanted)]
