@@ -65,6 +65,7 @@ def handheld_path(
     height_m: float = 1.5,
     clearance_m: float = 0.35,
     max_turn_deg: float = 2.0,
+    loop: bool = False,
 ) -> list[Pose]:
     """Poses of a camera that somebody carries through a scene, looking around.
 
@@ -85,6 +86,8 @@ def handheld_path(
         Least distance of the camera from every surface.
     max_turn_deg : float
         Largest turn of the camera between two frames.
+    loop : bool
+        Whether the last pose is the first one again. Steps are then a little shorter.
 
     Returns
     -------
@@ -94,8 +97,8 @@ def handheld_path(
     Raises
     ------
     ValueError
-        If `num_frames` is below 1, another number is not positive, or the scene has no room to
-        walk.
+        If `num_frames` is below 1, another number is not positive, the scene has no room to walk,
+        or the frames are too few for a loop.
 
     Notes
     -----
@@ -108,11 +111,14 @@ def handheld_path(
     options = _Options(step_m, height_m, clearance_m, max_turn_deg)
     rng = np.random.Generator(np.random.PCG64(seed))
     level = _Level(scene)
-    length = step_m * num_frames
-    walk = plan_walk(rng, level.distances, level.bounds, length, height_m, clearance_m)
-    positions = _carried(rng, walk, options, level.distances)
-    positions = _in_steps(positions, options.step_m / SUBSTEPS, options.step_m)[:num_frames]
-    rotations = _looking_around(rng, positions, options)
+    if loop:
+        positions = _loop(seed, num_frames, level, options)
+    else:
+        length = step_m * num_frames
+        walk = plan_walk(rng, level.distances, level.bounds, length, height_m, clearance_m)
+        positions = _carried(rng, walk, options, level.distances)
+        positions = _in_steps(positions, options.step_m / SUBSTEPS, options.step_m)[:num_frames]
+    rotations = _looking_around(rng, positions, options, loop)
     return [
         level.world_from_level @ Pose(rotation, position)
         for rotation, position in zip(rotations, positions, strict=True)
@@ -137,8 +143,30 @@ class _Level:
         )
 
 
+def _loop(seed: int, num_frames: int, level: _Level, options: _Options) -> Floats:
+    """Positions of a walk that ends where it begins, in as many steps as asked for."""
+    for share in 0.9 ** np.arange(1, 40):
+        rng = np.random.Generator(np.random.PCG64([seed, 1]))
+        length = share * options.step_m * num_frames
+        walk = plan_walk(
+            rng, level.distances, level.bounds, length, options.height_m, options.clearance_m,
+            loop=True,
+        )  # fmt: skip
+        positions = _carried(rng, walk, options, level.distances, loop=True)
+        times = _times(positions, options.step_m / SUBSTEPS)
+        if times[-1] <= options.step_m * (num_frames - 1):
+            at = np.linspace(0.0, times[-1], num_frames)
+            return np.stack([np.interp(at, times, column) for column in positions.T], axis=1)
+    raise ValueError(f"num_frames must be more for a loop of steps of {options.step_m} m")
+
+
 def _carried(
-    rng: np.random.Generator, walk: Floats, options: _Options, distances: Callable[[Floats], Floats]
+    rng: np.random.Generator,
+    walk: Floats,
+    options: _Options,
+    distances: Callable[[Floats], Floats],
+    *,
+    loop: bool = False,
 ) -> Floats:
     """Positions (M, 3) of the hand, fine along the walk, that keep the clearance."""
     fine = options.step_m / SUBSTEPS
@@ -148,6 +176,8 @@ def _carried(
         ground = _smooth(way, smoothing_m / fine)
         positions = ground + _sideways(ground, fine) * offsets[:, :1]
         positions[:, 1] -= offsets[:, 1]
+        if loop:
+            positions += _closing(positions[0] - positions[-1], len(positions), 1.0 / fine)
         if distances(positions).min() >= options.clearance_m:
             return positions
     raise ValueError(
@@ -158,8 +188,8 @@ def _carried(
 def _gait(rng: np.random.Generator, num: int, fine: float) -> Floats:
     """Offsets (M, 2) of the hand from a smooth walk, to the side and up."""
     phase = 2 * np.pi * np.arange(num) * fine / STRIDE_M + rng.uniform(0, 2 * np.pi)
-    strength = 1.0 + 0.3 * _noise(rng, num, 1.5 / fine)
-    up = BOB_M * strength * np.cos(2 * phase) + HEIGHT_CHANGE_M * _noise(rng, num, 2.0 / fine)
+    strength = 1.0 + 0.3 * smooth_noise(rng, num, 1.5 / fine)
+    up = BOB_M * strength * np.cos(2 * phase) + HEIGHT_CHANGE_M * smooth_noise(rng, num, 2.0 / fine)
     return np.stack([SWAY_M * strength * np.sin(phase), up], axis=1)
 
 
@@ -169,23 +199,43 @@ def _sideways(ground: Floats, fine: float) -> Floats:
     return np.stack([z, np.zeros(len(ground)), -x], axis=1)
 
 
-def _looking_around(rng: np.random.Generator, positions: Floats, options: _Options) -> Floats:
+def _closing(difference: Floats, num: int, samples: float) -> Floats:
+    """Shifts (num, D) that grow smoothly to a difference over the last samples."""
+    share = np.clip((np.arange(num) - (num - 1)) / min(samples, num - 1) + 1, 0.0, 1.0)
+    shifts: Floats = (share**2 * (3 - 2 * share))[:, None] * difference
+    return shifts
+
+
+def _looking_around(
+    rng: np.random.Generator, positions: Floats, options: _Options, loop: bool = False
+) -> Floats:
     """Rotations (F, 3, 3) of a camera that looks about where it goes, turning slowly enough."""
     num, step = len(positions), options.step_m
     moves = np.gradient(positions, axis=0) if num > 1 else np.array([[0.0, 0.0, 1.0]])
     heading = np.unwrap(np.arctan2(moves[:, 0], moves[:, 2]))
-    glance = np.radians(GLANCE_DEG) * _noise(rng, num, 1.2 / step)
-    pitch = np.radians(TILT_DEG) * _noise(rng, num, 0.8 / step)
-    roll = np.radians(ROLL_DEG) * _noise(rng, num, 0.8 / step)
-    shake = np.radians(0.25) * np.stack([_noise(rng, num, 0.12 / step) for _ in range(3)])
+    glance = np.radians(GLANCE_DEG) * smooth_noise(rng, num, 1.2 / step)
+    pitch = np.radians(TILT_DEG) * smooth_noise(rng, num, 0.8 / step)
+    roll = np.radians(ROLL_DEG) * smooth_noise(rng, num, 0.8 / step)
+    shake = np.radians(0.25) * np.stack([smooth_noise(rng, num, 0.12 / step) for _ in range(3)])
     for smoothing_m in 0.6 * 1.5 ** np.arange(20):
         yaw = _smooth(heading + glance, smoothing_m / step)
         angles = np.stack([pitch, yaw, roll]) + shake
+        if loop and num > 1:
+            angles += _closed_angles(angles, options.max_turn_deg)
         rotations = np.array([rotation_from_heading(row) for row in angles.T])
         if num == 1 or _turns_deg(rotations).max() <= options.max_turn_deg:
             return rotations
         pitch, roll, shake = (0.9 * part for part in (pitch, roll, shake))
     return rotations
+
+
+def _closed_angles(angles: Floats, max_turn_deg: float) -> Floats:
+    """Shifts of pitch, yaw and roll (3, F) after which the last ones are the first again."""
+    difference = angles[:, 0] - angles[:, -1]
+    difference[1] = (difference[1] + np.pi) % (2 * np.pi) - np.pi  # whole turns are kept
+    # At most half of the allowed turn a frame goes into it; the smooth step is 1.5 times as steep.
+    frames = max(10.0, 3.0 * float(np.degrees(np.abs(difference).max())) / max_turn_deg)
+    return _closing(difference, angles.shape[1], frames).T
 
 
 def _turns_deg(rotations: Floats) -> Floats:
@@ -195,8 +245,8 @@ def _turns_deg(rotations: Floats) -> Floats:
     return angles
 
 
-def _noise(rng: np.random.Generator, num: int, correlation: float) -> Floats:
-    """Smooth noise (num,) of about unit deviation, correlated over so many samples."""
+def smooth_noise(rng: np.random.Generator, num: int, correlation: float) -> Floats:
+    """Noise (num,) of about unit deviation, correlated over so many samples."""
     # Knots from a generator in order, so that a longer path starts as a shorter one does.
     spacing = 1.5 * correlation
     knots = rng.standard_normal(int(num / spacing) + 6)
@@ -232,9 +282,14 @@ def _evenly(positions: Floats, spacing: float) -> Floats:
 
 def _in_steps(positions: Floats, fine: float, step_m: float) -> Floats:
     """Points of a fine polyline at equal times; a step is shorter where the walker is slow."""
+    return _sampled(positions, _times(positions, fine), step_m)
+
+
+def _times(positions: Floats, fine: float) -> Floats:
+    """When the walker is at each point of a fine polyline, as the way at full speed."""
     lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-    times = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, fine))])
-    return _sampled(positions, times, step_m)
+    times: Floats = np.concatenate([[0.0], np.cumsum(np.maximum(lengths, fine))])
+    return times
 
 
 def _sampled(positions: Floats, times: Floats, spacing: float) -> Floats:

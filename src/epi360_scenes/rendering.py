@@ -58,6 +58,7 @@ class RayCaster(Protocol):
         *,
         supersample: int = 2,
         num_threads: int | None = None,
+        rows: tuple[int, int] | None = None,
     ) -> Rendering:
         """Picture and depth that a camera sees from a pose; `Room.render` says more."""
         if supersample < 1:
@@ -66,10 +67,13 @@ class RayCaster(Protocol):
             raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
         frame = _Frame(self, camera, world_from_cam)
         with ThreadPoolExecutor(num_threads or os.cpu_count()) as pool:
-            tiles = _tiles(camera.width, camera.height)
-            list(pool.map(frame.fill, tiles))
+            top, bottom = rows or (0, camera.height)
+            # The rows beside them say where their edges are.
+            around = max(top - 1, 0), min(bottom + 1, camera.height)
+            list(pool.map(frame.fill, _tiles(camera.width, *around)))
             if supersample > 1:
                 edges = frame.edge_mask()
+                tiles = _tiles(camera.width, top, bottom)
                 list(pool.map(lambda tile: frame.smooth(tile, edges, supersample), tiles))
         return Rendering(frame.image(), frame.depth)
 
@@ -77,10 +81,11 @@ class RayCaster(Protocol):
         """Display colours (N, 3), ranges in metres and surface numbers of what rays meet."""
 
 
-def _tiles(width: int, height: int) -> list[tuple[slice, slice]]:
+def _tiles(width: int, first: int, end: int) -> list[tuple[slice, slice]]:
+    """Tiles of some rows."""
     return [
-        (slice(top, min(top + TILE_PX, height)), slice(left, min(left + TILE_PX, width)))
-        for top in range(0, height, TILE_PX)
+        (slice(top, min(top + TILE_PX, end)), slice(left, min(left + TILE_PX, width)))
+        for top in range(first, end, TILE_PX)
         for left in range(0, width, TILE_PX)
     ]
 

@@ -93,6 +93,7 @@ class Room(RayCaster):
         *,
         supersample: int = 2,
         num_threads: int | None = None,
+        rows: tuple[int, int] | None = None,
     ) -> Rendering:
         """Picture and depth that a camera sees from a pose.
 
@@ -106,6 +107,9 @@ class Room(RayCaster):
             Rays per axis in pixels that hold an edge; textures are filtered in any case.
         num_threads : int, optional
             Threads to use, by default one per core; the result does not depend on it.
+        rows : (int, int), optional
+            First row and the one after the last, if only these are needed; the others are of no
+            use.
 
         Returns
         -------
@@ -123,7 +127,7 @@ class Room(RayCaster):
                 "solid or outside the room; take a pose from sample_pose"
             )
         return super().render(
-            camera, world_from_cam, supersample=supersample, num_threads=num_threads
+            camera, world_from_cam, supersample=supersample, num_threads=num_threads, rows=rows
         )
 
     def cast(self, rays: Rays) -> tuple[Floats, Floats, NDArray[np.intp]]:

@@ -11,6 +11,7 @@ from epi360.cameras import Camera
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import first_difference, read_record
+from epi360_scenes.film import Effects, Film
 from epi360_scenes.mp3d_layout import POSES_FILE, frame_files, poses_text, write_frame, write_whole
 from epi360_scenes.rendering import RayCaster
 
@@ -23,7 +24,7 @@ def prepare_sequence(
     """Make the folder of a sequence with its poses, camera and options, or check that they fit."""
     files = {
         OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
-        CAMERA_FILE: json.dumps(_camera_record(camera), indent=2) + "\n",
+        CAMERA_FILE: json.dumps(camera_record(camera), indent=2) + "\n",
         POSES_FILE: poses_text(world_from_cam),
     }
     check_folder(folder, options)
@@ -47,9 +48,17 @@ def render_sequence(
     options: Mapping[str, Any],
     *,
     supersample: int = 2,
+    effects: Effects | None = None,
+    step_m: float = 0.04,
     progress: Progress = no_progress,
 ) -> int:
-    """Render the missing frames of a sequence, in the layout of 360-MP3D-VO."""
+    """Render the missing frames of a sequence, in the layout of 360-MP3D-VO.
+
+    ``step_m`` is how far moving people go in a frame; their seed, and that of the exposure, is the
+    option "seed".
+    """
+    seed = int(options.get("seed") or 0)
+    film = Film(scene, camera, world_from_cam, effects or Effects(), seed=seed, step_m=step_m)
     prepare_sequence(folder, camera, world_from_cam, options)
     missing = [
         index
@@ -60,8 +69,7 @@ def render_sequence(
     num_kept = total - len(missing)
     progress("frames", num_kept, total)
     for count, index in enumerate(missing, start=1):
-        rendering = scene.render(camera, world_from_cam[index], supersample=supersample)
-        write_frame(folder, index, rendering)
+        write_frame(folder, index, film.frame(index, supersample=supersample))
         progress("frames", num_kept + count, total)
     return len(missing)
 
@@ -86,7 +94,7 @@ def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
         )
 
 
-def _camera_record(camera: Camera) -> dict[str, Any]:
+def camera_record(camera: Camera) -> dict[str, Any]:
     """Model and parameters of a camera in our own file format."""
     numbers = {
         name: value for name, value in dataclasses.asdict(camera).items() if value is not None

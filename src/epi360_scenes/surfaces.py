@@ -158,7 +158,7 @@ def build_surfaces(solids: Solids, furniture: Furniture, atlas: TextureAtlas) ->
     return Surfaces(
         atlas,
         np.array([atlas.names.index(m.texture) for m in materials]),
-        np.array([_uv_from_face(m, *size) for m, size in zip(materials, sizes, strict=True)]),
+        np.array([uv_from_face(m, *size) for m, size in zip(materials, sizes, strict=True)]),
         np.array([m.glow for m in materials], np.float32),
         np.cumsum(counts) - counts,
         shapes,
@@ -167,7 +167,7 @@ def build_surfaces(solids: Solids, furniture: Furniture, atlas: TextureAtlas) ->
     )
 
 
-def _uv_from_face(material: Material, width: float, height: float) -> Floats:
+def uv_from_face(material: Material, width: float, height: float) -> Floats:
     """Rows of `Surfaces.uv_from_face` for one face; its in-plane origin is its centre."""
     if material.width_m is None:
         return np.array([[1 / width, 0, 0.5], [0, 1 / height, 0.5]], np.float32)

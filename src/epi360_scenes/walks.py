@@ -27,18 +27,26 @@ def plan_walk(
     length_m: float,
     height_m: float,
     clearance_m: float,
+    *,
+    loop: bool = False,
 ) -> Floats:
-    """Way between random places of a scene, at least as long as asked for, in free space."""
+    """Way between random places of a scene, at least as long as asked for, in free space.
+
+    A loop goes back to its start as soon as that makes it long enough.
+    """
     grid = _Grid(distances, bounds, height_m, clearance_m)
     here = int(rng.choice(grid.connected))
     cells, walked = [here], 0.0
     # A third more than asked for, because smoothing cuts corners.
     while walked < 1.35 * length_m + 1.0:
-        goal = grid.far_place(rng, here)
+        goal = grid.far_place(rng, here, 0.4 * length_m if loop else np.inf)
         way = grid.way(here, goal)
         cells += way[1:]
         walked += float(np.linalg.norm(np.diff(grid.centers[way], axis=0), axis=1).sum())
         here = goal
+        if loop and walked + grid.distance(here, cells[0]) >= length_m:
+            cells += grid.way(here, cells[0])[1:]
+            break
     corners: Floats = grid.centers[cells]
     return corners
 
@@ -93,11 +101,18 @@ class _Grid:
         tightness = 1.0 / (0.1 + np.minimum(self.room[a], self.room[b]))
         return csr_matrix((steps * tightness, (a, b)), shape=(free.size, free.size))
 
-    def far_place(self, rng: np.random.Generator, here: int) -> int:
-        """Pick a random cell that is likely to be far away."""
-        places = rng.choice(self.connected, 4)
+    def far_place(self, rng: np.random.Generator, here: int, within_m: float = np.inf) -> int:
+        """Pick a random cell that is likely to be far away, but not farther than this."""
+        places = rng.choice(self.connected, 4 if within_m == np.inf else 32)
         far = np.linalg.norm(self.centers[places] - self.centers[here], axis=1)
-        return int(places[np.argmax(far)])
+        if far.min() > within_m:
+            return int(places[np.argmin(far)])
+        return int(places[np.argmax(np.where(far <= within_m, far, -1.0))])
+
+    def distance(self, start: int, goal: int) -> float:
+        """Length of the cheapest way."""
+        way = self.centers[self.way(start, goal)]
+        return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
     def way(self, start: int, goal: int) -> list[int]:
         """Cells of the cheapest way, both ends included."""

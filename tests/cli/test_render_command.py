@@ -44,6 +44,25 @@ def test_the_command_writes_a_sequence_and_resumes_it(tmp_path, capsys):
     assert "holds a sequence with seed 0, not 4" in errors
 
 
+def test_effects_are_part_of_what_a_folder_was_made_with(tmp_path, capsys):
+    out = tmp_path / "sequence"
+    words = (out, "--scene", "studio", "--num-frames", 2, "--width", 32)
+    assert run(capsys, *words)[0] == 0
+    assert "loop" not in json.loads((out / "render.json").read_text())
+    code, _, errors = run(capsys, *words, "--motion-blur", 3)
+    assert code == 2 and "holds a sequence with" in errors and "choose another folder" in errors
+    other = (tmp_path / "other", *words[1:], "--motion-blur", 3, "--exposure-change", 1)
+    assert run(capsys, *other)[0] == run(capsys, *other)[0] == 0
+    assert run(capsys, tmp_path / "other", *words[1:])[0] == 2
+
+
+def test_a_loop_ends_where_it_begins(tmp_path, capsys):
+    words = ("--scene", "studio", "--num-frames", 90, "--width", 8, "--supersample", 1, "--loop")
+    assert run(capsys, tmp_path / "loop", *words)[0] == 0
+    rows = np.loadtxt(tmp_path / "loop" / "frm_ref.txt")
+    np.testing.assert_allclose(rows[0, 1:], rows[-1, 1:], atol=1e-9)
+
+
 def test_a_fisheye_sequence_has_the_size_of_its_camera(tmp_path, capsys):
     lens = {"model": "KannalaBrandt", "width": 48, "height": 40, "fx": 14, "fy": 14,
             "cx": 24, "cy": 20, "max_angle_deg": 95}  # fmt: skip
@@ -60,6 +79,8 @@ def test_a_fisheye_sequence_has_the_size_of_its_camera(tmp_path, capsys):
     [
         (("--width", "63"), "--width must be a positive even number, got 63"),
         (("--num-frames", "0"), "num_frames must be 1 or more, got 0"),
+        (("--motion-blur", "2"), "--motion-blur must be odd"),
+        (("--mesh", "none.glb", "--moving-people", "1"), "--moving-people walk through the built"),
         (("--supersample", "0"), "supersample must be 1 or more, got 0"),
         (("--mesh", "none.glb"), "none.glb"),
         (("--camera", "lens.json", "--width", "64"), "--width is that of a panorama"),
@@ -82,4 +103,5 @@ def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "render", "--scene", "--seed", "--mesh", "--up", "--num-frames", "--step-m",
         "--max-turn-deg", "--height-m", "--clearance-m", "--width", "--camera", "--supersample",
+        "--loop", "--moving-people", "--exposure-change", "--motion-blur", "--rolling-shutter-ms",
     )  # fmt: skip

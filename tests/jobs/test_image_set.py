@@ -399,5 +399,5 @@ def test_a_mask_of_another_size_is_noticed_before_the_work(folder, tmp_path):
 def test_a_folder_of_videos_says_what_to_do(folder):
     folder.mkdir(exist_ok=True)
     (folder / "walk.MP4").write_bytes(b"....ftyp")
-    with pytest.raises(FileNotFoundError, match=r"take frames from walk\.MP4 first"):
+    with pytest.raises(FileNotFoundError, match=r"give the video walk\.MP4 itself"):
         find_images(folder)

@@ -71,6 +71,18 @@ def show_bars() -> Iterator[Progress]:
         yield _BarPerStage(bars)
 
 
+@contextmanager
+def options_as_typed() -> Iterator[None]:
+    """Errors that begin with the name of a parameter begin with that of the option."""
+    try:
+        yield
+    except ValueError as error:
+        name, must, rest = str(error).partition(" must ")
+        if not (must and name.isidentifier()):
+            raise
+        raise ValueError(f"--{name.replace('_', '-')} must {rest}") from None
+
+
 class _BarPerStage:
     """A `Progress` that shows one bar for each stage."""
 

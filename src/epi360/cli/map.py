@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, show_bars
+from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
 from epi360.cli.match import (
     DEFAULT_WORK,
     NO_INPUT,
     MatchInput,
     MatchWork,
     default_output,
+    images_of,
     match_options,
-    options_as_typed,
     write_pairs_table,
 )
 
@@ -89,7 +89,8 @@ def map_folder(
     Parameters
     ----------
     folder
-        Panoramas, or images of the given camera; sub-folders too.
+        Panoramas, or images of the given camera; sub-folders too. Or a video, whose frames are
+        chosen as epi360 frames does and written into OUTPUT/frames.
     output
         Folder for the results, the same as that of epi360 match by default: what was matched there
         is used.
@@ -114,6 +115,7 @@ def map_folder(
     cutting = _cubemap_options(cube_faces)
     if cubemap:
         check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
+    folder = images_of(folder, output, given)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:
         run = map_images(images, output, options, restart=restart, progress=progress)

@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, show_bars
+from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.frames import folder_of
 
 if TYPE_CHECKING:
     from epi360.jobs.matching import MatchOptions, MatchRun
@@ -81,7 +80,8 @@ def match(
     Parameters
     ----------
     folder
-        Panoramas, or images of the given camera; sub-folders too.
+        Panoramas, or images of the given camera; sub-folders too. Or a video, whose frames are
+        chosen as epi360 frames does and written into OUTPUT/frames.
     output
         Folder for the results. Default: NAME-epi360 in the current folder, beside the images where
         that is inside them.
@@ -98,6 +98,7 @@ def match(
 
     options = match_options(given, work)
     output = default_output(folder) if output is None else output
+    folder = images_of(folder, output, given)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
@@ -128,20 +129,21 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
         )
 
 
-@contextmanager
-def options_as_typed() -> Iterator[None]:
-    """Errors that begin with the name of a parameter begin with that of the option."""
-    try:
-        yield
-    except ValueError as error:
-        name, must, rest = str(error).partition(" must ")
-        if not (must and name.isidentifier()):
-            raise
-        raise ValueError(f"--{name.replace('_', '-')} must {rest}") from None
+def images_of(folder: Path, output: Path, given: MatchInput) -> Path:
+    """Return the folder of the images; the frames of a video are written into the output."""
+    return folder_of(
+        folder,
+        output,
+        camera=given.camera,
+        mask=given.mask,
+        mask_nadir_deg=given.mask_nadir_deg,
+    )
 
 
 def default_output(folder: Path) -> Path:
-    """NAME-epi360 in the current folder, but never among the images."""
+    """NAME-epi360 in the current folder, but never among the images; NAME is that of a video."""
+    if folder.is_file():
+        return Path(f"{folder.stem}-epi360")
     images, here = folder.resolve(), Path.cwd()
     inside = here == images or images in here.parents
     name = f"{images.name}-epi360"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import SUCCESS, app, show_bars, show_progress
+from epi360.cli.command import SUCCESS, Flag, app, options_as_typed, show_bars, show_progress
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
@@ -48,6 +48,8 @@ class PathChoice:
     """Mean height of the camera over the floor."""
     clearance_m: float = 0.35
     """Least distance from every surface."""
+    loop: Flag = False
+    """The last pose is the first one again."""
 
 
 @Parameter(name="*", group=Group("Camera", sort_key=3))
@@ -63,7 +65,23 @@ class CameraChoice:
     """Rays per axis in pixels at edges."""
 
 
+@Parameter(name="*", group=Group("Effects", sort_key=4))
+@dataclass(frozen=True)
+class EffectChoice:
+    """What a real camera adds, at 30 frames a second."""
+
+    moving_people: int = 0
+    """So many people walk through a built-in scene."""
+    exposure_change: float = 0.0
+    """Stops between the brightest and the darkest exposure, which changes slowly."""
+    motion_blur: int = 1
+    """Odd number of moments that are mixed in a picture, over half of the time of a frame."""
+    rolling_shutter_ms: float = 0.0
+    """Time from the first row to the last; the pose is that of the middle row."""
+
+
 ANY_SCENE, ANY_PATH, ANY_CAMERA = SceneChoice(), PathChoice(), CameraChoice()
+NO_EFFECTS = EffectChoice()
 
 
 @app.command
@@ -74,6 +92,7 @@ def render(
     what: SceneChoice = ANY_SCENE,
     path: PathChoice = ANY_PATH,
     picture: CameraChoice = ANY_CAMERA,
+    effect: EffectChoice = NO_EFFECTS,
 ) -> int:
     """Render pictures, depth and poses along a hand-held path, in the layout of 360-MP3D-VO.
 
@@ -86,11 +105,16 @@ def render(
     out
         Folder of the sequence: new, or begun with the same options.
     """
+    from epi360_scenes.film import Effects
     from epi360_scenes.paths import handheld_path
     from epi360_scenes.sequence import check_folder, render_sequence
 
     _check_words(what, path, picture)
-    camera, options = _camera(picture), _options(what, path, picture)
+    if effect.moving_people and what.mesh is not None:
+        raise ValueError("--moving-people walk through the built-in scenes only, not a --mesh")
+    with options_as_typed():
+        effects = Effects(**asdict(effect))
+    camera, options = _camera(picture), _options(what, path, picture, effect)
     check_folder(out, options)
     out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work
     with show_progress() as say:
@@ -98,11 +122,11 @@ def render(
         scene = _scene(what)
         say("planning the path")
         poses = handheld_path(scene, seed=what.seed, **asdict(path))
-    supersample = picture.supersample
     with show_bars() as progress:
         render_sequence(
-            scene, camera, poses, out, options, supersample=supersample, progress=progress
-        )
+            scene, camera, poses, out, options, supersample=picture.supersample, effects=effects,
+            step_m=path.step_m, progress=progress,
+        )  # fmt: skip
     print(f"{len(poses)} frames of {camera.width}x{camera.height} pixels in {out}", flush=True)
     return SUCCESS
 
@@ -128,7 +152,9 @@ def _camera(picture: CameraChoice) -> Camera:
     return Equirectangular(width, width // 2)
 
 
-def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict[str, Any]:
+def _options(
+    what: SceneChoice, path: PathChoice, picture: CameraChoice, effect: EffectChoice
+) -> dict[str, Any]:
     """What the pictures depend on, to recognise a sequence that can be resumed."""
     from epi360.extras import package_version
 
@@ -138,7 +164,10 @@ def _options(what: SceneChoice, path: PathChoice, picture: CameraChoice) -> dict
         digest = hashlib.sha256(what.mesh.read_bytes()).hexdigest()
         scene = {"mesh": what.mesh.name, "mesh_sha256": digest, "up": what.up}
     calibration = None if picture.camera is None else picture.camera.name
-    options = {**scene, "seed": what.seed, **asdict(path)}
+    # What is left out is not written: a folder of an earlier version can be gone on with.
+    asked = {name: value for name, value in asdict(effect).items() if effect != NO_EFFECTS}
+    way = {name: value for name, value in asdict(path).items() if name != "loop" or value}
+    options = {**scene, "seed": what.seed, **way, **asked}
     options |= {"width": picture.width, "camera": calibration, "supersample": picture.supersample}
     return {**options, "epi360": package_version()}
 

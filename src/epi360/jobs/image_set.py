@@ -16,12 +16,12 @@ from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
 from epi360.features.image_files import MAX_PIXELS, decode_image_file
 from epi360.features.image_headers import read_image_header
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
+from epi360.interop.video import VIDEO_SUFFIXES
 from epi360.jobs.folder_files import files_below
 from epi360.jobs.given_cameras import GivenCameras, read_given_cameras
 from epi360.jobs.masks import MaskSource
 from epi360.poses import Pose
 
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".insv", ".360")
 RAW_SUFFIXES = (".insp", ".dng")  # refused by the decoder, which says what to do with them
 
 
@@ -108,7 +108,7 @@ def find_images(
 
 def _video_hint(folder: Path) -> str:
     videos = [path.name for path in folder.iterdir() if path.suffix.lower() in VIDEO_SUFFIXES]
-    return f"; take frames from {videos[0]} first, with ffmpeg for example" if videos else ""
+    return f"; give the video {videos[0]} itself" if videos else ""
 
 
 class _Unusable(Exception):  # noqa: N818 - a reason, not an error

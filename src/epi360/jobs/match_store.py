@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import package_version
+from epi360.jobs.frame_source import FRAMES_RECORD
 from epi360.poses import Pose
 from epi360.runs.arrays import npz_bytes, read_arrays
 from epi360.runs.made_from import fingerprint, first_difference, read_record, write_record
@@ -97,11 +98,15 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
         (folder / part).mkdir(exist_ok=True)
 
 
+def _is_no_result(path: Path) -> bool:
+    return path.name.startswith(".") or (path / FRAMES_RECORD).is_file()
+
+
 def _marker(folder: Path) -> dict[str, Any] | None:
-    """Content of the marker, None for a folder that is new or has hidden files only."""
+    """Content of the marker, None where there is nothing but hidden files and a video's frames."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"output must be a folder, {folder} is a file")
-    if not folder.exists() or all(path.name.startswith(".") for path in folder.iterdir()):
+    if not folder.exists() or all(_is_no_result(path) for path in folder.iterdir()):
         return None
     remedy = "choose another output"
     found = read_record(folder / MARKER, remedy=remedy)

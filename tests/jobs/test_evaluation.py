@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Errors of trajectories: hand-made truth, laws, and evo where it is installed."""
+
+import os
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.interop.tum import write_tum_trajectory
+from epi360.jobs.evaluation import evaluate
+from epi360.jobs.trajectories import (
+    Similarity,
+    align,
+    matching_frames,
+    posed_frames,
+    read_trajectory,
+)
+from epi360.poses import Pose, rotation_from_vector
+
+
+def straight(count=11, step_m=1.0):
+    """A camera that goes straight ahead along x without turning."""
+    poses = [Pose(np.eye(3), np.array([step_m * k, 0.0, 0.0])) for k in range(count)]
+    return frames_of(poses)
+
+
+def frames_of(poses, names=None, times=True):
+    names = names or [f"{k}.jpg" for k in range(len(poses))]
+    return posed_frames(names, np.arange(len(poses)) / 10 if times else None, poses)
+
+
+def wandering(count=60, seed=0):
+    """A smooth random walk of 6 degrees of freedom."""
+    rng = np.random.default_rng(seed)
+    pose, poses, speed, spin = Pose(np.eye(3), np.zeros(3)), [], np.zeros(3), np.zeros(3)
+    for _ in range(count):
+        speed = 0.9 * speed + 0.03 * rng.standard_normal(3)
+        spin = 0.9 * spin + 0.02 * rng.standard_normal(3)
+        pose = pose @ Pose(rotation_from_vector(spin), speed + [0, 0, 0.1])
+        poses.append(pose)
+    return poses
+
+
+def disturbed(poses, seed=1, position=0.02, angle=0.01):
+    rng = np.random.default_rng(seed)
+    return [
+        Pose(
+            pose.rotation @ rotation_from_vector(angle * rng.standard_normal(3)),
+            pose.translation + position * rng.standard_normal(3),
+        )
+        for pose in poses
+    ]
+
+
+def moved(poses, scale=0.3):
+    """The same way in another world, of another scale."""
+    world = Pose(rotation_from_vector([0.4, -1.0, 0.7]), np.array([5.0, -2.0, 1.0]))
+    return [world @ Pose(pose.rotation, scale * pose.translation) for pose in poses]
+
+
+def test_one_position_that_is_off_gives_errors_a_reader_can_check():
+    poses = [Pose(np.eye(3), np.array([float(k), 0.0, 0.0])) for k in range(11)]
+    wrong = list(poses)
+    wrong[5] = Pose(np.eye(3), np.array([5.0, 0.3, 0.0]))
+    result = evaluate(frames_of(wrong), frames_of(poses), alignment="none", distance_m=2.0)
+    assert result.path_m == 10 and result.coverage == 1
+    np.testing.assert_allclose(result.position_errors_m, [0] * 5 + [0.3] + [0] * 5, atol=1e-12)
+    np.testing.assert_allclose(result.steps.translation_m, [0] * 4 + [0.3, 0.3] + [0] * 4)
+    assert result.stretches.pairs.tolist() == [[k, k + 2] for k in range(9)]
+    np.testing.assert_allclose(result.stretches.length_m, 2.0)
+    expected = np.zeros(9)
+    expected[[3, 5]] = np.degrees(np.arctan2(0.3, 2.0))
+    np.testing.assert_allclose(result.stretches.direction_deg, expected, atol=1e-9)
+
+
+def test_a_camera_that_is_turned_by_a_degree_has_that_error():
+    poses = [Pose(np.eye(3), np.array([float(k), 0.0, 0.0])) for k in range(6)]
+    turn = rotation_from_vector(np.radians([0.0, 1.0, 0.0]))
+    wrong = [Pose(turn if k == 3 else np.eye(3), pose.translation) for k, pose in enumerate(poses)]
+    result = evaluate(frames_of(wrong), frames_of(poses), alignment="se3", distance_m=1.0)
+    np.testing.assert_allclose(result.rotation_errors_deg, [0, 0, 0, 1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(result.steps.rotation_deg, [0, 0, 1, 1, 0], atol=1e-9)
+    # From camera 2, camera 1's direction turns only where camera 2 is the one that is turned.
+    np.testing.assert_allclose(result.steps.direction_deg, [0, 0, 1, 0, 0], atol=1e-9)
+
+
+def test_a_straight_way_says_nothing_about_the_turn_of_the_cameras_about_it():
+    poses = [Pose(np.eye(3), np.array([float(k), 0.0, 0.0])) for k in range(6)]
+    turned = Pose(rotation_from_vector([0.7, 0.0, 0.0]), np.zeros(3))
+    result = evaluate(frames_of([turned @ pose for pose in poses]), frames_of(poses))
+    np.testing.assert_allclose(result.orientation_errors_deg, 0, atol=1e-9)
+    unaligned = evaluate(
+        frames_of([turned @ pose for pose in poses]), frames_of(poses), alignment="none"
+    )
+    np.testing.assert_allclose(unaligned.orientation_errors_deg, np.degrees(0.7), atol=1e-9)
+
+
+def test_drift_of_scale_is_said_for_a_metre():
+    poses = [Pose(np.eye(3), np.array([0.1 * k, 0.0, 0.0])) for k in range(101)]
+    longer = [Pose(np.eye(3), 1.02 * pose.translation) for pose in poses]
+    result = evaluate(frames_of(longer), frames_of(poses), alignment="none")
+    assert result.distance_m == 1.0 and len(result.stretches.pairs) == 91
+    errors = result.stretches.translation_m / result.stretches.length_m
+    np.testing.assert_allclose(errors, 0.02, atol=1e-12)
+    aligned = evaluate(frames_of(longer), frames_of(poses), alignment="sim3")
+    assert aligned.similarity.scale == pytest.approx(1 / 1.02)
+    assert aligned.position_errors_m.max() < 1e-12
+
+
+def test_another_world_changes_nothing_after_sim3():
+    truth = wandering()
+    estimate = disturbed(truth)
+    here = evaluate(frames_of(estimate), frames_of(truth))
+    there = evaluate(frames_of(moved(estimate)), frames_of(truth))
+    np.testing.assert_allclose(there.position_errors_m, here.position_errors_m, atol=1e-9)
+    np.testing.assert_allclose(there.rotation_errors_deg, here.rotation_errors_deg, atol=1e-9)
+    for name in ("translation_m", "rotation_deg", "direction_deg"):
+        np.testing.assert_allclose(
+            getattr(there.stretches, name), getattr(here.stretches, name), atol=1e-7
+        )
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.2])
+def test_alignment_finds_the_transform_again(scale):
+    truth = np.random.default_rng(0).standard_normal((20, 3))
+    rotation = rotation_from_vector([0.3, 2.0, -0.4])
+    estimate = (truth - [1.0, 2.0, 3.0]) @ rotation / scale
+    found = align(estimate, truth, "sim3")
+    assert found.scale == pytest.approx(scale)
+    np.testing.assert_allclose(found.rotation, rotation, atol=1e-12)
+    np.testing.assert_allclose(found.translation, [1.0, 2.0, 3.0], atol=1e-12)
+
+
+def test_no_small_turn_or_shift_of_the_alignment_makes_the_error_smaller():
+    truth, estimate = frames_of(wandering()), frames_of(moved(disturbed(wandering())))
+    best = evaluate(estimate, truth)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        other = Similarity(
+            best.similarity.scale * (1 + 1e-3 * rng.standard_normal()),
+            best.similarity.rotation @ rotation_from_vector(1e-3 * rng.standard_normal(3)),
+            best.similarity.translation + 1e-3 * rng.standard_normal(3),
+        )
+        errors = np.linalg.norm(other.of(estimate).positions - truth.positions, axis=1)
+        assert (errors**2).sum() > (best.position_errors_m**2).sum()
+
+
+def test_frames_without_a_pose_lower_the_coverage():
+    truth = frames_of(wandering())
+    estimate = truth.rows(np.arange(15, 60))
+    result = evaluate(estimate, truth)
+    assert result.coverage == 0.75 and result.num_truth == 60
+
+
+def test_times_match_the_nearest_frame_within_the_gap_and_each_frame_once():
+    truth = posed_frames(["a", "b", "c"], np.array([0.0, 0.1, 0.2]), wandering(3))
+    estimate = posed_frames(
+        ["x", "y", "z", "w"], np.array([0.004, 0.006, 0.115, 0.2]), wandering(4)
+    )
+    rows, truth_rows = matching_frames(estimate, truth, 0.01)
+    assert (rows.tolist(), truth_rows.tolist()) == ([0, 3], [0, 2])
+    rows, truth_rows = matching_frames(estimate, truth, 0.02)
+    assert (rows.tolist(), truth_rows.tolist()) == ([0, 2, 3], [0, 1, 2])
+
+
+def test_names_match_where_times_are_missing_also_without_folder_and_extension():
+    truth = frames_of(wandering(3), ["2.png", "10.png", "3.png"], times=False)
+    estimate = frames_of(wandering(2), ["images/10.jpg", "images/2.jpg"])
+    rows, truth_rows = matching_frames(estimate, truth, 0.01)
+    assert (rows.tolist(), truth_rows.tolist()) == ([1, 0], [0, 1])
+
+
+def test_too_few_frames_in_common_and_a_still_estimate_are_refused():
+    truth = straight()
+    later = posed_frames(list(truth.names), truth.times_s + 100, wandering(11))
+    with pytest.raises(ValueError, match="0 of 11 true frames.*times from 100 to 101 s"):
+        evaluate(later, truth)
+    other = frames_of(wandering(4), ["p", "q", "r", "s"], times=False)
+    with pytest.raises(ValueError, match="the names differ, such as p and 0.jpg"):
+        evaluate(other, truth)
+    still = frames_of([Pose(np.eye(3), np.ones(3))] * 11)
+    with pytest.raises(ValueError, match="it has no scale"):
+        evaluate(still, truth)
+    assert evaluate(still, truth, alignment="se3").position_errors_m.max() == pytest.approx(5)
+    with pytest.raises(ValueError, match="distance_m must be positive"):
+        evaluate(truth, truth, distance_m=0.0)
+
+
+def write_tum(path, poses):
+    images = tuple(
+        PosedImage(f"{k / 10}", None, pose.inverse(), k / 10) for k, pose in enumerate(poses)
+    )
+    write_tum_trajectory(path, Reconstruction({}, images))
+    return path
+
+
+def test_a_trajectory_file_is_read_in_the_order_of_its_times(tmp_path):
+    poses = wandering(12)
+    path = write_tum(tmp_path / "way.txt", poses)
+    head, *rows = path.read_text().splitlines()
+    path.write_text("\n".join([head, *rows[::-1]]) + "\n")
+    frames = read_trajectory(path)
+    np.testing.assert_allclose(frames.times_s, np.arange(12) / 10)
+    np.testing.assert_allclose(frames.positions, [pose.translation for pose in poses], atol=1e-12)
+
+
+@pytest.mark.parametrize("alignment", ["sim3", "se3"])
+def test_ate_and_rpe_agree_with_evo(tmp_path, alignment):
+    # evo is GPL: its program is called where it is installed, never imported.
+    program = os.environ.get("EPI360_EVO", "evo_ape")
+    if shutil.which(program) is None:
+        pytest.skip("evo is not installed; EPI360_EVO names its program evo_ape")
+    truth = wandering(200)
+    estimate = disturbed(moved(truth, 1.0 if alignment == "se3" else 0.3), position=0.01)
+    files = [
+        str(write_tum(tmp_path / f"{name}.txt", poses))
+        for name, poses in (("truth", truth), ("estimate", estimate))
+    ]
+    ours = evaluate(read_trajectory(files[1]), read_trajectory(files[0]), alignment=alignment)
+    fit = ["--align"] + (["--correct_scale"] if alignment == "sim3" else [])
+
+    def theirs(name, *words):
+        command = [program.replace("evo_ape", name), "tum", *files, *fit, *words]
+        answer = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+        return float(re.search(r"rmse\s+([\d.e+-]+)", answer.stdout)[1])
+
+    def rms(errors):
+        return np.sqrt(np.mean(errors**2))
+
+    assert rms(ours.position_errors_m) == pytest.approx(theirs("evo_ape"), abs=2e-6)
+    assert rms(ours.rotation_errors_deg) == pytest.approx(
+        theirs("evo_ape", "-r", "angle_deg"), abs=2e-6
+    )
+    for ours_now, relation in (
+        (ours.steps.translation_m, "trans_part"),
+        (ours.steps.rotation_deg, "angle_deg"),
+    ):
+        words = ("-r", relation, "--delta", "1", "--delta_unit", "f")
+        assert rms(ours_now) == pytest.approx(theirs("evo_rpe", *words), abs=2e-6)

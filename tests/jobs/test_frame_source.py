@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Frames of a folder and of a video come the same way."""
+
+import numpy as np
+import pytest
+from rendered_views import write_png
+from written_videos import noise_frames, write_video
+
+from epi360.cameras import Equirectangular
+from epi360.jobs.frame_source import open_frames
+
+
+@pytest.fixture
+def folder(tmp_path):
+    folder = tmp_path / "images"
+    for index, picture in enumerate(noise_frames(11)):
+        write_png(folder / f"{index}.png", picture)
+    return folder
+
+
+def test_a_folder_gives_its_images_in_natural_order_without_times(folder):
+    source = open_frames(folder)
+    frames = list(source)
+    assert [name for name, _, _ in frames] == [f"{index}.png" for index in range(11)]
+    assert {time for _, time, _ in frames} == {None}
+    np.testing.assert_array_equal(frames[10].image, noise_frames(11)[10])
+    assert source.num_frames == 11 and source.ending is None
+    assert source.camera() == Equirectangular(256, 128)
+
+
+def test_the_table_of_frames_gives_the_times_and_names_what_is_missing(folder):
+    rows = "image,timestamp_s\n0.png,0.5\ngone.png,0.6\n1.png,0.75\n2.png,\n"
+    (folder / "frames.csv").write_text(rows)
+    (folder / "1.png").write_bytes(b"no picture")
+    frames = list(open_frames(folder))
+    assert [(name, time) for name, time, _ in frames[:4]] == [
+        ("0.png", 0.5), ("gone.png", 0.6), ("1.png", 0.75), ("2.png", None),
+    ]  # fmt: skip
+    assert isinstance(frames[1].image, FileNotFoundError)
+    assert "is not a JPEG" in str(frames[2].image)
+    assert len(frames) == 12
+    assert [f.name for f in open_frames(folder, start_s=0.6, end_s=0.8)] == ["gone.png", "1.png"]
+
+
+def test_a_video_gives_names_with_the_index_and_its_own_times(tmp_path):
+    pytest.importorskip("av")
+    source = open_frames(write_video(tmp_path / "walk.mp4", noise_frames(30)), start_s=0.4, end_s=1)
+    frames = list(source)
+    assert [frame.name for frame in frames] == [f"walk_{i:06d}.jpg" for i in range(10, 26)]
+    np.testing.assert_allclose([frame.timestamp_s for frame in frames], np.arange(10, 26) / 25)
+    assert abs(source.num_frames - 16) <= 1
+    assert frames[0].image.shape == (128, 256, 3)
+    assert source.camera() == Equirectangular(256, 128)
+
+
+def test_a_path_that_leads_out_of_the_folder_is_refused(folder):
+    (folder / "frames.csv").write_text("image,timestamp_s\n../0.png,0.5\n")
+    with pytest.raises(ValueError, match="leads out of"):
+        open_frames(folder)
+
+
+def test_what_holds_no_frames_is_refused(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match="has no JPEG"):
+        open_frames(tmp_path / "empty")
+    with pytest.raises(FileNotFoundError, match="image folder .* does not exist"):
+        open_frames(tmp_path / "none")
+    (tmp_path / "notes.txt").write_text("words")
+    with pytest.raises(ValueError, match="no video file|needs? av|need av"):
+        open_frames(tmp_path / "notes.txt")

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Frames of a video: which are chosen, what is written, resumed and refused."""
+
+import csv
+
+import cv2
+import numpy as np
+import pytest
+from written_videos import noise_frames, write_video
+
+from epi360.cameras import Equirectangular
+from epi360.jobs.frame_selection import FrameChooser, choose_frames, parallax_rad
+from epi360.jobs.frames_job import FramesOptions, extract_frames
+from epi360.poses import Pose, rotation_from_vector
+from epi360_scenes import furnished_room
+
+pytest.importorskip("av")
+CAMERA = Equirectangular(256, 128)
+STEPS = 24
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """Panoramas of a room, 6 cm and a turn of 3 degrees apart."""
+    room = furnished_room()
+    return [
+        room.render(
+            CAMERA,
+            Pose(rotation_from_vector([0, 0.05 * k, 0]), np.array([0.1, -1.5, 0.06 * k - 0.8])),
+            supersample=1,
+        ).image
+        for k in range(STEPS)
+    ]
+
+
+@pytest.fixture(scope="module")
+def video(walk, tmp_path_factory):
+    return write_video(tmp_path_factory.mktemp("walk") / "walk.mp4", walk)
+
+
+def chosen(pictures, parallax_deg=3.0, **options):
+    frames = ((index, index / 25, picture) for index, picture in enumerate(pictures))
+    return list(choose_frames(frames, FrameChooser(CAMERA, parallax_deg, **options)))
+
+
+def test_parallax_has_the_rotation_taken_out():
+    rng = np.random.default_rng(0)
+    bearings1 = rng.standard_normal((200, 3))
+    bearings1 /= np.linalg.norm(bearings1, axis=1, keepdims=True)
+    bearings2 = bearings1 @ rotation_from_vector([0.3, -0.4, 0.2]).T
+    # A fifth of the points moves by 0.2 rad: the rotation of the others is found all the same.
+    for row in range(0, 200, 5):
+        axis = np.cross(bearings2[row], rng.standard_normal(3))
+        turn = rotation_from_vector(0.2 * axis / np.linalg.norm(axis))
+        bearings2[row] = turn @ bearings2[row]
+    angles = parallax_rad(bearings1, bearings2)
+    np.testing.assert_allclose(angles[::5], 0.2, atol=0.02)
+    assert np.median(angles) < 0.01
+
+
+def test_frames_are_about_as_far_apart_as_asked_for(walk):
+    near, far = chosen(walk, 3.0), chosen(walk, 6.0)
+    assert 1.5 * len(far) <= len(near) + 1 < STEPS
+    assert near[0].index < 4 and np.isnan(near[0].parallax_deg)
+    assert all(2.2 <= frame.parallax_deg <= 5.5 for frame in near[1:])
+    assert [frame.index for frame in near] == sorted({frame.index for frame in near})
+
+
+def test_turning_on_the_spot_needs_one_frame():
+    assert len(chosen(noise_frames(40))) == 1
+
+
+def test_of_frames_that_are_as_good_the_sharpest_is_taken(walk):
+    pairs = [(cv2.blur(picture, (3, 3)), picture) for picture in walk]
+    indices = [frame.index for frame in chosen([p for pair in pairs for p in pair])]
+    assert len(indices) > 3
+    assert all(index % 2 for index in indices[1:])
+
+
+def test_a_cut_gives_a_frame_on_each_side(walk):
+    still = [walk[0]] * 6 + noise_frames(1, seed=5) * 6
+    indices = [frame.index for frame in chosen(still)]
+    assert indices[-1] >= 6 and indices[0] < 6
+
+
+def test_black_frames_are_not_chosen(walk):
+    black = [np.zeros_like(walk[0])] * 5
+    indices = [frame.index for frame in chosen([*black, *walk, *black])]
+    assert indices and min(indices) >= 5 and max(indices) < 5 + STEPS
+
+
+def test_a_camera_that_stands_still_needs_bounded_memory():
+    chooser = FrameChooser(CAMERA, 3.0)
+    picture = noise_frames(1)[0]
+    for index in range(200):
+        assert list(chooser.add(index, index / 25, picture)) == []
+        assert len(chooser._waiting) <= 32
+    assert len(list(chooser.finish())) == 1
+
+
+def test_the_folder_holds_the_frames_and_the_times_of_the_file(video, walk, tmp_path):
+    run = extract_frames(video, tmp_path / "out", FramesOptions(parallax_deg=3.0))
+    with (tmp_path / "out" / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(run.chosen) > 3
+    for row, frame in zip(rows, run.chosen, strict=True):
+        assert row["image"] == f"walk_{frame.index:06d}.jpg"
+        assert float(row["timestamp_s"]) == frame.timestamp_s == pytest.approx(frame.index / 25)
+        written = cv2.imread(str(tmp_path / "out" / row["image"]))[:, :, ::-1]
+        assert np.abs(written.astype(int) - walk[frame.index]).mean() < 6
+    assert run.num_frames == STEPS and run.remarks == ()
+
+
+def test_a_short_video_gives_more_frames_that_are_nearer_to_each_other(video, tmp_path):
+    few = extract_frames(video, tmp_path / "few", FramesOptions(parallax_deg=3.0))
+    run = extract_frames(video, tmp_path / "out", FramesOptions())
+    assert len(run.chosen) > 1.5 * len(few.chosen)
+    assert "the camera moved little: frames are" in run.remarks[0]
+
+
+def test_a_stopped_run_goes_on_and_equals_one_that_was_not(video, tmp_path):
+    class StopError(Exception):
+        pass
+
+    def stop(stage, done, total):
+        if stage == "frames" and done == 2:
+            raise StopError
+
+    with pytest.raises(StopError):
+        extract_frames(video, tmp_path / "a", FramesOptions(), progress=stop)
+    first = extract_frames(video, tmp_path / "a", FramesOptions())
+    whole = extract_frames(video, tmp_path / "b", FramesOptions())
+    assert first.num_new == whole.num_new - 2
+    files = {path.name for path in (tmp_path / "b").iterdir()}
+    assert files == {path.name for path in (tmp_path / "a").iterdir()}
+    for name in files:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_every_nth_frame_between_two_times(video, tmp_path):
+    options = FramesOptions(every=4, start_s=0.2, end_s=0.7)
+    run = extract_frames(video, tmp_path / "out", options)
+    assert [frame.index for frame in run.chosen] == [5, 9, 13, 17]
+
+
+def test_the_quality_changes_the_size(video, tmp_path):
+    sizes = []
+    for quality in (60, 95):
+        folder = tmp_path / str(quality)
+        extract_frames(video, folder, FramesOptions(every=12, jpeg_quality=quality))
+        sizes.append((folder / "walk_000000.jpg").stat().st_size)
+    assert sizes[0] < 0.7 * sizes[1]
+
+
+def test_a_folder_of_other_things_is_refused(video, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "photo.jpg").write_bytes(b"")
+    with pytest.raises(ValueError, match="is not empty and holds no frames"):
+        extract_frames(video, tmp_path / "full", FramesOptions())
+    extract_frames(video, tmp_path / "out", FramesOptions(every=12))
+    with pytest.raises(ValueError, match="holds frames with every 12, not 6"):
+        extract_frames(video, tmp_path / "out", FramesOptions(every=6))
+
+
+def test_frames_that_are_no_panoramas_need_a_camera(tmp_path):
+    video = write_video(tmp_path / "phone.mp4", noise_frames(4, (128, 192)))
+    with pytest.raises(ValueError, match="shows no panoramas .* give its camera"):
+        extract_frames(video, tmp_path / "out", FramesOptions())
+    assert len(extract_frames(video, tmp_path / "all", FramesOptions(every=1)).chosen) == 4
+
+
+def test_an_early_end_is_said(tmp_path, video):
+    data = write_video(
+        tmp_path / "whole.mp4", noise_frames(60, seed=2), options={"movflags": "faststart"}
+    ).read_bytes()
+    (tmp_path / "cut.mp4").write_bytes(data[: int(0.6 * len(data))])
+    run = extract_frames(tmp_path / "cut.mp4", tmp_path / "out", FramesOptions(every=5))
+    assert len(run.chosen) >= 3 and "the file is cut off" in run.remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"every": 0}, "every must be 1 or more, got 0"),
+        ({"parallax_deg": 0}, "parallax_deg must be between 0 and 90"),
+        ({"jpeg_quality": 101}, "jpeg_quality must be from 1 to 100"),
+        ({"start_s": 2.0, "end_s": 1.0}, "end must not be before start"),
+    ],
+)
+def test_options_out_of_range_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        FramesOptions(**options)
