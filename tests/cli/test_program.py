@@ -10,7 +10,10 @@ from command_line import assert_wrong_use
 from epi360 import cli
 from epi360.cli.command import app
 
-COMMANDS = ("pair", "match", "map", "batch", "convert", "cubemap", "render", "reproduce")
+COMMANDS = (
+    "pair", "frames", "match", "map", "track", "evaluate", "batch", "convert", "cubemap", "render",
+    "reproduce",
+)  # fmt: skip
 
 
 def test_the_commands_are_the_documented_ones():

@@ -23,6 +23,7 @@ from epi360.cli import match as _match  # noqa: F401
 from epi360.cli import pair as _pair  # noqa: F401
 from epi360.cli import render as _render  # noqa: F401
 from epi360.cli import reproduce as _reproduce  # noqa: F401
+from epi360.cli import track as _track  # noqa: F401
 from epi360.cli.command import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE, app
 
 __all__ = ["FAILURE", "INTERRUPTED", "SUCCESS", "WRONG_USE", "app", "main"]

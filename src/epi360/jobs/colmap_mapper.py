@@ -56,7 +56,7 @@ def run_mapper(
         progress(STAGE, placed, num_images)
 
     progress(STAGE, 0, num_images)
-    with _quiet(pycolmap), TemporaryDirectory() as scratch:
+    with quiet(pycolmap), TemporaryDirectory() as scratch:
         pycolmap.set_random_seed(options.seed)
         # COLMAP gets a folder without images: it would decode each of them for the colors of the
         # points, and not turn those that have an orientation tag.
@@ -137,11 +137,12 @@ def _global_options(pycolmap: Any, options: MapperOptions) -> Any:
 
 
 @contextmanager
-def _quiet(pycolmap: Any) -> Iterator[None]:
+def quiet(pycolmap: Any) -> Iterator[None]:
     """COLMAP prints nothing: what it found says whether it failed."""
-    level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
+    logging = pycolmap.logging
+    before = logging.minloglevel, logging.alsologtostderr
+    logging.minloglevel, logging.alsologtostderr = logging.FATAL.value, False
     try:
         yield
     finally:
-        pycolmap.logging.minloglevel = level
+        logging.minloglevel, logging.alsologtostderr = before
