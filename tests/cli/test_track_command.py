@@ -95,6 +95,16 @@ def test_damaged_image_is_named_and_the_run_goes_on(tmp_path, capsys):
     assert [row["status"] for row in rows_of(tmp_path / "out")].count("tracked") == 7
 
 
+def test_missing_images_are_named_where_names_are_numbered(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 9)
+    for number in (5, 6):
+        (tmp_path / "frames" / f"00{number}.png").unlink()
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 0
+    said = "frame 5: 2 before it are missing, 004.png is followed by 007.png"
+    assert said in capsys.readouterr().out
+    assert len(stamps_of(tmp_path / "out")) == 7
+
+
 def test_video_is_tracked_with_its_own_times_and_its_key_frames_are_written(tmp_path):
     pytest.importorskip("av")
     from written_videos import write_video

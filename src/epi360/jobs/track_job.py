@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import time
 from collections import Counter
@@ -32,6 +33,7 @@ from epi360.runs.whole_files import write_file
 STAGE = "tracking frames"
 _SECONDS_BETWEEN_FILES = 10.0  # a run that is killed loses no more of its trajectory
 _JPEG_QUALITY = 95
+_NUMBERED = re.compile(r"(.*?)(\d+)(\.\w+)")  # a name with a number before its extension
 
 
 class Watcher(Protocol):
@@ -168,6 +170,8 @@ class _Run:
         self._names: list[str] = []
         self._messages: list[str] = []
         self._status = ""  # of the frame before
+        self._numbered: re.Match[str] | None = None  # the name of the frame before
+        self._name_step = 0  # between the numbers of the first two names
         self._refused: set[str] = set()  # why masks are not used
         self._seconds = 0.0
         self._begun = time.perf_counter()
@@ -249,6 +253,7 @@ class _Run:
                 image, frame.timestamp_s, mask=self._mask_of(frame.name)
             )
         self._seconds += time.perf_counter() - begun
+        self._name_gap(frame.name, result.index)
         self._names.append(frame.name)
         is_new = result.status in ("tracked", "lost") or result.status != self._status
         if result.message and is_new:
@@ -257,6 +262,22 @@ class _Run:
         if self._watcher is not None:
             self._watcher(self.odometry, result, image)
         return result
+
+    def _name_gap(self, name: str, index: int) -> None:
+        """Say that numbers are left out between the names of two images."""
+        before, now = self._numbered, _NUMBERED.fullmatch(name)
+        self._numbered = now
+        if before is None or now is None or before[1] != now[1] or before[3] != now[3]:
+            return
+        step = int(now[2]) - int(before[2])
+        if self._name_step and step > self._name_step:
+            missing = step // self._name_step - 1
+            self._messages.append(
+                f"frame {index}: {missing} before it {'is' if missing == 1 else 'are'} missing, "
+                f"{before[0]} is followed by {name}"
+            )
+        elif not self._name_step:
+            self._name_step = step
 
     def _mask_of(self, name: str) -> NDArray[np.bool_] | None:
         mask = self._options.mask
