@@ -139,10 +139,9 @@ def _global_options(pycolmap: Any, options: MapperOptions) -> Any:
 @contextmanager
 def quiet(pycolmap: Any) -> Iterator[None]:
     """COLMAP prints nothing: what it found says whether it failed."""
-    logging = pycolmap.logging
-    before = logging.minloglevel, logging.alsologtostderr
-    logging.minloglevel, logging.alsologtostderr = logging.FATAL.value, False
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     try:
         yield
     finally:
-        logging.minloglevel, logging.alsologtostderr = before
+        pycolmap.logging.minloglevel = level

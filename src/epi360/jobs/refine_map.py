@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def refine_with_colmap(odometry: Odometry, camera: Camera) -> str:
         options.refine_extra_params = False
         options.refine_sensor_from_rig = False
         options.print_summary = False
-        pycolmap.bundle_adjustment(adjusted, options)
+        _adjust(pycolmap, adjusted, options)
         adjusted.update_point_3d_errors()
         after = adjusted.compute_mean_reprojection_error()
     poses = {image.name: image.cam_from_world() for image in adjusted.images.values()}
@@ -45,6 +46,15 @@ def refine_with_colmap(odometry: Odometry, camera: Camera) -> str:
     positions = np.array([adjusted.points3D[row + 1].xyz for row in range(len(points.positions))])
     odometry.move_map([Pose.from_matrix(matrix) for matrix in matrices], positions)
     return (
-        f"COLMAP's bundle adjustment of {len(key_frames)} key frames lowered the mean "
-        f"reprojection error from {before:.3f} to {after:.3f} pixels"
+        f"COLMAP's bundle adjustment of {len(key_frames)} key frames: mean reprojection error "
+        f"{before:.3f} pixels before, {after:.3f} after"
     )
+
+
+def _adjust(pycolmap: Any, model: Any, options: Any) -> None:
+    """Adjust all images; ``pycolmap.bundle_adjustment`` would print, whatever the log level."""
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
