@@ -15,7 +15,14 @@ from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import scene
 
 DOCS = ROOT / "docs"
-HOWTOS = ("splats_from_360_video", "existing_project", "virtual_tour", "fisheye_rig", "batch")
+HOWTOS = (
+    "splats_from_360_video",
+    "existing_project",
+    "virtual_tour",
+    "fisheye_rig",
+    "batch",
+    "odometry",
+)
 WALK = ("--scene", "living_room", "--num-frames", "6", "--step-m", "0.2",
         "--max-turn-deg", "6", "--width", "512")  # fmt: skip
 
@@ -45,6 +52,12 @@ def test_splats_from_a_360_video(walk, folder):
     run_document(DOCS / "splats_from_360_video.md")
     faces = {path.stem.partition("_")[2] for path in Path("map/cubemap/images").iterdir()}
     assert faces == {"front", "right", "back", "left", "up"}
+
+
+def test_odometry(walk, folder):
+    shutil.copytree(walk, "walk")
+    run_document(DOCS / "odometry.md")
+    assert Path("tracked/trajectory.txt").is_file()
 
 
 def test_an_existing_project(walk, folder):

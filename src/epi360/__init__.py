@@ -43,6 +43,7 @@ if TYPE_CHECKING:
         read_mask,
         track_features,
     )
+    from epi360.odometry import FrameResult, Odometry, OdometryOptions, Trajectory
     from epi360.poses import Pose, rotation_error_deg, translation_error_deg
     from epi360.two_view import relative_pose_of_images
 
@@ -63,15 +64,17 @@ _HOMES = {
         "Features", "Tracks", "extract_features", "match_features", "read_image", "read_mask",
         "track_features",
     ),
+    "epi360.odometry": ("FrameResult", "Odometry", "OdometryOptions", "Trajectory"),
     "epi360.poses": ("Pose", "rotation_error_deg", "translation_error_deg"),
     "epi360.two_view": ("relative_pose_of_images",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "Features", "ImagePairResult",
-    "KannalaBrandt", "Pinhole", "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult",
-    "Stability", "Tracks", "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
+    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "Features", "FrameResult",
+    "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole", "Pose",
+    "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability", "Tracks", "Trajectory",
+    "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
     "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "match_features",
     "paper_pose", "pose_from_essential", "read_image", "read_mask", "refine_pose",
     "relative_pose_of_images", "residual_weights", "rotation_error_deg", "stability",

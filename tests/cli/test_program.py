@@ -11,7 +11,8 @@ from epi360 import cli
 from epi360.cli.command import app
 
 COMMANDS = (
-    "pair", "match", "map", "batch", "frames", "evaluate", "convert", "cubemap", "render", "reproduce",
+    "pair", "frames", "match", "map", "track", "evaluate", "batch", "convert", "cubemap", "render",
+    "reproduce",
 )  # fmt: skip
 
 

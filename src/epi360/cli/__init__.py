@@ -27,6 +27,7 @@ try:
     from epi360.cli import pair as _pair  # noqa: F401
     from epi360.cli import render as _render  # noqa: F401
     from epi360.cli import reproduce as _reproduce  # noqa: F401
+    from epi360.cli import track as _track  # noqa: F401
     from epi360.cli.command import app, check_numbers
 except KeyboardInterrupt:  # half a second in which a user may think again
     print("epi360: interrupted", file=sys.stderr)

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The files of a tracked sequence: trajectory, table of frames, points, models and log."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from epi360.cameras import Camera
+from epi360.interop import (
+    Observations,
+    PosedImage,
+    Reconstruction,
+    write_colmap_model,
+    write_nerfstudio,
+    write_tum_trajectory,
+)
+from epi360.interop.ply import write_ply_points
+from epi360.odometry.frame_result import FrameResult, MapPoints
+from epi360.odometry.key_frames import KeyFrame
+from epi360.runs.whole_files import write_file
+
+TRAJECTORY, FRAMES, POINTS, LOG = "trajectory.txt", "frames.csv", "points.ply", "track.json"
+MODEL, TRANSFORMS, IMAGES = "sparse/0", "transforms.json", "images"
+COLUMNS = ("image", "timestamp_s", "status", "num_inliers", "is_keyframe")
+
+
+class FrameTable:
+    """``frames.csv`` while frames come in: each row is on the disk before the next frame.
+
+    If the disk is full, the table is given up and the run goes on; ``error`` says why.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.error: str | None = None
+        self._file = path.open("w", encoding="utf-8", newline="")
+        self._write(COLUMNS)
+
+    def add(self, name: str, result: FrameResult) -> None:
+        """Write the row of a frame."""
+        self._write(frame_row(name, result))
+
+    def replace(self, names: Sequence[str], results: Sequence[FrameResult]) -> None:
+        """Write all rows anew, as the frames are known by now."""
+        try:
+            write_frames(self.path, names, results)
+        except OSError:
+            return  # the rows that are there stay
+        self.close()
+        self._file = self.path.open("a", encoding="utf-8", newline="")
+        self.error = None
+
+    def close(self) -> None:
+        """Close the file."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self.error = self.error or f"{self.path}: {error.strerror}"
+
+    def _write(self, row: Sequence[object]) -> None:
+        if self.error is not None:
+            return
+        try:
+            csv.writer(self._file, lineterminator="\n").writerow(row)
+            self._file.flush()
+        except OSError as error:
+            self.error = f"{self.path}: {error.strerror}"
+
+
+def frame_row(name: str, result: FrameResult) -> tuple[object, ...]:
+    """Row of a frame in the order of `COLUMNS`."""
+    return (
+        name,
+        repr(float(result.timestamp_s)),
+        result.status,
+        result.num_inliers,
+        int(result.is_keyframe),
+    )
+
+
+def write_frames(path: Path, names: Sequence[str], results: Sequence[FrameResult]) -> None:
+    """Write ``frames.csv`` whole."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    rows.writerows(frame_row(names[result.index], result) for result in results)
+    write_file(path, text.getvalue().encode())
+
+
+def write_trajectory(path: Path, names: Sequence[str], results: Sequence[FrameResult]) -> None:
+    """Write the poses of the frames that have one, in the format of TUM."""
+    images = [
+        PosedImage(names[result.index], None, result.cam_from_world, result.timestamp_s)
+        for result in results
+        if result.status == "tracked"
+    ]
+    write_tum_trajectory(path, Reconstruction({}, tuple(images)))
+
+
+def key_frame_model(
+    camera: Camera,
+    names: Sequence[str] | Mapping[int, str],
+    key_frames: Sequence[KeyFrame],
+    points: MapPoints,
+) -> Reconstruction:
+    """Key frames, points and who sees what, as a reconstruction."""
+    images = tuple(PosedImage(names[each.index], "1", each.cam_from_world) for each in key_frames)
+    seen = Observations(points.point_index, points.key_frame_index, points.pixels)
+    return Reconstruction({"1": camera}, images, points.positions, points.colors, seen)
+
+
+@dataclass
+class Written:
+    """What was written, and sentences about what could not be."""
+
+    files: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    failed: bool = False  # a disk that is full, a folder that nobody may write
+
+    def attempt(self, name: str, write: Callable[[], None]) -> None:
+        """Write one file; what goes wrong does not stop the others."""
+        try:
+            write()
+            self.files.append(name)
+        except OSError as error:
+            self.failed = True
+            self.remarks.append(f"{name} could not be written: {error.strerror or error}")
+        except ValueError as error:
+            self.remarks.append(f"{name} was not written: {error}")
+
+
+def write_model(output: Path, model: Reconstruction, images: Path, written: Written) -> None:
+    """Write the COLMAP model, ``transforms.json`` and the points of the key frames."""
+    written.attempt(POINTS, lambda: write_ply_points(output / POINTS, model.points, model.colors))
+    written.attempt(MODEL, lambda: write_colmap_model(output / MODEL, model))
+    folder = Path(os.path.relpath(images.resolve(), output.resolve())).as_posix()
+    written.attempt(TRANSFORMS, lambda: write_nerfstudio(output / TRANSFORMS, model, images=folder))

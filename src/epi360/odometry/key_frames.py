@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The map of the odometry: key frames, landmarks and who sees what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.odometry.frame_result import FrameTracks
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Ids = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# A landmark that disagrees with the pose of three frames more than it agrees moves on its own.
+_STRIKES = 3
+
+
+@dataclass(eq=False)
+class KeyFrame:
+    """A frame of the map: its pose, and the tracks that it sees.
+
+    Attributes
+    ----------
+    index : int
+        Number of the frame in the sequence.
+    rotation, translation : ndarray, shapes (3, 3) and (3,)
+        cam_from_world.
+    ids : ndarray, shape (N,)
+        Identities of the landmarks or tracks that are seen.
+    bearings, pixels : ndarray, shapes (N, 3) and (N, 2)
+        Where.
+    is_used : ndarray, shape (N,)
+        False for observations that disagree with the map.
+    """
+
+    index: int
+    rotation: Array
+    translation: Array
+    ids: Ids
+    bearings: Array
+    pixels: Array
+    is_used: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        if len(self.is_used) != len(self.ids):
+            self.is_used = np.ones(len(self.ids), np.bool_)
+
+    @property
+    def cam_from_world(self) -> Pose:
+        """Pose of the key frame."""
+        return Pose(self.rotation, self.translation)
+
+    @property
+    def center(self) -> Array:
+        """Position of the camera in the world, shape (3,)."""
+        return -(self.rotation.T @ self.translation)
+
+    @property
+    def rays(self) -> Array:
+        """Directions (N, 3) of the bearings in the world."""
+        return self.bearings @ self.rotation
+
+
+class SparseMap:
+    """Key frames and landmarks; a landmark has the identity of the track that began it."""
+
+    def __init__(self) -> None:
+        self.key_frames: list[KeyFrame] = []
+        self._first: int | None = None  # the lowest identity: rows of the tables start there
+        self._positions = np.empty((0, 3))
+        self._colors = np.empty((0, 3), np.uint8)
+        self._strikes = np.empty(0, np.int8)
+        self._is_banned = np.empty(0, np.bool_)
+        self._same_as = np.empty(0, np.int64)
+
+    @property
+    def num_landmarks(self) -> int:
+        """Number of landmarks with a position."""
+        return int(np.isfinite(self._positions[:, 0]).sum())
+
+    @property
+    def ids(self) -> Ids:
+        """Identities of the landmarks with a position."""
+        return np.flatnonzero(np.isfinite(self._positions[:, 0])) + (self._first or 0)
+
+    def add_key_frame(self, tracks: FrameTracks, pose: Pose) -> KeyFrame:
+        """Add a frame with its pose; tracks that were found to be wrong stay out."""
+        rows = self._rows(tracks.ids)
+        kept = ~self._is_banned[rows]
+        key_frame = KeyFrame(
+            tracks.index,
+            np.array(pose.rotation),
+            np.array(pose.translation),
+            self.landmarks_of(tracks.ids)[kept],
+            tracks.bearings[kept],
+            tracks.pixels[kept],
+        )
+        _use_each_once(key_frame)
+        self.key_frames.append(key_frame)
+        return key_frame
+
+    def landmarks_of(self, ids: Ids) -> Ids:
+        """Identity of the landmark that each track shows, which may be an older track's."""
+        rows = self._rows(ids)
+        landmarks = self._same_as[rows]
+        while len(landmarks):
+            rows = self._rows(landmarks)
+            older = self._same_as[rows]
+            if np.array_equal(older, landmarks):
+                break
+            landmarks = older
+        return landmarks
+
+    def join(self, ids: Ids, landmarks: Ids) -> None:
+        """Say that tracks show landmarks that are there already; theirs are given up."""
+        own, known = self.landmarks_of(ids), self.landmarks_of(landmarks)
+        different = own != known
+        own, known = own[different], known[different]
+        if len(own) == 0:
+            return
+        rows = self._rows(own)
+        self._same_as[rows] = known
+        self._positions[rows] = np.nan
+        for key_frame in self.key_frames:
+            if np.isin(key_frame.ids, own).any():
+                key_frame.ids = self.landmarks_of(key_frame.ids)
+                _use_each_once(key_frame)
+
+    def positions_of(self, ids: Ids) -> Array:
+        """Positions (N, 3) of the landmarks of tracks, NaN where there is none."""
+        rows = self._rows(self.landmarks_of(ids))
+        return self._positions[rows]
+
+    def colors_of(self, ids: Ids) -> NDArray[np.uint8]:
+        """RGB (N, 3) of landmarks."""
+        rows = self._rows(ids)
+        return self._colors[rows]
+
+    def set_positions(self, ids: Ids, positions: Array) -> None:
+        """Place landmarks."""
+        rows = self._rows(ids)
+        self._positions[rows] = positions
+
+    def set_colors(self, ids: Ids, colors: NDArray[np.uint8]) -> None:
+        """Color landmarks."""
+        rows = self._rows(ids)
+        self._colors[rows] = colors
+
+    def remove(self, ids: Ids) -> None:
+        """Take landmarks out for good: what they show moves, or is not one point."""
+        rows = self._rows(ids)
+        self._positions[rows] = np.nan
+        self._is_banned[rows] = True
+
+    def unplace(self, ids: Ids) -> None:
+        """Take the positions of landmarks back; other views may place them again."""
+        rows = self._rows(ids)
+        self._positions[rows] = np.nan
+
+    def is_free(self, ids: Ids) -> Mask:
+        """Whether tracks have no landmark and may still get one."""
+        rows = self._rows(self.landmarks_of(ids))
+        free: Mask = np.isnan(self._positions[rows, 0]) & ~self._is_banned[rows]
+        return free
+
+    def count_agreement(self, ids: Ids, agrees: Mask) -> None:
+        """Count frames that landmarks agree or disagree with; remove those that mostly do not."""
+        landmarks = self.landmarks_of(ids)
+        rows = self._rows(landmarks)
+        self._strikes[rows] = np.clip(self._strikes[rows] + np.where(agrees, -1, 1), 0, _STRIKES)
+        self.remove(landmarks[self._strikes[rows] >= _STRIKES])
+
+    def num_seen_by(self, number: int) -> int:
+        """How many landmarks a key frame sees."""
+        key_frame = self.key_frames[number]
+        seen = key_frame.is_used & np.isfinite(self.positions_of(key_frame.ids)[:, 0])
+        return int(seen.sum())
+
+    def observations(self, numbers: list[int]) -> tuple[NDArray[np.int64], Ids, Array]:
+        """Places in ``numbers``, landmarks and bearings of what these key frames see."""
+        places, ids, bearings = [], [], []
+        for place, number in enumerate(numbers):
+            key_frame = self.key_frames[number]
+            rows = key_frame.is_used & np.isfinite(self.positions_of(key_frame.ids)[:, 0])
+            places.append(np.full(int(rows.sum()), place, np.int64))
+            ids.append(key_frame.ids[rows])
+            bearings.append(key_frame.bearings[rows])
+        return np.concatenate(places), np.concatenate(ids), np.concatenate(bearings)
+
+    def scale(self, factor: float) -> None:
+        """Change the unit of length of the whole map."""
+        self._positions *= factor
+        for key_frame in self.key_frames:
+            key_frame.translation = key_frame.translation * factor
+
+    def _rows(self, ids: Ids) -> NDArray[np.int64]:
+        """Rows of the tables, which grow to hold all identities."""
+        if len(ids) == 0:
+            return ids
+        if self._first is None:
+            self._first = int(ids.min())
+        lowest = int(ids.min())
+        if lowest < self._first:
+            self._grow(self._first - lowest, at_front=True)
+            self._first = lowest
+        needed = int(ids.max()) - self._first + 1 - len(self._strikes)
+        if needed > 0:
+            self._grow(max(needed, len(self._strikes) // 2, 4096), at_front=False)
+        return np.asarray(ids - self._first)
+
+    def _grow(self, count: int, *, at_front: bool) -> None:
+        first = self._first or 0
+        start = first - count if at_front else first + len(self._strikes)
+        pieces: tuple[tuple[str, NDArray[np.generic]], ...] = (
+            ("_positions", np.full((count, 3), np.nan)),
+            ("_colors", np.zeros((count, 3), np.uint8)),
+            ("_strikes", np.zeros(count, np.int8)),
+            ("_is_banned", np.zeros(count, np.bool_)),
+            ("_same_as", np.arange(start, start + count, dtype=np.int64)),
+        )
+        for name, piece in pieces:
+            old = getattr(self, name)
+            setattr(self, name, np.concatenate([piece, old] if at_front else [old, piece]))
+
+
+def _use_each_once(key_frame: KeyFrame) -> None:
+    """Two tracks may have become one landmark: the first of them counts."""
+    _, first = np.unique(key_frame.ids, return_index=True)
+    is_first = np.zeros(len(key_frame.ids), np.bool_)
+    is_first[first] = True
+    key_frame.is_used &= is_first

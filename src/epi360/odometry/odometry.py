@@ -1,0 +1,435 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Visual odometry of a panorama or fisheye video, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.features import ImageSource, read_image, read_mask
+from epi360.features.frame_tracker import FrameTracker
+from epi360.odometry.absolute_pose import AbsolutePoseResult
+from epi360.odometry.frame_clock import FrameClock
+from epi360.odometry.frame_result import (
+    FrameResult,
+    FrameStatus,
+    FrameTracks,
+    MapPoints,
+    Trajectory,
+    shared_rows,
+)
+from epi360.odometry.initialization import Start, Waiting
+from epi360.odometry.key_frames import KeyFrame
+from epi360.odometry.options import OdometryOptions
+from epi360.odometry.pictures import PictureWatch, camera_of_width
+from epi360.odometry.recognition import Recognition
+from epi360.odometry.results import updated_results
+from epi360.odometry.segment import Segment
+from epi360.odometry.turning import nearest_rotation, rotation_between
+from epi360.poses import Pose
+from epi360.two_view import smallest_pixel_deg
+
+_TRIES = 4  # frames in a row that are looked for in the map; afterwards one of so many is
+_FEWEST_TO_TURN = 20  # tracks that predict how the camera turns
+
+
+class Odometry:
+    """Trajectory and sparse map of one moving camera, found while its frames come in.
+
+    Frames wait until the parallax since the first one determines the direction of motion; then a
+    map begins, later frames are placed in it, and frames that waited get their poses afterwards.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera of all frames.
+    mask : path or array, optional
+        White = use, in the size of the frames: the operator and the camera's own holder are black.
+    options : OdometryOptions, optional
+        How frames are tracked.
+    seed : int
+        Random seed of the sampling; the same seed gives the same result.
+
+    Raises
+    ------
+    ValueError
+        If the mask cannot be used.
+    FileNotFoundError
+        If the mask does not exist.
+
+    Notes
+    -----
+    The world is the camera's frame at the first key frame, and the unit of length the distance
+    between the two frames that the map began with. If the sequence is cut, each part has a world
+    of its own, and `trajectory` is that of the part with most frames.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        *,
+        mask: ImageSource | None = None,
+        options: OdometryOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._options = options or OdometryOptions()
+        self._seed = seed
+        usable = None if mask is None else read_mask(mask, (camera.height, camera.width))
+        working = camera_of_width(camera, self._options.max_width)
+        if usable is not None and working != camera:
+            size = (working.width, working.height)
+            usable = cv2.resize(usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        self._tracker = FrameTracker(working, usable, max_points=self._options.max_points)
+        self._watch = PictureWatch(camera, working, usable)
+        self._working, self._usable = working, usable
+        self._full_from_working = np.array(
+            [camera.width / working.width, camera.height / working.height]
+        )
+        self._pixel_rad = float(np.radians(smallest_pixel_deg((working, working))))
+        self._results: list[FrameResult] = []
+        self._segments: list[Segment] = []
+        self._waited: list[list[FrameTracks]] = []  # of each segment, then of the wait
+        self._waiting = self._new_wait()
+        self._active = 0  # the segment that is tracked
+        self._first_index = -1
+        self._first_gray: NDArray[np.uint8] | None = None  # picture of the frame that waits first
+        self._is_lost, self._num_lost = False, 0
+        self._clock = FrameClock()
+        self._before: FrameTracks | None = None
+        self._turn: NDArray[np.float64] | None = None  # cam_now_from_before of the last frame
+        self._recent: list[int] = []  # the last two frames with a pose, if nothing lies between
+
+    def add_frame(
+        self,
+        image: ImageSource,
+        timestamp_s: float | None = None,
+        *,
+        mask: NDArray[np.bool_] | None = None,
+    ) -> FrameResult:
+        """Take the next frame and say where it was taken, as far as that is known by now.
+
+        Parameters
+        ----------
+        image : path or array
+            What `read_image` takes; RGB or grey.
+        timestamp_s : float, optional
+            Time stamp in seconds, the number of the frame by default.
+        mask : ndarray, shape (H, W), bool, optional
+            Pixels of this frame to use, beside the mask of all frames.
+
+        Returns
+        -------
+        result : FrameResult
+            A frame of the wait before the map gets its pose later: see `results`.
+
+        Raises
+        ------
+        ValueError
+            If the image is no picture.
+        FileNotFoundError
+            If it does not exist.
+        """
+        picture = read_image(image)
+        frame = self._next_frame(timestamp_s)
+        fitted, misfit = self._watch.fitted(picture)
+        if fitted is None:
+            return self._lost(frame, misfit)
+        frame = replace(frame, message=_joined(frame.message, misfit))
+        gray = np.asarray(cv2.cvtColor(fitted, cv2.COLOR_RGB2GRAY), np.uint8)
+        verdict = self._watch.verdict(gray)
+        if verdict == "blank":
+            return self._lost(frame, "is blank")
+        if verdict == "frozen" and self._results:
+            return self._repeated(frame)
+        tracked = self._tracker.track(gray, self._turn)
+        seen = np.ones(len(tracked.ids), np.bool_)
+        if mask is not None:
+            seen = _is_white(mask, tracked.pixels * self._full_from_working)
+        tracks = FrameTracks(
+            frame.index,
+            tracked.ids[seen],
+            tracked.bearings[seen],
+            tracked.pixels[seen] * self._full_from_working,
+        )
+        self._predict_turn(tracks)
+        self._before = tracks
+        num_tracked = int(np.count_nonzero(~tracked.is_new[seen]))
+        frame = replace(frame, num_tracked=num_tracked)
+        return self._kept(self._place(tracks, frame, fitted, gray))
+
+    def skip_frame(self, reason: str, timestamp_s: float | None = None) -> FrameResult:
+        """Count a frame that cannot be used, for example because its file is damaged.
+
+        Parameters
+        ----------
+        reason : str
+            Why, for the frame's message.
+        timestamp_s : float, optional
+            Time stamp in seconds.
+        """
+        return self._lost(self._next_frame(timestamp_s), reason)
+
+    def finish(self) -> None:
+        """Adjust the whole map once, when no frame follows."""
+        if self._main is not None:
+            self._segments[self._main].adjust_all()
+
+    def results(self) -> list[FrameResult]:
+        """What is known of each frame by now: frames that waited have their poses.
+
+        Frames of other parts of a sequence that was cut are "lost", and their messages say which
+        part they are in.
+        """
+        main = self._main
+        if main is None:
+            return list(self._results)
+        for segment, waited in zip(self._segments, self._waited, strict=True):
+            segment.pose_waiting(waited)
+        return updated_results(self._results, self._segments, main)
+
+    def trajectory(self) -> Trajectory:
+        """Poses of all frames that have one, as the map is now."""
+        tracked = [result for result in self.results() if result.status == "tracked"]
+        return Trajectory(
+            np.array([result.index for result in tracked], np.int64),
+            np.array([result.timestamp_s for result in tracked]),
+            tuple(result.cam_from_world for result in tracked),
+        )
+
+    def key_frames(self) -> list[KeyFrame]:
+        """Key frames of the map; empty before it begins."""
+        return [] if self._main is None else self._segments[self._main].map.key_frames
+
+    def points(self) -> MapPoints:
+        """Landmarks of the map and where its key frames see them."""
+        if self._main is None:
+            empty = np.zeros(0, np.int64)
+            return MapPoints(
+                np.zeros((0, 3)), np.zeros((0, 3), np.uint8), empty, empty, np.zeros((0, 2))
+            )
+        return self._segments[self._main].points()
+
+    def move_map(self, cam_from_world: Sequence[Pose], positions: NDArray[np.float64]) -> None:
+        """Put key frames and points where another adjustment has found them; frames follow.
+
+        Parameters
+        ----------
+        cam_from_world : sequence of Pose
+            Pose of each of `key_frames`.
+        positions : ndarray, shape (P, 3)
+            Positions of `points`, in their order.
+
+        Raises
+        ------
+        ValueError
+            If there are not as many as of key frames and points.
+        """
+        if self._main is not None:
+            self._segments[self._main].move(cam_from_world, positions)
+
+    @property
+    def num_segments(self) -> int:
+        """Number of maps: more than one where the sequence was cut or lost for good."""
+        return len(self._segments)
+
+    @property
+    def _main(self) -> int | None:
+        if not self._segments:
+            return None
+        sizes = [len(segment.frames) for segment in self._segments]
+        return int(np.argmax(sizes))
+
+    @property
+    def _segment(self) -> Segment | None:
+        return self._segments[self._active] if self._segments else None
+
+    def _new_wait(self) -> Waiting:
+        return Waiting(
+            self._pixel_rad, float(np.radians(self._options.start_sigma_deg)), self._seed
+        )
+
+    def _next_frame(self, timestamp_s: float | None) -> FrameResult:
+        """Result of the next frame as far as its time stamp goes."""
+        stamp, said = self._clock.stamp(timestamp_s)
+        return FrameResult(len(self._results), stamp, "lost", Pose.nan(), message=said)
+
+    def _place(
+        self,
+        tracks: FrameTracks,
+        frame: FrameResult,
+        image: NDArray[np.uint8],
+        gray: NDArray[np.uint8],
+    ) -> FrameResult:
+        """Fill in where a frame was taken."""
+        segment = self._segment
+        if segment is None:
+            return self._wait(tracks, frame, image, gray)
+        result = segment.locate(tracks, self._guess(segment))
+        if result is None:
+            if not self._is_lost:
+                self._is_lost, self._waiting = True, self._new_wait()
+            segment, result = self._found_again(segment, tracks, gray)
+        if result is None:
+            message = _joined(frame.message, "shows too little of the map")
+            return self._wait(tracks, replace(frame, message=message), image, gray)
+        if self._is_lost:
+            frame = replace(frame, message=_joined(frame.message, "the map is found again"))
+            self._waited[self._active].extend(self._waiting.frames)
+            self._is_lost, self._num_lost, self._recent = False, 0, []
+        segment.agree(tracks, result)
+        pose, count = result.cam_from_world, int(result.inlier_mask.sum())
+        is_key_frame = segment.wants_key_frame(tracks, pose, count)
+        if is_key_frame:
+            pose = segment.add_key_frame(tracks, pose)
+            segment.color(segment.last_key_frame, image, self._full_from_working)
+            said = segment.recognise(gray, tracks)
+            if said:
+                pose = segment.last_key_frame.cam_from_world
+                frame = replace(frame, message=_joined(frame.message, said))
+        segment.add_frame(tracks.index, pose, count)
+        self._recent = [*self._recent[-1:], tracks.index]
+        return replace(
+            frame,
+            status="tracked",
+            cam_from_world=pose,
+            num_inliers=count,
+            is_keyframe=is_key_frame,
+        )
+
+    def _wait(
+        self,
+        tracks: FrameTracks,
+        frame: FrameResult,
+        image: NDArray[np.uint8],
+        gray: NDArray[np.uint8],
+    ) -> FrameResult:
+        """Wait for a first map, or for another one while the map is lost."""
+        start = self._waiting.add(tracks)
+        if self._waiting.reference_index == tracks.index:
+            self._first_index, self._first_gray = tracks.index, gray
+        status: FrameStatus = "lost" if self._is_lost else start.status
+        message = frame.message if self._is_lost else _joined(frame.message, start.message)
+        frame = replace(frame, status=status, message=message)
+        if not start.has_begun:
+            return frame
+        if self._is_lost and self._num_lost < _TRIES:  # the old map may still be found again
+            self._waiting.keep(tracks)
+            return frame
+        segment = self._begun(start, tracks)
+        if segment is None:
+            self._waiting.keep(tracks)
+            return replace(frame, status="lost" if self._is_lost else "waiting")
+        segment.color(segment.last_key_frame, image, self._full_from_working)
+        if segment.map.key_frames[0].index == self._first_index:
+            segment.recognise_first(self._first_gray)
+        segment.recognise(gray, tracks)
+        self._first_index, self._first_gray = -1, None
+        said = start.message
+        if len(self._segments) > 1:
+            said = f"another place, map {len(self._segments)}: {said}"
+        return replace(
+            frame,
+            status="tracked",
+            cam_from_world=segment.pose_of(tracks.index),
+            num_inliers=segment.frames[tracks.index].num_inliers,
+            is_keyframe=True,
+            message=said,
+        )
+
+    def _begun(self, start: Start, tracks: FrameTracks) -> Segment | None:
+        """Begin a map; None if the frame does not find its place in it."""
+        waited = self._waiting.frames
+        recognition = Recognition(self._working, self._usable, self._pixel_rad)
+        segment = Segment.begin(start, tracks, waited, self._pixel_rad, self._options, recognition)
+        pose = segment.last_key_frame.cam_from_world
+        if segment.locate(tracks, pose) is None:
+            return None
+        segment.add_frame(tracks.index, pose, segment.map.num_seen_by(-1))
+        self._active = len(self._segments)
+        self._segments.append(segment)
+        self._waited.append(waited)
+        self._is_lost, self._num_lost, self._recent = False, 0, [tracks.index]
+        if tracks.index - 1 in segment.frames:
+            self._recent = [tracks.index - 1, tracks.index]
+        return segment
+
+    def _found_again(
+        self, active: Segment, tracks: FrameTracks, gray: NDArray[np.uint8]
+    ) -> tuple[Segment, AbsolutePoseResult | None]:
+        """The map, of all there are, whose key frames show what a lost frame shows."""
+        self._num_lost += 1
+        if self._num_lost > _TRIES and self._num_lost % _TRIES:
+            return active, None
+        for segment in (active, *(other for other in self._segments if other is not active)):
+            result = segment.find(gray, tracks)
+            if result is not None:
+                self._active = self._segments.index(segment)
+                return segment, result
+        return active, None
+
+    def _guess(self, segment: Segment) -> Pose | None:
+        """Where the frame should be if the camera goes on, turned as its tracks have turned."""
+        if self._is_lost or not self._recent:
+            return None
+        last = segment.pose_of(self._recent[-1])
+        turn = np.eye(3) if self._turn is None else self._turn
+        center = -(last.rotation.T @ last.translation)
+        if len(self._recent) > 1:
+            before = segment.pose_of(self._recent[-2])
+            center = 2 * center + before.rotation.T @ before.translation
+        rotation = nearest_rotation(turn @ last.rotation)
+        return Pose(rotation, -(rotation @ center))
+
+    def _predict_turn(self, tracks: FrameTracks) -> None:
+        """How the camera has turned since the frame before; the next frame should turn alike."""
+        self._turn = None
+        if self._before is None:
+            return
+        rows1, rows2 = shared_rows(self._before.ids, tracks.ids)
+        if len(rows1) >= _FEWEST_TO_TURN:
+            self._turn, _ = rotation_between(self._before.bearings[rows1], tracks.bearings[rows2])
+
+    def _repeated(self, frame: FrameResult) -> FrameResult:
+        """Result of a frame that shows the picture of the one before."""
+        before = self._results[-1]
+        said = _joined(frame.message, f"repeats the picture of frame {before.index}")
+        segment = self._segment
+        frame = replace(frame, message=said, num_inliers=before.num_inliers)
+        if segment is not None and before.index in segment.frames and not self._is_lost:
+            pose = segment.pose_of(before.index)
+            segment.add_frame(frame.index, pose, before.num_inliers)
+            self._recent = [frame.index]
+            return self._kept(replace(frame, status="tracked", cam_from_world=pose))
+        if segment is None:
+            self._waiting.repeat(frame.index)
+            status: FrameStatus = "static" if before.status != "turning" else "turning"
+            return self._kept(replace(frame, status=status))
+        return self._kept(replace(frame, status="lost"))
+
+    def _lost(self, frame: FrameResult, reason: str) -> FrameResult:
+        """Result of a frame that cannot be used; the next one is tracked from the one before."""
+        said = _joined(frame.message, reason)
+        self._recent = self._recent[-1:]
+        return self._kept(replace(frame, status="lost", message=said))
+
+    def _kept(self, result: FrameResult) -> FrameResult:
+        if result.message:
+            result = replace(result, message=f"frame {result.index}: {result.message}")
+        self._results.append(result)
+        return result
+
+
+def _is_white(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    height, width = mask.shape
+    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
+    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
+    return np.asarray(mask[rows, columns])
+
+
+def _joined(*sentences: str) -> str:
+    return "; ".join(sentence for sentence in sentences if sentence)

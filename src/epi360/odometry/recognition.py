@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Places that are seen again: the way back to a lost map, and loops that take drift away."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.features.binary_features import BinaryFeatures, extract_binary_features
+from epi360.odometry.frame_result import FrameTracks
+from epi360.odometry.key_frames import Ids, SparseMap
+from epi360.odometry.loop_closure import LoopClosure, LoopOptions, close_loop
+from epi360.odometry.places import PlaceIndex
+from epi360.odometry.pose_graph import (
+    PoseGraphEdge,
+    diagonal_information,
+    move_points,
+    optimize_pose_graph,
+)
+from epi360.odometry.relocalization import MappedView, PlaceOptions, map_view, relocalize
+from epi360.odometry.similarity import Similarity
+from epi360.odometry.turning import angles_between
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+
+_NUM_FEATURES = 800  # of a key frame, 45 kB
+_CANDIDATES = 4  # key frames that are tried when the map is lost
+_NUM_NEIGHBOURS, _FARTHEST = 4, 4  # key frames whose rays place the features of one
+_THRESHOLD_PX = 2.0  # of a feature; small pictures need more than the angle that is the default
+_LOOP_GAP = 20  # key frames, before which a place that looks alike is no loop
+_SIMILAR = 0.5  # of the similarity to the key frame before, which a loop's must reach
+_FEWEST_COMMON = 30  # landmarks that two key frames share if nothing has drifted between them
+_REST = 5  # key frames after a loop, or a try that failed, before the next is tried
+
+
+class Recognition:
+    """What the key frames of one map look like."""
+
+    def __init__(self, camera: Camera, mask: NDArray[np.bool_] | None, pixel_rad: float) -> None:
+        self._camera, self._mask = camera, mask
+        place = PlaceOptions()
+        threshold_rad = max(place.threshold_rad, _THRESHOLD_PX * pixel_rad)
+        self._place = replace(place, threshold_rad=threshold_rad)
+        self._index = PlaceIndex()
+        self._features: dict[int, BinaryFeatures] = {}
+        self._loops: list[PoseGraphEdge] = []
+        self._rest_until = 0
+
+    def features(self, gray: NDArray[np.uint8]) -> BinaryFeatures:
+        """Features of a picture."""
+        return extract_binary_features(gray, self._camera, self._mask, max_features=_NUM_FEATURES)
+
+    def add(self, number: int, features: BinaryFeatures) -> None:
+        """Remember what a key frame looks like."""
+        self._features[number] = features
+        self._index.add(number, features.descriptors)
+
+    def find(self, sparse_map: SparseMap, gray: NDArray[np.uint8]) -> tuple[Pose, int] | None:
+        """Pose of a picture in the map and the key frame that shows the same place, or None."""
+        features = self.features(gray)
+        found = relocalize(features, self._candidates(sparse_map, features), options=self._place)
+        return (found.pose.cam_from_world, found.key_frame) if found.success else None
+
+    def close_loop(self, sparse_map: SparseMap) -> LoopClosure | None:
+        """Loop between the newest key frame and an old one that shows the same place."""
+        number = len(sparse_map.key_frames) - 1
+        if number < self._rest_until or number not in self._features:
+            return None
+        features = self._features[number]
+        similar = self._index.most_similar(features.descriptors, 1, not_after=number - _LOOP_GAP)
+        nearby = self._index.most_similar(features.descriptors, 3, not_after=number - 1)
+        if not similar or similar[0][1] < _SIMILAR * nearby[-1][1]:
+            return None
+        old = similar[0][0]
+        new_frame, old_frame = sparse_map.key_frames[number], sparse_map.key_frames[old]
+        if len(np.intersect1d(new_frame.ids, old_frame.ids)) >= _FEWEST_COMMON:
+            return None
+        self._rest_until = number + _REST
+        centers = np.array([each.center for each in sparse_map.key_frames[old:]])
+        way = float(np.linalg.norm(np.diff(centers, axis=0), axis=1).sum())
+        loop = close_loop(
+            self._view(sparse_map, number),
+            self._view(sparse_map, old),
+            path_length=way,
+            options=LoopOptions(place=self._place),
+        )
+        return loop if loop.success else None
+
+    def correct(self, sparse_map: SparseMap, loop: LoopClosure) -> Array:
+        """Spread what a loop says over the key frames; returns by what each (K,) has shrunk."""
+        assert loop.new_from_old is not None
+        self._loops.append(PoseGraphEdge(loop.old, loop.new, loop.new_from_old, loop.information))
+        nodes = [Similarity.from_pose(each.cam_from_world) for each in sparse_map.key_frames]
+        edges = [_odometry_edge(nodes, number) for number in range(1, len(nodes))]
+        graph = optimize_pose_graph(nodes, [*edges, *self._loops])
+        ids = sparse_map.ids
+        points = move_points(
+            sparse_map.positions_of(ids), _last_seen(sparse_map, ids), nodes, graph.node_from_world
+        )
+        sparse_map.set_positions(ids, points)
+        scales = np.array([node.scale for node in graph.node_from_world])
+        for key_frame, node in zip(sparse_map.key_frames, graph.node_from_world, strict=True):
+            pose = node.pose()
+            key_frame.rotation = np.array(pose.rotation)
+            key_frame.translation = np.array(pose.translation)
+        # What the loop said about scale holds between key frames that have one unit from now on.
+        self._loops = [
+            PoseGraphEdge(
+                edge.i,
+                edge.j,
+                nodes_relative(graph.node_from_world, edge.i, edge.j),
+                edge.information,
+            )
+            for edge in self._loops
+        ]
+        return 1.0 / scales
+
+    def join_tracks(
+        self, sparse_map: SparseMap, tracks: FrameTracks, pose: Pose, number: int, limit_rad: float
+    ) -> int:
+        """Join tracks to the landmarks around a key frame that they must show; returns how many."""
+        near = sparse_map.key_frames[max(number - 3, 0) : number + 4]
+        ids = np.unique(np.concatenate([each.ids[each.is_used] for each in near]))
+        positions = sparse_map.positions_of(ids)
+        seen = np.isfinite(positions[:, 0]) & ~np.isin(ids, sparse_map.landmarks_of(tracks.ids))
+        ids, positions = ids[seen], positions[seen]
+        if len(ids) == 0:
+            return 0
+        rays = positions @ pose.rotation.T + pose.translation
+        rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
+        cosines = tracks.bearings @ rays.T
+        nearest = cosines.argmax(axis=1)
+        mutual = cosines.argmax(axis=0)[nearest] == np.arange(len(nearest))
+        close = angles_between(tracks.bearings, rays[nearest]) < limit_rad
+        rows = np.flatnonzero(mutual & close)
+        sparse_map.join(tracks.ids[rows], ids[nearest[rows]])
+        return len(rows)
+
+    def _candidates(self, sparse_map: SparseMap, features: BinaryFeatures) -> Iterator[MappedView]:
+        similar = self._index.most_similar(features.descriptors, _CANDIDATES)
+        numbers = [number for number, _ in similar]
+        last = max(self._features, default=-1)
+        if last >= 0:
+            numbers = [last, *(number for number in numbers if number != last)]
+        for number in numbers:
+            yield self._view(sparse_map, number)
+
+    def _view(self, sparse_map: SparseMap, number: int) -> MappedView:
+        """Key frame with the places of its features, from the rays of its neighbours."""
+        offsets = sorted(
+            (abs(other - number), other)
+            for other in self._features
+            if 0 < abs(other - number) <= _FARTHEST
+        )
+        neighbours = [
+            (sparse_map.key_frames[other].cam_from_world, self._features[other])
+            for _, other in offsets[-_NUM_NEIGHBOURS:]
+        ]
+        pose = sparse_map.key_frames[number].cam_from_world
+        return map_view(number, pose, self._features[number], neighbours, self._place)
+
+
+def nodes_relative(nodes: list[Similarity], i: int, j: int) -> Similarity:
+    """Similarity between two nodes in the one unit that the world has after a correction."""
+    relative = nodes[j].pose() @ nodes[i].pose().inverse()
+    return Similarity.from_pose(relative)
+
+
+def _odometry_edge(nodes: list[Similarity], number: int) -> PoseGraphEdge:
+    """Edge from the key frame before; each step may be wrong by a percent of its length."""
+    relative = nodes[number] @ nodes[number - 1].inverse()
+    length = max(float(np.linalg.norm(relative.translation)), 1e-6)
+    information = diagonal_information(2e-3, 0.01 * length, 0.01)
+    return PoseGraphEdge(number - 1, number, relative, information)
+
+
+def _last_seen(sparse_map: SparseMap, ids: Ids) -> NDArray[np.intp]:
+    """Number of the newest key frame that sees each landmark (sorted identities), or -1."""
+    numbers = np.full(len(ids), -1, np.intp)
+    for number, key_frame in enumerate(sparse_map.key_frames):
+        rows = np.searchsorted(ids, key_frame.ids)
+        rows = np.minimum(rows, len(ids) - 1)
+        known = key_frame.is_used & (ids[rows] == key_frame.ids)
+        numbers[rows[known]] = number
+    return numbers

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import csv
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from walked_room import frames, write_frames
+
+from epi360.cli import main
+from epi360.interop import read_colmap_model, read_nerfstudio, read_tum_trajectory
+from epi360.interop.ply import read_ply_points
+from epi360.jobs import track_files, track_job
+
+
+def rows_of(output):
+    with (output / "frames.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def stamps_of(output):
+    return [image.timestamp_s for image in read_tum_trajectory(output / "trajectory.txt").images]
+
+
+def log_of(output):
+    return json.loads((output / "track.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk") / "frames"
+    write_frames(folder, 12)
+    output = folder.parent / "out"
+    code = main(["track", str(folder), "--out", str(output), "--refine"])
+    return folder, output, code
+
+
+def test_track_writes_all_files(walk):
+    _, output, code = walk
+    assert code == 0
+    model = read_colmap_model(output / "sparse" / "0")
+    points, colors = read_ply_points(output / "points.ply")
+    log = log_of(output)
+    assert len(model.images) == log["num_key_frames"]
+    assert len(points) == len(model.points) == len(colors) == log["num_points"]
+    assert colors.max() > 50
+    assert model.observations is not None and len(model.observations.points) > 2 * len(points)
+    assert log["track"] == "done" and log["statuses"] == {"tracked": 12}
+    assert any("COLMAP's bundle adjustment" in message for message in log["messages"])
+
+
+def test_tracked_rows_are_those_of_the_trajectory_in_order(walk):
+    _, output, _ = walk
+    rows = rows_of(output)
+    assert list(rows[0]) == ["image", "timestamp_s", "status", "num_inliers", "is_keyframe"]
+    assert [row["image"] for row in rows] == [f"{index:03d}.png" for index in range(12)]
+    tracked = [float(row["timestamp_s"]) for row in rows if row["status"] == "tracked"]
+    assert stamps_of(output) == tracked
+    assert all(int(row["num_inliers"]) > 20 for row in rows)
+
+
+def test_transforms_name_the_images_of_the_folder(walk):
+    folder, output, _ = walk
+    document = json.loads((output / "transforms.json").read_text())
+    for frame in document["frames"]:
+        assert (output / frame["file_path"]).resolve().parent == folder.resolve()
+        assert (output / frame["file_path"]).is_file()
+    poses = {
+        image.name: image.cam_from_world for image in read_colmap_model(output / "sparse/0").images
+    }
+    for image in read_nerfstudio(output / "transforms.json").images:
+        name = image.name.rpartition("/")[2]
+        np.testing.assert_allclose(image.cam_from_world.matrix(), poses[name].matrix(), atol=1e-9)
+
+
+def test_camera_that_does_not_move_is_an_honest_failure(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 6, same=True)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 1
+    assert "the camera does not move" in capsys.readouterr().out
+    assert {row["status"] for row in rows_of(tmp_path / "out")[1:]} == {"static"}
+    assert not (tmp_path / "out" / "trajectory.txt").exists()
+
+
+def test_damaged_image_is_named_and_the_run_goes_on(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 8)
+    path = tmp_path / "frames" / "005.png"
+    path.write_bytes(path.read_bytes()[:2000])
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 0
+    assert "frame 5: cannot be read" in capsys.readouterr().out
+    assert [row["status"] for row in rows_of(tmp_path / "out")].count("tracked") == 7
+
+
+def test_missing_images_are_named_where_names_are_numbered(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 9)
+    for number in (5, 6):
+        (tmp_path / "frames" / f"00{number}.png").unlink()
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 0
+    said = "frame 5: 2 before it are missing, 004.png is followed by 007.png"
+    assert said in capsys.readouterr().out
+    assert len(stamps_of(tmp_path / "out")) == 7
+
+
+def test_video_is_tracked_with_its_own_times_and_its_key_frames_are_written(tmp_path):
+    pytest.importorskip("av")
+    from written_videos import write_video
+
+    video = write_video(tmp_path / "walk.mp4", frames()[:12])
+    output = tmp_path / "out"
+    assert main(["track", str(video), "--out", str(output)]) == 0
+    stamps = stamps_of(output)
+    assert len(stamps) == 12
+    np.testing.assert_allclose(np.diff(stamps), 1 / 25, atol=1e-3)
+    document = json.loads((output / "transforms.json").read_text())
+    assert all((output / frame["file_path"]).is_file() for frame in document["frames"])
+
+
+def test_full_disk_loses_no_other_file(tmp_path, monkeypatch, capsys):
+    write_frames(tmp_path / "frames", 8)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(track_files, "write_ply_points", full)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 1
+    assert "points.ply could not be written: No space left" in capsys.readouterr().out
+    assert len(stamps_of(tmp_path / "out")) == 8
+    assert (tmp_path / "out" / "sparse" / "0" / "images.bin").is_file()
+
+
+def test_rows_that_do_not_fit_on_the_disk_do_not_stop_the_run(tmp_path, monkeypatch):
+    write_frames(tmp_path / "frames", 8)
+    monkeypatch.setattr(track_files.FrameTable, "_write", _full_after_three)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 0
+    assert len(rows_of(tmp_path / "out")) == 8  # written whole in the end
+    assert any("No space left" in message for message in log_of(tmp_path / "out")["messages"])
+
+
+def _full_after_three(table, row):
+    table.count = getattr(table, "count", 0) + 1
+    if table.count > 3:
+        table.error = f"{table.path}: {os.strerror(errno.ENOSPC)}"
+
+
+def test_interrupted_run_writes_what_it_has(tmp_path, monkeypatch):
+    write_frames(tmp_path / "frames", 10)
+    add = track_job._Run._add
+
+    def interrupted(run, frame):
+        if frame.name == "007.png":
+            raise KeyboardInterrupt
+        return add(run, frame)
+
+    monkeypatch.setattr(track_job._Run, "_add", interrupted)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 130
+    assert len(stamps_of(tmp_path / "out")) == 7
+    assert len(rows_of(tmp_path / "out")) == 7
+    assert log_of(tmp_path / "out")["track"] == "interrupted"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_killed_run_leaves_the_rows_of_its_frames(tmp_path):
+    write_frames(tmp_path / "frames", 12)
+    arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
+    slow = (
+        "import sys, time; from epi360.jobs import track_job; from epi360.cli import main\n"
+        "add = track_job._Run._add\n"
+        "track_job._Run._add = lambda run, frame: (time.sleep(0.2), add(run, frame))[1]\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    run = subprocess.Popen([sys.executable, "-c", slow, *arguments])
+    table = tmp_path / "out" / "frames.csv"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        if table.exists() and len(table.read_text().splitlines()) > 4:
+            break
+        time.sleep(0.05)
+    run.send_signal(signal.SIGKILL)
+    run.wait()
+    assert len(rows_of(tmp_path / "out")) >= 3
+    assert main(arguments) == 0  # the folder is its own and may be used again
+    assert len(stamps_of(tmp_path / "out")) == 12
+
+
+def test_folder_of_something_else_is_not_touched(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 2)
+    other = tmp_path / "mine"
+    other.mkdir()
+    (other / "trajectory.txt").write_text("precious")
+    assert main(["track", str(tmp_path / "frames"), "--out", str(other)]) == 2
+    assert "choose a new folder" in capsys.readouterr().err
+    assert (other / "trajectory.txt").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--max-points", "0"], "--max-points must be positive"),
+        (["--camera", "missing.yaml"], "missing.yaml"),
+        (["--start", "1"], "have no times"),
+    ],
+)
+def test_wrong_use_is_one_line(tmp_path, capsys, words, said):
+    write_frames(tmp_path / "frames", 2)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out"), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_recording_is_written(tmp_path):
+    pytest.importorskip("rerun")
+    write_frames(tmp_path / "frames", 6)
+    recording = tmp_path / "walk.rrd"
+    arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--recording", str(recording)]) == 0
+    assert recording.stat().st_size > 10_000
