@@ -181,6 +181,7 @@ class _Run:
         table = files.FrameTable(self._output / files.FRAMES)
         save_at = time.monotonic() + _SECONDS_BETWEEN_FILES
         total = self._source.num_frames or 0
+        progress(STAGE, 0, max(total, 1))
         try:
             for frame in self._source:
                 result = self._add(frame)
@@ -327,6 +328,7 @@ def _write_pictures(
     """Write the pictures of key frames of a video: the video is decoded once more."""
     folder.mkdir(exist_ok=True)
     done = 0
+    progress("writing key frames", 0, len(wanted))
     for frame in source:
         if frame.name in wanted and not isinstance(frame.image, Exception):
             picture = encode_picture(frame.image, ".jpg", jpeg_quality=_JPEG_QUALITY)
