@@ -12,58 +12,98 @@
 namespace epi360 {
 namespace {
 
-constexpr double kReachOfShared =
-    45.0 * kDegree;                      // of the correlation, as a chord: it falls to 1 / e
-constexpr std::size_t kMostAsked = 192;  // matches; the work grows with the square
-constexpr std::size_t kFewestAsked = 20;
+// Of the correlation, as a chord: it falls to 1 / e.
+constexpr double kReachOfShared = 45.0 * kDegree;
+// Matches of one cell of view 2, of 15 degrees, are one observation of the field.
+constexpr int kBandsOfShared = 12, kSectorsOfShared = 16;
+constexpr std::size_t kFewestGroups = 20;
 // Standard deviations; once in sixty by chance, as a few long waves make up most of the sum.
 constexpr double kSignificant = 4.0;
 
-// Columns of the matches that are asked: bearings and gradients of both views.
-struct Asked {
+// Matches of one cell: sums of their residuals and derivatives over the root of their number n, so
+// that independent errors have the variance of one match, and means of bearings and gradients.
+struct Groups {
   std::vector<double> column[12];
-  std::vector<double> residuals;
-  double share = 0.0;  // of the matches that count
+  std::vector<double> roots;    // of n
+  std::vector<double> squares;  // sums of the squares of their residuals
+  Eigen::VectorXd residuals;
   Eigen::Matrix<double, Eigen::Dynamic, 5> jacobian;
+  Matrix5 information = Matrix5::Zero();  // J^T J of all their matches
 
-  std::size_t size() const { return residuals.size(); }
+  std::size_t size() const { return roots.size(); }
 };
 
-// Evenly spread over the order of the matches, which is no order in space.
-Asked matches_to_ask(const Matches& m, const RelativePose& pose, const Linearisation& at) {
-  std::vector<std::size_t> inliers;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (at.weights[i] > 0.25 * m.weight[i]) inliers.push_back(i);  // none near an epipole
-  }
-  const std::size_t size = std::min(inliers.size(), kMostAsked);
-  Asked asked;
-  for (auto& column : asked.column) column.resize(size);
-  asked.residuals.resize(size);
-  asked.jacobian.resize(static_cast<Eigen::Index>(size), 5);
-  asked.share = static_cast<double>(size) / static_cast<double>(inliers.size());
-  const Eigen::Matrix3d E = skew(pose.t) * pose.R;
-  for (std::size_t k = 0; k < size; ++k) {
-    const std::size_t i = inliers[k * inliers.size() / size];
-    const Eigen::Vector3d b1 = view1(m, i), b2 = view2(m, i);
-    Eigen::Vector3d u1 = E.transpose() * b2, u2 = E * b1;
-    const double sine = b2.dot(u2);
-    u1 -= sine * b1;
-    u2 -= sine * b2;
-    const double length = std::sqrt(u1.squaredNorm() + u2.squaredNorm());
-    const Eigen::Vector3d vectors[] = {b1, u1 / length, b2, u2 / length};
-    for (std::size_t c = 0; c < 12; ++c) {
-      asked.column[c][k] = vectors[c / 3][static_cast<Eigen::Index>(c % 3)];
-    }
-    asked.residuals[k] = at.residuals[i];
-    asked.jacobian.row(static_cast<Eigen::Index>(k)) = jacobian_of(at, m.padded, i).transpose();
-  }
-  return asked;
+struct Group {
+  double count = 0.0, residual = 0.0, squares = 0.0;
+  Vector5 jacobian = Vector5::Zero();
+  Eigen::Vector3d vectors[4] = {Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero(),
+                                Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()};
+};
+
+// Bands of equal area, cut into equal sectors.
+std::size_t group_of(const Eigen::Vector3d& b) {
+  const auto part = [](double share, int parts) {
+    return std::min(static_cast<int>(share * parts), parts - 1);
+  };
+  const int band = part(0.5 + 0.5 * std::clamp(b.y(), -1.0, 1.0), kBandsOfShared);
+  const int sector = part(0.5 + std::atan2(b.x(), b.z()) / (2.0 * kPi), kSectorsOfShared);
+  return static_cast<std::size_t>(band * kSectorsOfShared + sector);
 }
 
-// Row i of K up to its diagonal.
+// b1, u1, b2, u2 of a match: the bearings and the gradients of its residual by them.
+void add_directions(const Matches& m, std::size_t i, const Eigen::Matrix3d& E, Group& group) {
+  const Eigen::Vector3d b1 = view1(m, i), b2 = view2(m, i);
+  Eigen::Vector3d u1 = E.transpose() * b2, u2 = E * b1;
+  const double sine = b2.dot(u2);
+  u1 -= sine * b1;
+  u2 -= sine * b2;
+  const double length = std::sqrt(u1.squaredNorm() + u2.squaredNorm());
+  const Eigen::Vector3d vectors[] = {b1, u1 / length, b2, u2 / length};
+  for (std::size_t k = 0; k < 4; ++k) group.vectors[k] += vectors[k];
+}
+
+Groups grouped(const Matches& m, const RelativePose& pose, const Linearisation& at) {
+  std::vector<Group> cells(static_cast<std::size_t>(kBandsOfShared * kSectorsOfShared));
+  const Eigen::Matrix3d E = skew(pose.t) * pose.R;
+  Groups groups;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(at.weights[i] > 0.25 * m.weight[i])) continue;  // none near an epipole
+    Group& group = cells[group_of(view2(m, i))];
+    const Vector5 J = jacobian_of(at, m.padded, i);
+    group.count += 1.0;
+    group.residual += at.residuals[i];
+    group.squares += at.residuals[i] * at.residuals[i];
+    group.jacobian += J;
+    groups.information += J * J.transpose();
+    add_directions(m, i, E, group);
+  }
+  cells.erase(std::remove_if(cells.begin(), cells.end(),
+                             [](const Group& group) { return group.count == 0.0; }),
+              cells.end());
+  for (auto& column : groups.column) column.resize(cells.size());
+  const auto size = static_cast<Eigen::Index>(cells.size());
+  groups.residuals.resize(size);
+  groups.jacobian.resize(size, 5);
+  for (std::size_t k = 0; k < cells.size(); ++k) {
+    const Group& group = cells[k];
+    const double root = std::sqrt(group.count);
+    groups.roots.push_back(root);
+    groups.squares.push_back(group.squares);
+    groups.residuals[static_cast<Eigen::Index>(k)] = group.residual / root;
+    groups.jacobian.row(static_cast<Eigen::Index>(k)) = group.jacobian.transpose() / root;
+    for (std::size_t c = 0; c < 12; ++c) {
+      const Eigen::Vector3d& sum = group.vectors[c / 3];
+      const double length = c / 3 % 2 == 0 ? sum.norm() : group.count;
+      groups.column[c][k] = sum[static_cast<Eigen::Index>(c % 3)] / length;
+    }
+  }
+  return groups;
+}
+
+// Row i of the correlations up to its diagonal: of two matches of groups i and j.
 EPI360_MULTIVERSION
 void correlation_row(const double* const* columns, std::size_t i, double* row) {
-  for (std::size_t j = 0; j < i; ++j) {
+  for (std::size_t j = 0; j <= i; ++j) {
     double sum = 0.0;
     for (std::size_t view = 0; view < 2; ++view) {
       const double* const* c = columns + 6 * view;
@@ -80,40 +120,47 @@ void correlation_row(const double* const* columns, std::size_t i, double* row) {
 
 Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_cam1,
                                 const Linearisation& at, double scale, double least) {
-  const Asked asked = matches_to_ask(m, cam2_from_cam1, at);
-  const std::size_t size = asked.size();
-  if (size < kFewestAsked) return Matrix5::Zero();
-  const auto& J = asked.jacobian;
-  const Eigen::Map<const Eigen::VectorXd> residuals(asked.residuals.data(),
-                                                    static_cast<Eigen::Index>(size));
+  const Groups groups = grouped(m, cam2_from_cam1, at);
+  const std::size_t size = groups.size();
+  if (size < kFewestGroups) return Matrix5::Zero();
+  const auto& J = groups.jacobian;
+  const Eigen::VectorXd& residuals = groups.residuals;
+  const Eigen::Map<const Eigen::VectorXd> roots(groups.roots.data(),
+                                                static_cast<Eigen::Index>(size));
   const double* columns[12];
-  for (std::size_t c = 0; c < 12; ++c) columns[c] = asked.column[c].data();
+  for (std::size_t c = 0; c < 12; ++c) columns[c] = groups.column[c].data();
   Eigen::VectorXd row(static_cast<Eigen::Index>(size));
   Eigen::Matrix<double, Eigen::Dynamic, 5> KJ =
       Eigen::Matrix<double, Eigen::Dynamic, 5>::Zero(J.rows(), 5);
   double squares = 0.0, observed = 0.0;
-  for (std::size_t i = 1; i < size; ++i) {
+  Matrix5 own = Matrix5::Zero();  // of the matches with themselves
+  for (std::size_t i = 0; i < size; ++i) {
     const auto k = static_cast<Eigen::Index>(i);
     correlation_row(columns, i, row.data());
-    const auto before = row.head(k);
-    squares += 2.0 * before.squaredNorm();
-    observed += 2.0 * residuals[k] * before.dot(residuals.head(k));
-    KJ.row(k) += before.transpose() * J.topRows(k);
+    auto before = row.head(k);
+    before.array() *= roots[k] * roots.head(k).array();
+    // Pairs of different matches of one group, too.
+    const double count = roots[k] * roots[k], within = (count - 1.0) * row[k];
+    squares += 2.0 * before.squaredNorm() + within * within;
+    observed += 2.0 * residuals[k] * before.dot(residuals.head(k)) +
+                row[k] * (count * residuals[k] * residuals[k] - groups.squares[i]);
+    KJ.row(k) += before.transpose() * J.topRows(k) + within * J.row(k);
     KJ.topRows(k) += before * J.row(k);
+    own += row[k] * J.row(k).transpose() * J.row(k);
   }
-  // The residuals are (I - J H J^T) of the errors, with H of all matches where they are independent
-  // and of those asked where they are shared. Expectation of r^T K r without a shared error and its
-  // derivative by tau^2; K is without its diagonal.
-  const Matrix5 H = bounded_inverse(J.transpose() * J / (scale * scale)) / (scale * scale);
+  // The residuals are (I - J H J^T) of the errors. Expectation of r^T K r without a shared error
+  // and its derivative by tau^2; K is without its diagonal, a match with itself.
+  const double variance = scale * scale;
+  const Matrix5 H = bounded_inverse(groups.information / variance) / variance;
   const Matrix5 A = J.transpose() * KJ;
-  const double variance = scale * scale, expected = -variance * asked.share * (H * A).trace();
+  const double expected = -variance * (H * A).trace();
   const double slope =
       squares - 2.0 * (H * (KJ.transpose() * KJ)).trace() + (A * H * A * H).trace();
   if (!(slope > 0.0)) return Matrix5::Zero();
   const double excess = observed - expected;
   const bool shows = excess > kSignificant * variance * std::sqrt(2.0 * slope);
   const double tau2 = std::max(shows ? excess / slope : 0.0, least * least * variance);
-  return tau2 * H * (A + J.transpose() * J) * H;
+  return tau2 * H * (A + own) * H;
 }
 
 }  // namespace epi360

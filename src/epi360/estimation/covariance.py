@@ -91,6 +91,7 @@ def reweighting_influence(
 
 SHARED_ERROR_REACH_RAD = np.radians(45.0)  # as a chord: there the correlation has fallen to 1 / e
 SIGNIFICANT = 4.0  # standard deviations: once in sixty by chance
+BANDS, SECTORS = 12, 16  # of the sphere: the matches of one cell are one observation of the field
 
 
 def shared_error_covariance(
@@ -124,17 +125,37 @@ def shared_error_covariance(
     method of moments, as a variance component does (Searle, "Linear Models", 1971).
     """
     lengths = np.sqrt(sum((g**2).sum(axis=1) for g in gradients))
+    group = _groups(bearings[1])
+    count = group.sum(axis=1)
+    roots = np.sqrt(count)
+    H = inverse_information(J.T @ J)
+    squares = group @ residuals**2
+    residuals, J = group @ residuals / roots, group @ J / roots[:, None]
     K = np.zeros((len(J), len(J)))
     for b, g in zip(bearings, gradients, strict=True):
-        directions = g / lengths[:, None]
-        chords = np.sqrt(np.maximum(2.0 - 2.0 * b @ b.T, 0.0))
-        K += np.exp(-chords / SHARED_ERROR_REACH_RAD) * (directions @ directions.T)
+        middle, direction = group @ b, group @ (g / lengths[:, None]) / count[:, None]
+        middle /= np.linalg.norm(middle, axis=1)[:, None]
+        chords = np.sqrt(np.maximum(2.0 - 2.0 * middle @ middle.T, 0.0))
+        K += np.exp(-chords / SHARED_ERROR_REACH_RAD) * (direction @ direction.T)
+    own = np.diag(K).copy()  # correlation of the matches of one cell
+    K *= np.outer(roots, roots)
     np.fill_diagonal(K, 0.0)
-    H = inverse_information(J.T @ J)
+    observed = float(residuals @ K @ residuals) + float(own @ (count * residuals**2 - squares))
+    np.fill_diagonal(K, (count - 1.0) * own)  # pairs of different matches of one cell, too
     A = J.T @ K @ J
     KP = K - K @ J @ H @ J.T
     slope = float(np.trace(KP @ KP))
-    excess = float(residuals @ K @ residuals) + scale**2 * float(np.trace(H @ A))
+    excess = observed + scale**2 * float(np.trace(H @ A))
     shows = excess > SIGNIFICANT * scale**2 * np.sqrt(2.0 * slope)
     tau2 = max(excess / slope if shows else 0.0, (least * scale) ** 2)
-    return np.asarray(tau2 * H @ (A + J.T @ J) @ H)
+    return np.asarray(tau2 * H @ (A + (J.T * own) @ J) @ H)
+
+
+def _groups(bearings: Array) -> Array:
+    """Which match (columns) lies in which cell of the sphere (rows): 0 or 1."""
+    x, y, z = bearings.T
+    band = np.minimum((0.5 + 0.5 * np.clip(y, -1.0, 1.0)) * BANDS, BANDS - 1).astype(int)
+    turn = 0.5 + np.arctan2(x, z) / (2.0 * np.pi)
+    sector = np.minimum(turn * SECTORS, SECTORS - 1).astype(int)
+    cell = band * SECTORS + sector
+    return (np.unique(cell)[:, None] == cell).astype(np.float64)
