@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Maps of sequences that start from the odometry's poses: a rendered walk."""
+"""Maps of sequences that start from the odometry's poses: a rendered walk, also as a video."""
 
 import json
 import shutil
@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from rendered_views import write_png
 from walked_room import elsewhere, error_share, frames, write_frames
+from written_videos import write_video
 
 pytest.importorskip("pycolmap")
 
+from epi360.jobs.frames_job import FramesOptions, extract_frames  # noqa: E402
 from epi360.jobs.image_set import find_images  # noqa: E402
 from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
 from epi360.jobs.matching import MatchOptions  # noqa: E402
@@ -88,6 +90,21 @@ def test_images_without_a_pose_of_the_odometry_are_added(tmp_path):
     assert "005.png" in run.unregistered
     assert run.models[0].reconstruction.images
     assert error_of(run) < 0.004
+
+
+def test_all_frames_of_a_video_are_tracked_and_the_chosen_ones_placed(tmp_path):
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "walk.mp4", frames(), options={}, codec_options={"crf": "10"})
+    chosen = FramesOptions(every=3)
+    folder = extract_frames(video, tmp_path / "out" / "frames", chosen).folder
+    images = find_images(folder)
+    run = map_images(images, tmp_path / "out", options(), video=video)
+    assert run.track["num_images"] == len(images.images) == 6
+    assert run.track["num_frames"] == run.track["num_tracked"] == 16
+    assert run.attempts[0].how == "the poses of the odometry" and run.attempts[0].kept
+    placed = run.models[0].reconstruction.images
+    positions = np.array([image.cam_from_world.inverse().translation for image in placed])
+    assert error_share(positions, [int(image.name[-10:-4]) for image in placed]) < 0.004
 
 
 def test_a_folder_whose_points_cannot_be_followed_is_no_sequence(tmp_path):
