@@ -178,7 +178,7 @@ def map_images(
         },
         remarks,
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
-        record["track"] if was_asked or first_pairs else None,
+        record["track"] if was_asked or poses else None,
         was_mapped,
     )
 

@@ -85,8 +85,11 @@ def trajectory_pairs(
 
     Each image comes with those 1, 2, 4, 8, ... ahead, as long as the way between them is shorter
     than the ``depth`` of the scene, and with the nearest of those that came back to its place much
-    later. Images without a pose come with those up to 16 ahead.
+    later. Images without a pose come with those up to 16 ahead. There are none for fewer than 16
+    images: all pairs are not many more.
     """
+    if len(images) < _FEWEST_DENSE:
+        return []
     names = [image.name for image in images]
     unknown = np.full(3, np.nan)
     centers = np.array(
