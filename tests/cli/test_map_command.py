@@ -92,6 +92,24 @@ def test_the_command_says_what_was_tried_where_one_way_was_not_enough(
             ]
 
 
+def test_the_command_says_from_which_poses_the_map_of_a_sequence_starts(
+    tmp_path, capsys, monkeypatch
+):
+    model = MappedModel(tmp_path / "sparse" / "0", Reconstruction({}, ()), 0.5)
+    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
+    counts = {"num_frames": 90, "num_tracked": 88, "num_images": 29, "seconds": 1.0}
+    for reason, line in (
+        ("", "track        88 of 90 frames; the map starts from 29 of 30 poses"),
+        ("the camera turns", "no track     the camera turns; mapped without"),
+    ):
+        track = {**counts, "reason": reason}
+        run = MapRun(matched, (model,), {}, 30, {}, (), track=track)
+        monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, run=run, **__: run)
+        assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
+        assert line in capsys.readouterr().out.splitlines()
+
+
 def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
     rng = np.random.default_rng(1)
     for name in ("a", "b"):
@@ -124,6 +142,6 @@ def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "map", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
         "--max-width", "--max-features", "--seed", "--num-threads", "--mapper", "--refine-cameras",
-        "--mapper-threads", "--cubemap", "--face-size", "--fov-deg", "--faces", "--image-format",
-        "--jpeg-quality", "--output", "--restart",
+        "--no-track", "--mapper-threads", "--cubemap", "--face-size", "--fov-deg", "--faces",
+        "--image-format", "--jpeg-quality", "--output", "--restart",
     )  # fmt: skip

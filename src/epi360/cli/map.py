@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -40,6 +40,9 @@ class Mapping:
 
     mapper: Literal["incremental", "global"] = "incremental"
     """COLMAP's mapper that is tried first: one image after the other, or all at once."""
+    no_track: Flag = False
+    """Do not start a sequence (a video, or numbered images that can be tracked) from the poses of
+    epi360 track."""
     refine_cameras: Flag = False
     """Refine focal length and distortion of fisheye and pinhole cameras."""
     mapper_threads: int | None = None
@@ -83,9 +86,10 @@ def map_folder(
 ) -> int:
     """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
 
-    Matches pairs of images, verifies them and gives them to COLMAP's mapper. If that places few,
-    other ways are tried, and the output says so. A run that was stopped goes on where it was. Exit
-    code 0 with a model, 1 when fewer than two images register, 2 for wrong use.
+    Matches pairs of images, verifies them and gives them to COLMAP's mapper. A sequence starts from
+    the poses of epi360 track. If few are placed, other ways are tried, and the output says so. A
+    run that was stopped goes on where it was. Exit code 0 with a model, 1 when fewer than two
+    images register, 2 for wrong use.
 
     Parameters
     ----------
@@ -116,10 +120,18 @@ def map_folder(
     cutting = _cubemap_options(cube_faces)
     if cubemap:
         check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
-    folder = images_of(folder, output, given)
+    source, folder = folder, images_of(folder, output, given)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:
-        run = map_images(images, output, options, restart=restart, progress=progress)
+        run = map_images(
+            images,
+            output,
+            options,
+            video=None if source == folder else source,
+            mask=given.mask,
+            restart=restart,
+            progress=progress,
+        )
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
     if not run.models:
@@ -189,7 +201,13 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
 
     match = match_options(given, work)
     with options_as_typed():
-        return MapOptions(match, mapping.mapper, mapping.refine_cameras, mapping.mapper_threads)
+        return MapOptions(
+            match,
+            mapping.mapper,
+            mapping.refine_cameras,
+            mapping.mapper_threads,
+            not mapping.no_track,
+        )
 
 
 def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
@@ -218,6 +236,8 @@ def _describe(run: MapRun, images: ImageSet) -> str:
             f"{model.mean_track_length:.1f} images on average",
             f"error        {model.mean_error_px:.2f} px mean reprojection error",
         ]
+    if run.track is not None:
+        lines += _describe_track(run.track, run.num_images)
     if len(run.attempts) > 1:
         lines += [_describe_attempt(attempt, run.num_images) for attempt in run.attempts]
     if len(run.models) > 1:
@@ -235,6 +255,16 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
     return "\n".join([*lines, *describe_level(run.matched), *run.remarks])
+
+
+def _describe_track(track: dict[str, Any], num_images: int) -> list[str]:
+    """Line about the odometry that came first."""
+    if track["reason"]:
+        return [f"no track     {track['reason']}; mapped without"]
+    frames = f"{track['num_tracked']} of {track['num_frames']} frames"
+    return [
+        f"track        {frames}; the map starts from {track['num_images']} of {num_images} poses"
+    ]
 
 
 def _describe_attempt(attempt: Attempt, num_images: int) -> str:

@@ -102,7 +102,7 @@ def _open_folder(folder: Path, video: Video, options: FramesOptions) -> dict[str
         **asdict(options),
         "mask": None if options.mask is None else str(options.mask),
         "video": video.path.name,
-        "content": _content_key(video.path),
+        "content": content_key(video.path),
     }
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the frames must go into a folder, {folder} is a file")
@@ -126,7 +126,7 @@ def _open_folder(folder: Path, video: Video, options: FramesOptions) -> dict[str
     return found
 
 
-def _content_key(path: Path) -> str:
+def content_key(path: Path) -> str:
     """Hash of the size, the beginning and the end of a file: all of it would take minutes."""
     size = path.stat().st_size
     digest = blake2b(str(size).encode(), digest_size=16)

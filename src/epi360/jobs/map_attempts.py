@@ -63,16 +63,16 @@ def map_by_attempts(
     pairs: Sequence[PairVerdict],
     *,
     colors: Mapping[str, NDArray[np.uint8]],
-    initial: Mapping[str, Pose] | None = None,
+    initial: tuple[str, Mapping[str, Pose]] | None = None,
     progress: Progress = no_progress,
 ) -> Mapped:
     """Models of the first way that places nearly all images, or of the one that places most.
 
-    First comes what was asked for: the poses of ``initial``, or else the mapper of the options.
-    Then the other mapper, and the incremental one with small angles between rays. Images that
-    anything but the incremental mapper with its usual angles has placed must be confirmed, see
-    `confirmed_images`. If two ways place equally many, the one that was asked for is kept, and else
-    the one with the smaller error.
+    First comes what was asked for: the poses of ``initial``, which come with words for them, or
+    else the mapper of the options. Then the other mapper, and the incremental one with small angles
+    between rays. Images that anything but the incremental mapper with its usual angles has placed
+    must be confirmed, see `confirmed_images`. If two ways place equally many, the one that was
+    asked for is kept, and else the one with the smaller error.
     """
     needed = (1 - _MOST_LEFT_OUT) * _num_connected(graph)
     tried: list[Mapped] = []
@@ -101,7 +101,7 @@ def _ways(
     options: MapperOptions,
     graph: MatchGraph,
     colors: Mapping[str, NDArray[np.uint8]],
-    initial: Mapping[str, Pose] | None,
+    initial: tuple[str, Mapping[str, Pose]] | None,
     progress: Progress,
 ) -> Iterator[tuple[str, bool, Callable[[], list[Any]]]]:
     """Each way in words, whether its places are trusted without a check, and how to go it."""
@@ -110,11 +110,12 @@ def _ways(
     mappers = [incremental, replace(options, mapper="global")]
     if options.mapper == "global":
         mappers.reverse()
-    if initial:
+    if initial is not None and initial[1]:
+        how, poses = initial
         yield (
-            "the given poses",
+            how,
             False,
-            partial(_from_poses, database, incremental, graph, colors, initial, progress),
+            partial(_from_poses, database, incremental, graph, colors, poses, progress),
         )
     for each in mappers:
         yield f"{each.mapper} mapper", each.mapper == "incremental", partial(run, each)

@@ -24,13 +24,16 @@ from epi360.jobs.image_set import ImageSet
 from epi360.jobs.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.match_result import Colors, load_matches_and_colors
-from epi360.jobs.matching import MatchOptions, MatchRun, match_images
+from epi360.jobs.matching import MatchOptions, MatchRun, match_images, open_match_output
+from epi360.jobs.pair_selection import Pair, trajectory_pairs
+from epi360.jobs.sequence_start import has_one_camera, may_be_sequence, track_sequence
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
 DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
+TRACKED_POSES = "the poses of the odometry"
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,9 @@ class MapOptions:
     # None: one per core. The last digits of the result then change from run to run; with 1, the
     # same matches give the same bits.
     mapper_threads: int | None = None
+    # A sequence starts from the poses of the odometry, see `map_images`; only before the
+    # incremental mapper, because whoever asks for the global one wants that.
+    track: bool = True
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -63,6 +69,7 @@ class MapRun:
     seconds: Mapping[str, float]  # wall time of the "matching" of this run and of the "mapping"
     remarks: tuple[str, ...]  # sentences about what could not be written
     attempts: tuple[Attempt, ...] = ()  # ways of mapping that were tried, in order
+    track: dict[str, Any] | None = None  # of a sequence: `SequenceStart.summary`
     was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
 
 
@@ -72,6 +79,8 @@ def map_images(
     options: MapOptions | None = None,
     *,
     initial: Reconstruction | None = None,
+    video: Path | None = None,
+    mask: Path | None = None,
     restart: bool = False,
     progress: Progress = no_progress,
 ) -> MapRun:
@@ -82,6 +91,11 @@ def map_images(
     the names of ours, its poses are tried before all: the matches are triangulated there and poses
     and points adjusted. Images may be missing in it, its scale is free, and its points are not
     used.
+
+    A sequence starts from the poses that the odometry gives it, and with ``pairs="auto"`` it is
+    matched in `trajectory_pairs`. The images are a sequence if they are frames of ``video``, whose
+    other frames are then followed as well, with ``mask``; with ``pairs="sequential"``; and with
+    ``"auto"`` if their names differ in a number only and most images can be tracked.
 
     ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
     ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
@@ -110,23 +124,46 @@ def map_images(
         colmap_camera(camera)  # COLMAP has no double sphere
     output = Path(output)
     record = _read_record(output)
+    # A folder that only looked like a sequence is mapped without a word, as it always was.
+    was_asked = video is not None or options.match.pairs == "sequential"
+    given = None if initial is None else _poses_of(images, initial)
+    tracked = None
+    if given is None and _is_tried_as_sequence(images, options, video):
+        open_match_output(output, options.match, restart=restart)
+        tracked = track_sequence(
+            images,
+            output,
+            video=video,
+            mask=mask,
+            mask_nadir_deg=options.match.mask_nadir_deg,
+            seed=options.match.seed,
+            progress=progress,
+        )
     start = time.perf_counter()
-    matched = match_images(images, output, options.match, restart=restart, progress=progress)
+    first_pairs: list[Pair] = []
+    if tracked is not None and tracked.cam_from_world and options.match.pairs == "auto":
+        first_pairs = trajectory_pairs(images.images, tracked.cam_from_world, tracked.depth)
+    matched = match_images(
+        images, output, options.match, first_pairs=first_pairs, restart=restart, progress=progress
+    )
     graph, colors = load_matches_and_colors(output)
     graph = _without_contradicted(graph, matched)
     matching_s = time.perf_counter() - start
     mapper = MapperOptions(
         options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
     )
-    poses = {} if initial is None else _poses_of(images, initial)
+    poses = given or ({} if tracked is None else tracked.cam_from_world)
     made_from = _fingerprint(graph, mapper, poses)
     was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
     if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
     else:
-        made = _map(graph, matched, colors, output, mapper, poses, progress)
+        how = "the given poses" if given else TRACKED_POSES
+        made = _map(graph, matched, colors, output, mapper, (how, poses), progress)
         record = {"fingerprint": made_from, **made}
-        write_record(output / RECORD, record)
+    record["track"] = None if tracked is None else tracked.summary()
+    record["pairs"] = matched.how
+    write_record(output / RECORD, record)
     models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     return MapRun(
@@ -134,10 +171,24 @@ def map_images(
         models,
         _reasons(images, matched, models, record["unconfirmed"]),
         len(images.images),
-        {"matching": matching_s, "mapping": record["seconds"]},
+        {
+            **({"tracking": tracked.seconds} if tracked is not None and poses else {}),
+            "matching": matching_s,
+            "mapping": record["seconds"],
+        },
         remarks,
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
+        record["track"] if was_asked or poses else None,
         was_mapped,
+    )
+
+
+def _is_tried_as_sequence(images: ImageSet, options: MapOptions, video: Path | None) -> bool:
+    if not options.track or options.mapper != "incremental" or not has_one_camera(images):
+        return False
+    pairs = options.match.pairs
+    return (
+        video is not None or pairs == "sequential" or (pairs == "auto" and may_be_sequence(images))
     )
 
 
@@ -211,7 +262,7 @@ def _map(
     colors: Colors,
     output: Path,
     options: MapperOptions,
-    poses: Mapping[str, Pose],
+    initial: tuple[str, Mapping[str, Pose]],
     progress: Progress,
 ) -> dict[str, Any]:
     """Write database and models; returns what the record says of them."""
@@ -226,7 +277,7 @@ def _map(
         graph,
         matched.verdicts,
         colors=colors,
-        initial=poses,
+        initial=initial,
         progress=progress,
     )
     shutil.rmtree(output / MODELS, ignore_errors=True)

@@ -16,7 +16,13 @@ from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
-from epi360.jobs.pair_selection import Pair, dense_pairs, is_dense, select_pairs
+from epi360.jobs.pair_selection import (
+    Pair,
+    dense_pairs,
+    is_dense,
+    mostly_match,
+    select_pairs,
+)
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
 
@@ -90,6 +96,7 @@ def match_images(
     output: Path,
     options: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     *,
+    first_pairs: Sequence[Pair] = (),
     restart: bool = False,
     progress: Progress = no_progress,
 ) -> MatchRun:
@@ -102,7 +109,7 @@ def match_images(
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
-    match well.
+    match well. So do ``first_pairs``, the `trajectory_pairs` of a sequence, where nearly all match.
 
     Every image has one list of key points, strongest first. A pair is matched with the stronger
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
@@ -122,10 +129,12 @@ def match_images(
     how, pairs = select_pairs(images.images, options.pairs, options.overlap)
     job = _open_job(images, Path(output), options, restart, progress)
     job.find_features(sorted({index for pair in pairs for index in pair}))
-    few = dense_pairs(images.images, options.pairs)
+    few = list(first_pairs) or dense_pairs(images.images, options.pairs)
+    suffice = mostly_match if first_pairs else is_dense
     finished, num_found = job.verify(few) if few else ({}, 0)
-    if few and len(finished) == len(few) and is_dense(list(finished.values())):
-        how, pairs = f"{len(few)} of a dense sequence", few
+    if few and len(finished) == len(few) and suffice(list(finished.values())):
+        how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
+        pairs = few
     else:
         num_seen = len(finished)
         finished, num_there = job.verify(pairs)
@@ -150,15 +159,21 @@ def match_images(
     )
 
 
-def _open_job(
-    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
-) -> MatchJob:
-    """Open the output folder, or refuse it, and return the job that works in it."""
+def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> ExtractionOptions:
+    """Open the output folder of `match_images`, or refuse it; how key points are found for it."""
     extraction = ExtractionOptions(
         options.max_width, options.max_features, float(options.mask_nadir_deg)
     )
     made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
     open_output(output, made_with, restart=restart)
+    return extraction
+
+
+def _open_job(
+    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
+) -> MatchJob:
+    """Open the output folder, or refuse it, and return the job that works in it."""
+    extraction = open_match_output(output, options, restart=restart)
     digests = FileDigests(output / DIGESTS)
     cache = FeatureCache(output / FEATURES, extraction, digests)
     return MatchJob(
