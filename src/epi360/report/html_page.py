@@ -97,15 +97,20 @@ def packed(values: ArrayLike) -> str:
     return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
-def picture_address(image: NDArray[np.uint8], max_width: int, jpeg_quality: int = 80) -> str:
+def picture_address(image: NDArray[np.uint8], max_size: int, jpeg_quality: int = 80) -> str:
     """Return a data address of an RGB image, shrunk to a largest width or height."""
-    height, width = image.shape[:2]
-    scale = max_width / max(width, height)
-    if scale < 1.0:
-        size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    content = encode_picture(image, ".jpg", jpeg_quality=jpeg_quality)
+    content = encode_picture(shrunk(image, max_size), ".jpg", jpeg_quality=jpeg_quality)
     return "data:image/jpeg;base64," + base64.b64encode(content).decode("ascii")
+
+
+def shrunk(image: NDArray[np.uint8], max_size: int) -> NDArray[np.uint8]:
+    """Return an image whose width and height are at most this; a smaller one as it is."""
+    height, width = image.shape[:2]
+    scale = max_size / max(width, height)
+    if scale >= 1.0:
+        return image
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:

@@ -149,8 +149,9 @@ class PairView {
   constructor(element, record) {
     this.element = element;
     this.views = record.views.map((view) => ({ ...view, camera: new Camera(view.camera) }));
-    this.pixels = record.pixels.map(floats);
-    this.residuals = floats(record.residuals);
+    const numbers = (value) => (typeof value === "string" ? floats(value) : value);
+    this.pixels = record.pixels.map(numbers);
+    this.residuals = numbers(record.residuals);
     this.inliers = record.inliers;
     this.count = this.inliers.length;
     this.rays = this.views.map(({ camera }, k) => {
