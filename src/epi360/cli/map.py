@@ -15,10 +15,12 @@ from epi360.cli.match import (
     NO_INPUT,
     MatchInput,
     MatchWork,
+    check_report,
     default_output,
     images_of,
     match_options,
     write_pairs_table,
+    write_report,
 )
 
 if TYPE_CHECKING:
@@ -80,6 +82,7 @@ def map_folder(
     output: Annotated[Path | None, OUTPUT] = None,
     cubemap: Annotated[Flag, OUTPUT] = False,
     restart: Annotated[Flag, OUTPUT] = False,
+    report: Annotated[Path | None, OUTPUT] = None,
 ) -> int:
     """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
 
@@ -99,6 +102,9 @@ def map_folder(
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
         Throw away the pairs in the output that were made with other options.
+    report
+        Write a page that a browser opens offline: the map in 3D, the graph of the pairs, a table
+        that sorts and filters, and each pair with its matches; .html.
 
     Returns
     -------
@@ -111,6 +117,8 @@ def map_folder(
 
     if cube_faces != CUBE_FACES and not cubemap:
         raise ValueError("--face-size, --fov-deg, --faces and the like need --cubemap")
+    if report is not None:
+        check_report(report)
     output = default_output(folder) if output is None else output
     options = _map_options(given, work, mapping)
     cutting = _cubemap_options(cube_faces)
@@ -122,6 +130,8 @@ def map_folder(
         run = map_images(images, output, options, restart=restart, progress=progress)
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
+    if report is not None:
+        write_report(report, run.matched, images, [each.reconstruction for each in run.models])
     if not run.models:
         return FAILURE
     print(f"wrote {run.models[0].folder}")

@@ -14,6 +14,8 @@ from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, sh
 from epi360.cli.frames import folder_of
 
 if TYPE_CHECKING:
+    from epi360.interop import Reconstruction
+    from epi360.jobs.image_set import ImageSet
     from epi360.jobs.matching import MatchOptions, MatchRun
 
 PairsChoice = Literal["auto", "sequential", "exhaustive"] | Path
@@ -112,10 +114,7 @@ def match(
         run = match_images(images, output, options, restart=restart, progress=progress)
     _report(run, images.skipped, time.monotonic() - begun)
     if report is not None:
-        from epi360.report.folder_page import write_match_report
-
-        write_match_report(report, run, images)
-        print(f"wrote {report}", flush=True)
+        write_report(report, run, images)
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
 
 
@@ -125,6 +124,16 @@ def check_report(report: Path) -> None:
 
     check_report_name(report, name="--report")
     check_writable(report, name="--report")
+
+
+def write_report(
+    path: Path, run: MatchRun, images: ImageSet, models: list[Reconstruction] | None = None
+) -> None:
+    """Write the page of a folder and say so; with ``models``, also its map."""
+    from epi360.report.folder_page import write_match_report
+
+    write_match_report(path, run, images, models)
+    print(f"wrote {path}", flush=True)
 
 
 def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:

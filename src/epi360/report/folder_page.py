@@ -13,18 +13,20 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.features import read_image
-from epi360.interop import MatchedPair, MatchGraph
+from epi360.interop import MatchedPair, MatchGraph, Reconstruction
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.matching import MatchRun, PairVerdict, load_matches
 from epi360.poses import Pose
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import CONTRADICTED, describe_level, rejection, verdict_reason
+from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
+from epi360.report.webgl import MISSING, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 
 Array = NDArray[np.float64]
 
-SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "folder.js")
+SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "scene.js", "folder.js")
 # The pictures of all images together, and the matches of all pairs, stay below these.
 _PICTURE_BYTES = 18_000_000
 _PICTURE_SIZES = ((1600, 80), (1280, 78), (1024, 75), (768, 72), (512, 68), (384, 62), (256, 60))
@@ -44,13 +46,18 @@ _REJECTIONS = {
 _GATE_SIGMAS = 3.0  # the residuals of a pair are coloured up to so many times its noise
 
 
-def write_match_report(path: PathLike, run: MatchRun, images: ImageSet) -> None:
-    """Write the report of `match_images` on a folder."""
-    write_file(path, match_page(run, images).encode())
+def write_match_report(
+    path: PathLike, run: MatchRun, images: ImageSet, models: Sequence[Reconstruction] | None = None
+) -> None:
+    """Write the report of `match_images` on a folder, or with its models that of `map_images`."""
+    write_file(path, match_page(run, images, models).encode())
 
 
-def match_page(run: MatchRun, images: ImageSet) -> Page:
-    """Return the page of a folder."""
+def match_page(
+    run: MatchRun, images: ImageSet, models: Sequence[Reconstruction] | None = None
+) -> Page:
+    """Return the page of a folder; the largest of the models is shown, None where none is made."""
+    webgl = find_webgl_library() if models else None
     graph = load_matches(run.folder)
     names = list(run.images)
     camera_of = {image.name: image.camera for image in images.images}
@@ -63,17 +70,37 @@ def match_page(run: MatchRun, images: ImageSet) -> Page:
         "pictures": _pictures(names, images),
         "cameras": [camera_record(camera) for camera in images.cameras.values()],
         "pairs": _pair_records(run, graph, images, names),
+        "scene": model_scene(models[0]) if models and webgl else None,
     }
-    title = f"Pairs of {images.folder.resolve().name}"
-    return Page(title, _body(title, run, images), data, SCRIPTS)
+    title = f"{'Pairs' if models is None else 'Map'} of {images.folder.resolve().name}"
+    scene = "" if models is None else _map_section(models, len(names), webgl is not None)
+    return Page(title, _body(title, run, images, scene), data, SCRIPTS, webgl)
 
 
-def _body(title: str, run: MatchRun, images: ImageSet) -> str:
+def _map_section(models: Sequence[Reconstruction], num_images: int, has_webgl: bool) -> str:
+    heading = "<h2>The map</h2>"
+    if not models:
+        return f"{heading}<p>COLMAP could not make a map of these pairs.</p>"
+    placed, count = len(models[0].images), len(models[0].points)
+    others = ""
+    if len(models) > 1:
+        others = f" {len(models) - 1} smaller maps of other images are not shown."
+    words = f"<p>The map holds {placed} of {num_images} images and {count} points.{others}</p>"
+    if not has_webgl:
+        return f"{heading}{words}<p>{escaped(MISSING)}</p>"
+    return (
+        f"{heading}{words}<p>Drag to turn, scroll to zoom. Each camera has its axes: x in red, y "
+        'in green, z in blue.</p><div class="scene"></div>'
+    )
+
+
+def _body(title: str, run: MatchRun, images: ImageSet, scene: str) -> str:
     summary = "".join(f"<p>{escaped(text)}</p>" for text in summary_sentences(run, images.skipped))
     hint = "Point at a picture to see the match there"
     kind = " ok" if any(verdict.accepted for verdict in run.verdicts) else ""
     return f"""<h1>{escaped(title)}</h1>
 <section class="verdict{kind}">{summary}</section>
+{scene}
 <div class="columns"><section><h2>The graph of the pairs</h2>
 <p>Each dot is an image, in the order of the names around the circle. Each line is a pair; click one
 to open it, or a dot to see the pairs of that image.</p>

@@ -206,4 +206,8 @@ class Folder {
   }
 }
 
-window.folder = new Folder(readJson("data"));
+{
+  const data = readJson("data");
+  window.folder = new Folder(data);
+  showSceneIn(document.querySelector(".scene"), data.scene);
+}

@@ -9,9 +9,5 @@
     new Ball(canvas, floats(data.inlier_rays[k])).draw();
   for (const canvas of document.querySelectorAll("canvas.ovoid"))
     new Ball(canvas, floats(data.inlier_rays[0]), canvas.dataset.scales.split(",").map(Number)).draw();
-  const place = document.querySelector(".scene");
-  if (place && data.scene)
-    showScene(place, data.scene).catch(() => {
-      place.textContent = "This browser has no WebGL, which the 3D view needs.";
-    });
+  showSceneIn(document.querySelector(".scene"), data.scene);
 }

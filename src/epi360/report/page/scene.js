@@ -14,8 +14,15 @@ function loadWebGL() {
   return webglModule;
 }
 
-// record: points and colours (packed), cameras [{name, cam_from_world rotation (9), center (3)}],
-// lines between cameras [[i, j, accepted]], reach: a typical distance.
+// record: points and colours (packed), cameras [{name, rotation (9, camera from world), centre (3)}],
+// the middle of the first look, reach: how far it looks, mark: the length of a camera's axes.
+function showSceneIn(element, record) {
+  if (!element || !record) return;
+  showScene(element, record).catch(() => {
+    element.textContent = "This browser has no WebGL, which the 3D view needs.";
+  });
+}
+
 async function showScene(element, record) {
   const { THREE, OrbitControls } = await loadWebGL();
   const scene = new THREE.Scene(), reach = record.reach;
@@ -49,7 +56,9 @@ function pointCloud(THREE, record) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(floats(record.points), 3));
   geometry.setAttribute("color", new THREE.BufferAttribute(floats(record.colours), 3));
-  return new THREE.Points(geometry, new THREE.PointsMaterial({ size: 4, sizeAttenuation: false, vertexColors: true }));
+  const many = geometry.getAttribute("position").count > 1500; // small dots do not hide each other
+  const look = { size: (many ? 2 : 3.5) * (window.devicePixelRatio || 1), sizeAttenuation: false, vertexColors: true };
+  return new THREE.Points(geometry, new THREE.PointsMaterial(look));
 }
 
 // A camera: its axes (x red, y green, z blue), a dot and its name.
@@ -65,11 +74,11 @@ function cameraMark(THREE, { name, centre, rotation }, size) {
       new THREE.Vector3(), new THREE.Vector3(...axis).multiplyScalar(size)]);
     group.add(new THREE.Line(line, new THREE.LineBasicMaterial({ color: colours[k] })));
   }
-  if (name) group.add(nameMark(THREE, name, size));
+  if (name) group.add(nameMark(THREE, name));
   return group;
 }
 
-function nameMark(THREE, name, size) {
+function nameMark(THREE, name) {
   const canvas = document.createElement("canvas");
   Object.assign(canvas, { width: 256, height: 64 });
   const context = canvas.getContext("2d");
@@ -79,8 +88,7 @@ function nameMark(THREE, name, size) {
   context.fillText(name, 128, 44, 250);
   const material = new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false, sizeAttenuation: false });
   const sprite = new THREE.Sprite(material);
-  sprite.scale.set(0.2, -0.05, 1);
-  sprite.scale.y = 0.05;
+  sprite.scale.set(0.2, 0.05, 1);
   sprite.center.set(0.5, -0.3);
   return sprite;
 }
