@@ -101,7 +101,18 @@ def test_warnings_and_other_poses_speak_against_a_pose(make_result):
     result = make_result("planar_ambiguous", PANORAMA)
     against = [each.sentence for each in evidence_of(result, 0.3) if not each.speaks_for]
     assert "The scene is nearly flat." in against
-    assert any("This pose explains the matches too" in sentence for sentence in against)
+    assert any("Another pose fits about as well: a turn by" in sentence for sentence in against)
+
+
+def test_a_pose_that_was_refused_is_named_as_such(make_result):
+    other = make_result("planar_ambiguous", PANORAMA).alternatives
+    refused = dataclasses.replace(
+        make_result("concentrated_inliers", PANORAMA), alternatives=other, probability=0.9995
+    )
+    sentences = [each.sentence for each in evidence_of(refused, 0.3)]
+    assert any(text.startswith("A pose was found and refused: a turn by") for text in sentences)
+    found = "The probability that the pose which was found is right is over 99.9 %."
+    assert found in sentences
 
 
 def test_few_inliers_speak_against_a_pose_and_many_for_it(make_result):

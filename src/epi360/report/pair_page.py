@@ -138,7 +138,7 @@ def _verdict(shown: _Shown) -> str:
     columns = "".join(
         f'<div class="{kind_of}"><h3>{heading}</h3><ul>{items or f"<li>{nothing}</li>"}</ul></div>'
         for kind_of, heading, items, nothing in (
-            ("for", "What speaks for the pose", _items(evidence, True), "Nothing does."),
+            ("for", "What speaks for a pose", _items(evidence, True), "Nothing does."),
             ("against", "What speaks against it", _items(evidence, False), "Nothing was found."),
         )
     )
@@ -161,7 +161,11 @@ def _pictures(shown: _Shown) -> str:
         hint += ", and where the same point must lie in the other view"
     gate = result.inlier_threshold_deg
     end = f"{gate:.3f}°" if np.isfinite(gate) else "the gate"
-    scale = f'<p class="scale">residual 0° <i></i> {end}; crosses are matches that do not agree</p>'
+    crosses = "crosses are matches that do not agree"
+    if np.isfinite(shown.residuals_deg).any():
+        scale = f'<p class="scale">residual 0° <i></i> {end}; {crosses}</p>'
+    else:
+        scale = f'<p class="scale">Dots are matches that agree with each other; {crosses}.</p>'
     thinned = ""
     if result.num_matches > _MAX_MATCHES:
         thinned = f"<p>Of the {result.num_matches} matches, {_MAX_MATCHES} are shown.</p>"

@@ -70,7 +70,7 @@ def _rotation_words(result: RelativePoseResult) -> list[str]:
         return []
     about = f" about the axis {_vector(axis)}" if np.isfinite(axis).all() else ""
     sigma = pose_sigmas_deg(result)[0]
-    error = f" The error to expect is {sigma:.2g}° (one sigma)." if np.isfinite(sigma) else ""
+    error = f" The error to expect is {_amount(sigma)} (one sigma)." if np.isfinite(sigma) else ""
     return [f"Between the views the camera turned by {angle:.2f}°{about}.{error}"]
 
 
@@ -80,7 +80,7 @@ def _place_words(result: RelativePoseResult) -> list[str]:
         return []
     where = describe_direction(-pose.rotation.T @ pose.translation).replace(" deg", "°")
     sigma = pose_sigmas_deg(result)[1]
-    error = f" The error to expect is {sigma:.2g}° (one sigma)." if np.isfinite(sigma) else ""
+    error = f" The error to expect is {_amount(sigma)} (one sigma)." if np.isfinite(sigma) else ""
     return [
         f"Seen from camera 1, camera 2 is at {where}.{error}",
         "Two views do not fix the scale: the distance between the cameras is called 1 here.",
@@ -121,8 +121,8 @@ def _parallax(result: RelativePoseResult) -> list[Evidence]:
     sentence = (
         f"The median parallax, by which the directions to the points differ, is {parallax:.2f}°"
     )
-    if not (np.isfinite(noise) and noise > 0):
-        return [Evidence(True, sentence + ".")]
+    if not noise > 0:  # exact matches, or none
+        return [Evidence(parallax > 0.01, sentence + ".")]
     ratio = parallax / noise
     times = f"{ratio:.0f}" if ratio >= 10 else f"{ratio:.1f}"
     return [Evidence(ratio >= SMALLEST_PARALLAX, f"{sentence}, {times} times the noise.")]
@@ -141,25 +141,29 @@ def _probability(result: RelativePoseResult) -> list[Evidence]:
     probability = result.probability
     if not np.isfinite(probability):
         return []
-    if probability > 0.999:  # nothing is certain
-        return [Evidence(True, "The probability that the pose is right is over 99.9 %.")]
-    text = f"The probability that the pose which was found is right is {100 * probability:.1f} %."
+    # Nothing is certain.
+    amount = "over 99.9" if probability > 0.999 else f"{100 * probability:.1f}"
+    pose = "the pose" if result.success else "the pose which was found"
+    text = f"The probability that {pose} is right is {amount} %."
     return [Evidence(probability >= SMALLEST_PROBABILITY, text)]
 
 
 def _alternatives(result: RelativePoseResult) -> list[Evidence]:
     if result.success and not result.alternatives:
         return [Evidence(True, "No other pose explains the matches about as well.")]
-    return [
-        Evidence(False, f"This pose explains the matches too: {_pose_words(pose)}.")
-        for pose in result.alternatives
-    ]
+    has_pose = bool(np.isfinite(result.E).all())
+    begin = "Another pose fits about as well:" if has_pose else "A pose was found and refused:"
+    return [Evidence(False, f"{begin} {_pose_words(pose)}.") for pose in result.alternatives]
 
 
 def _pose_words(pose: Pose) -> str:
     angle = rotation_axis_angle(pose.rotation)[1]
     where = describe_direction(-pose.rotation.T @ pose.translation).replace(" deg", "°")
     return f"a turn by {angle:.2f}°, with camera 2 at {where}"
+
+
+def _amount(angle_deg: float) -> str:
+    return f"{angle_deg:.2g}°" if angle_deg >= 0.001 else "less than 0.001°"
 
 
 def _vector(vector: np.ndarray) -> str:

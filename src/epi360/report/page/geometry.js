@@ -121,8 +121,9 @@ function greatCircle(normal, count = 180) {
   });
 }
 
-// From cyan (0) to magenta (1), bright over a darkened picture.
+// From cyan (0) to magenta (1), bright over a darkened picture; light blue where there is no pose.
 function residualColour(share) {
+  if (!Number.isFinite(share)) return "#33b5ff";
   const t = Math.min(Math.max(share, 0), 1);
   return `rgb(${Math.round(255 * t)},${Math.round(255 * (1 - t))},255)`;
 }
