@@ -68,6 +68,13 @@ def test_names_of_files_cannot_become_part_of_the_page(make_result):
     assert text.count("<!--") == 0
 
 
+def test_a_name_that_is_no_text_does_not_stop_the_report(make_result, tmp_path):
+    path = tmp_path / "report.html"
+    images, cameras = (picture(PANORAMA),) * 2, (PANORAMA, PANORAMA)
+    write_pair_report(path, ("\udcff.jpg", "b.jpg"), images, cameras, make_result("ok", PANORAMA))
+    assert "?.jpg" in path.read_text(encoding="utf-8")
+
+
 def test_the_page_forbids_the_browser_every_connection(make_result):
     text = page_text(make_result("ok", PANORAMA))
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1]
