@@ -34,7 +34,9 @@ def test_the_command_says_what_registered_and_cuts_cube_faces(
     assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
     assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()
     assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
-    assert "The map holds 6 of 7 images" in report.read_text(encoding="utf-8")
+    text = report.read_text(encoding="utf-8")
+    assert "The map holds 6 of 7 images" in text
+    assert "zz_grey.png: no accepted pair" in text
 
 
 def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_path, capsys):

@@ -20,7 +20,12 @@ from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.jobs.matching import MatchRun, PairVerdict
 from epi360.poses import Pose
 from epi360.report import folder_page
-from epi360.report.folder_page import match_page, summary_sentences, write_match_report
+from epi360.report.folder_page import (
+    MapShown,
+    match_page,
+    summary_sentences,
+    write_match_report,
+)
 from epi360.report.model_scene import model_scene
 from epi360.report.webgl import find_webgl_library
 
@@ -120,13 +125,13 @@ def test_the_summary_says_whether_the_accepted_pairs_join_all_images(make_run):
     whole, broken = (dataclasses.replace(run, verdicts=each) for each in (chain, chain[:2]))
     assert summary_sentences(whole)[1] == "The accepted pairs join all images."
     assert summary_sentences(broken)[1] == (
-        "The accepted pairs join one group of 3 images; 1 image has no accepted pair."
+        "The accepted pairs join one group of 3 images and leave 1 image alone."
     )
 
 
 def test_the_summary_counts_why_pairs_are_not_used(make_run):
     sentences = summary_sentences(make_run(4, 3)[0])
-    assert sentences[0].startswith("4 images were matched in 6 pairs (made up), and 3 of the pairs")
+    assert sentences[0].startswith("4 images gave 6 pairs (made up), and 3 pairs are accepted")
     assert "Of the others, 2 did not fit other pairs." in sentences
     assert "Of the others, 1 had too few matches that agree with one pose." in sentences
 
@@ -207,7 +212,7 @@ def test_hostile_names_stay_text_and_nobody_is_asked(browser, make_run, tmp_path
 @pytest.mark.skipif(find_webgl_library() is None, reason="the extra [report] is not installed")
 def test_the_cameras_and_points_of_a_map_are_drawn_in_3d(browser, make_run, tmp_path):
     path = tmp_path / "report.html"
-    write_match_report(path, *make_run(3, 2), [line_of_cameras()])
+    write_match_report(path, *make_run(3, 2), MapShown([line_of_cameras()], {}))
     show(browser, path)
     assert "The map holds 3 of 3 images and 50 points." in path.read_text(encoding="utf-8")
     until = time.monotonic() + 10.0
@@ -225,7 +230,7 @@ def test_the_axes_of_a_camera_in_the_map_stand_at_its_centre():
 
 
 def test_a_map_that_was_not_made_is_said(make_run):
-    text = match_page(*make_run(3, 2), []).encode().decode()
+    text = match_page(*make_run(3, 2), MapShown([], {})).encode().decode()
     assert "COLMAP could not make a map of these pairs." in text
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from epi360.jobs.image_set import ImageSet
     from epi360.jobs.map_attempts import Attempt
     from epi360.jobs.mapping import MapOptions, MapRun
+    from epi360.report.folder_page import MapShown
 
 Face = Literal["front", "right", "back", "left", "up", "down"]
 ALL_FACES: tuple[Face, ...] = ("front", "right", "back", "left", "up", "down")
@@ -131,7 +132,7 @@ def map_folder(
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
     if report is not None:
-        write_report(report, run.matched, images, [each.reconstruction for each in run.models])
+        write_report(report, run.matched, images, _shown_map(run))
     if not run.models:
         return FAILURE
     print(f"wrote {run.models[0].folder}")
@@ -192,6 +193,12 @@ def cubemap(
     source.check_used(list(masks.values()))
     _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
     return SUCCESS
+
+
+def _shown_map(run: MapRun) -> MapShown:
+    from epi360.report.folder_page import MapShown
+
+    return MapShown([model.reconstruction for model in run.models], run.unregistered)
 
 
 def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:

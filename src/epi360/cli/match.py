@@ -14,9 +14,9 @@ from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, sh
 from epi360.cli.frames import folder_of
 
 if TYPE_CHECKING:
-    from epi360.interop import Reconstruction
     from epi360.jobs.image_set import ImageSet
     from epi360.jobs.matching import MatchOptions, MatchRun
+    from epi360.report.folder_page import MapShown
 
 PairsChoice = Literal["auto", "sequential", "exhaustive"] | Path
 
@@ -127,12 +127,12 @@ def check_report(report: Path) -> None:
 
 
 def write_report(
-    path: Path, run: MatchRun, images: ImageSet, models: list[Reconstruction] | None = None
+    path: Path, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
 ) -> None:
-    """Write the page of a folder and say so; with ``models``, also its map."""
+    """Write the page of a folder, with its map where it was mapped, and say so."""
     from epi360.report.folder_page import write_match_report
 
-    write_match_report(path, run, images, models)
+    write_match_report(path, run, images, shown_map)
     print(f"wrote {path}", flush=True)
 
 

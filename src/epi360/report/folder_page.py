@@ -3,8 +3,9 @@
 
 import base64
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -43,20 +44,28 @@ _REJECTIONS = {
     "unreadable_image": "had an image that could not be read",
     CONTRADICTED: "did not fit other pairs",
 }
+_NAMED = 10  # images of one kind that the page names
 _GATE_SIGMAS = 3.0  # the residuals of a pair are coloured up to so many times its noise
 
 
+@dataclass(frozen=True)
+class MapShown:
+    """What the page of a map shows beside its pairs."""
+
+    models: Sequence[Reconstruction]  # the largest first, which is drawn
+    left_out: Mapping[str, str]  # image without a pose in it, and the reason
+
+
 def write_match_report(
-    path: PathLike, run: MatchRun, images: ImageSet, models: Sequence[Reconstruction] | None = None
+    path: PathLike, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
 ) -> None:
-    """Write the report of `match_images` on a folder, or with its models that of `map_images`."""
-    write_file(path, match_page(run, images, models).encode())
+    """Write the report of `match_images` on a folder, or with the map that of `map_images`."""
+    write_file(path, match_page(run, images, shown_map).encode())
 
 
-def match_page(
-    run: MatchRun, images: ImageSet, models: Sequence[Reconstruction] | None = None
-) -> Page:
-    """Return the page of a folder; the largest of the models is shown, None where none is made."""
+def match_page(run: MatchRun, images: ImageSet, shown_map: MapShown | None = None) -> Page:
+    """Return the page of a folder, with its map where it was mapped."""
+    models = shown_map.models if shown_map else ()
     webgl = find_webgl_library() if models else None
     graph = load_matches(run.folder)
     names = list(run.images)
@@ -72,13 +81,13 @@ def match_page(
         "pairs": _pair_records(run, graph, images, names),
         "scene": model_scene(models[0]) if models and webgl else None,
     }
-    title = f"{'Pairs' if models is None else 'Map'} of {images.folder.resolve().name}"
-    scene = "" if models is None else _map_section(models, len(names), webgl is not None)
+    title = f"{'Map' if shown_map else 'Pairs'} of {images.folder.resolve().name}"
+    scene = _map_section(shown_map, len(names), webgl is not None) if shown_map else ""
     return Page(title, _body(title, run, images, scene), data, SCRIPTS, webgl)
 
 
-def _map_section(models: Sequence[Reconstruction], num_images: int, has_webgl: bool) -> str:
-    heading = "<h2>The map</h2>"
+def _map_section(shown_map: MapShown, num_images: int, has_webgl: bool) -> str:
+    models, heading = shown_map.models, "<h2>The map</h2>"
     if not models:
         return f"{heading}<p>COLMAP could not make a map of these pairs.</p>"
     placed, count = len(models[0].images), len(models[0].points)
@@ -86,6 +95,12 @@ def _map_section(models: Sequence[Reconstruction], num_images: int, has_webgl: b
     if len(models) > 1:
         others = f" {len(models) - 1} smaller maps of other images are not shown."
     words = f"<p>The map holds {placed} of {num_images} images and {count} points.{others}</p>"
+    left_out = list(shown_map.left_out.items())
+    items = [f"<li>{escaped(name)}: {escaped(why)}</li>" for name, why in left_out[:_NAMED]]
+    if len(left_out) > _NAMED:
+        items.append(f"<li>and {len(left_out) - _NAMED} more</li>")
+    if items:
+        words += f"<p>These images are not in it:</p><ul>{''.join(items)}</ul>"
     if not has_webgl:
         return f"{heading}{words}<p>{escaped(MISSING)}</p>"
     return (
@@ -128,8 +143,8 @@ def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) ->
     """Return what became of the images and pairs of a folder, in whole sentences."""
     accepted = [verdict for verdict in run.verdicts if verdict.accepted]
     sentences = [
-        f"{len(run.images)} images were matched in {len(run.verdicts)} pairs ({run.how}), and "
-        f"{len(accepted)} of the pairs are accepted."
+        f"{_count(len(run.images), 'image')} gave {_count(len(run.verdicts), 'pair')} ({run.how}), "
+        f"and {_count(len(accepted), 'pair')} {'is' if len(accepted) == 1 else 'are'} accepted."
     ]
     counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
     if counts:
@@ -139,10 +154,14 @@ def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) ->
         ]
     sentences.append(_groups_sentence(run.images, accepted))
     not_used = sorted([*run.unreadable.items(), *skipped])
-    sentences += [f"Not used: {name}: {why}." for name, why in not_used[:10]]
-    if len(not_used) > 10:
-        sentences.append(f"{len(not_used) - 10} more images were not used.")
+    sentences += [f"Not used: {name}: {why}." for name, why in not_used[:_NAMED]]
+    if len(not_used) > _NAMED:
+        sentences.append(f"So many more were not used: {len(not_used) - _NAMED}.")
     return sentences + describe_level(run)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _groups_sentence(names: Sequence[str], accepted: Sequence[PairVerdict]) -> str:
@@ -165,8 +184,7 @@ def _groups_sentence(names: Sequence[str], accepted: Sequence[PairVerdict]) -> s
         return "No image is joined to another one."
     joined = " and ".join(str(size) for size in sorted(groups, reverse=True)[:6])
     what = f"one group of {joined}" if len(groups) == 1 else f"{len(groups)} groups of {joined}"
-    have = "1 image has" if alone == 1 else f"{alone} images have"
-    left = f"; {have} no accepted pair" if alone else ""
+    left = f" and leave {_count(alone, 'image')} alone" if alone else ""
     return f"The accepted pairs join {what} images{left}."
 
 
