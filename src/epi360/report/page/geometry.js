@@ -83,8 +83,8 @@ class Camera {
   }
 
   // Segments [u1, v1, u2, v2] where the great circle with this normal runs through the picture:
-  // the zero line of the normal's component along the rays, cell by cell. The test on y keeps cells
-  // of the same sign out, and neither the seam nor a pole needs a case of its own.
+  // the zero line of the rays' component along the normal, cell by cell. Every camera is the same to
+  // it, and neither the seam nor a pole needs a case of its own.
   circle(normal) {
     const { columns, rows, rays } = this.grid();
     const side = new Float32Array((columns + 1) * (rows + 1));
