@@ -19,9 +19,13 @@ from epi360.jobs.mapping import MapRun  # noqa: E402
 from epi360.jobs.matching import MatchRun  # noqa: E402
 
 
-def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_run, capsys):
+def test_the_command_says_what_registered_and_cuts_cube_faces(
+    room_folder, room_run, tmp_path, capsys
+):
     output, _ = room_run
+    report = tmp_path / "map.html"
     words = ["map", str(room_folder[0]), "--output", str(output), "--cubemap"]
+    words += ["--report", str(report)]
     assert cli.main([*words, "--faces", "front", "back", "--mask-nadir-deg", "0"]) == 0
     printed = capsys.readouterr().out
     assert "registered   6 of 7 images" in printed
@@ -30,6 +34,9 @@ def test_the_command_says_what_registered_and_cuts_cube_faces(room_folder, room_
     assert f"wrote {output / 'cubemap'} (12 cube faces)" in printed
     assert (output / "cubemap" / "images" / "Küche" / "0_back.jpg").is_file()
     assert len(read_colmap_model(output / "cubemap" / "sparse" / "0").images) == 12
+    text = report.read_text(encoding="utf-8")
+    assert "The map holds 6 of 7 images" in text
+    assert "zz_grey.png: no accepted pair" in text
 
 
 def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_path, capsys):
@@ -129,6 +136,7 @@ def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
         (["IMAGES", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),
         (["IMAGES", "--mapper-threads", "0"], " --mapper-threads must be 1 or more"),
         (["IMAGES", "--mapper", "best"], "--mapper"),
+        (["IMAGES", "--report", "map.txt"], " --report must end in .html"),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_code_2(room_folder, tmp_path, capsys, words, message):
@@ -143,5 +151,5 @@ def test_help_names_every_option(capsys):
         capsys, "map", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
         "--max-width", "--max-features", "--seed", "--num-threads", "--mapper", "--refine-cameras",
         "--no-track", "--mapper-threads", "--cubemap", "--face-size", "--fov-deg", "--faces",
-        "--image-format", "--jpeg-quality", "--output", "--restart",
+        "--image-format", "--jpeg-quality", "--output", "--restart", "--report",
     )  # fmt: skip

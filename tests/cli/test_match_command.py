@@ -39,6 +39,21 @@ def test_a_folder_gives_a_table_and_a_summary(here, capsys):
     assert np.linalg.norm(translation) == pytest.approx(1.0, abs=1e-8)
 
 
+def test_a_report_is_written_where_it_is_asked_for_with_every_pair_and_picture(here, capsys):
+    assert main(["match", "tour", "--report", "tour.html"]) == SUCCESS
+    assert "wrote tour.html" in capsys.readouterr().out
+    text = (here / "tour.html").read_text(encoding="utf-8")
+    assert "The accepted pairs join all images." in text
+    assert text.count("data:image/jpeg") == 2
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_the_work(here, capsys):
+    words = ["match", "tour", "--report"]
+    assert_wrong_use(capsys, [*words, "tour.txt"], "--report must end in .html")
+    assert_wrong_use(capsys, [*words, "missing/tour.html"], "--report", "does not exist")
+    assert not (here / "tour-epi360").exists()
+
+
 def test_the_table_of_the_columns_names_every_one_and_no_other():
     section = text_of(ROOT / "docs" / "conventions.md").split("## Columns of `pairs.csv`\n")[1]
     first_columns = re.findall(r"^\| (`.+?`) \|", section.split("\n## ")[0], re.M)
@@ -112,5 +127,5 @@ def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "match", "--camera", "--mask", "--mask-nadir-deg", "--pairs", "--overlap",
         "--max-width", "--max-features", "--seed", "--num-threads", "--output", "--restart",
-        "--upright",
+        "--upright", "--report",
     )  # fmt: skip

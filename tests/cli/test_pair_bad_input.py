@@ -257,7 +257,7 @@ def test_a_camera_of_another_size_is_refused(pair):
         relative_pose_of_images(pair.image1, pair.image2, camera2=Equirectangular(64, 32))
 
 
-@pytest.mark.parametrize("option", ["--json", "--figure"])
+@pytest.mark.parametrize("option", ["--json", "--figure", "--report"])
 def test_an_output_never_replaces_an_input(tmp_path, capsys, option):
     image = tmp_path / "a.png"
     cv2.imwrite(str(image), np.zeros((64, 128, 3), np.uint8))

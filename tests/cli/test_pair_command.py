@@ -81,6 +81,7 @@ def estimates(monkeypatch):
         (["pair", "a.jpg", "b.jpg", "--mask", "c", "--mask1", "d"], "--mask1 and --mask2"),
         (["pair", "a.jpg", "b.jpg", "--json", "/no/such/folder/r.json"], "/no/such/folder"),
         (["pair", "a.jpg", "b.jpg", "--figure", "f.gif"], ".png"),
+        (["pair", "a.jpg", "b.jpg", "--report", "f.txt"], "--report must end in .html"),
     ],
 )
 def test_wrong_words_are_one_line_and_exit_2(capsys, arguments, fragment):
@@ -88,8 +89,8 @@ def test_wrong_words_are_one_line_and_exit_2(capsys, arguments, fragment):
 
 
 def test_outputs_are_checked_before_the_work(capsys, images, estimates, tmp_path):
-    for option in ("--json", "--figure"):
-        missing = str(tmp_path / "missing" / "x.png")
+    for option, name in (("--json", "x.json"), ("--figure", "x.png"), ("--report", "x.html")):
+        missing = str(tmp_path / "missing" / name)
         assert_wrong_use(capsys, ["pair", *images, option, missing], option, "does not exist")
     assert estimates.options == []
 
@@ -130,8 +131,9 @@ def test_the_exit_code_tells_a_pose_from_an_honest_failure(
     capsys, images, estimates, status, code, tmp_path
 ):
     estimates.status = status
-    record, figure = tmp_path / "r.json", tmp_path / "f.png"
+    record, figure, report = (tmp_path / name for name in ("r.json", "f.png", "p.html"))
     arguments = ["pair", *images, "--json", str(record), "--figure", str(figure)]
+    arguments += ["--report", str(report)]
     assert cli.main(arguments) == code
     captured = capsys.readouterr()
     assert captured.out.startswith(f"Status        {status}: ")
@@ -139,6 +141,7 @@ def test_the_exit_code_tells_a_pose_from_an_honest_failure(
     written = json.loads(record.read_text(encoding="utf-8"))
     assert (written["status"], written["image1"]) == (status, images[0])
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert report.read_bytes().endswith(b"</html>\n")
 
 
 def test_options_reach_the_library_under_their_own_names(images, estimates):
@@ -204,7 +207,7 @@ def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "pair", "--camera1", "--mask", "--mask-nadir-deg", "--inlier-threshold-deg",
         "--upright",
-        "--json", "--figure", "--max-width", "--seed", "--demo", "--save-images",
+        "--json", "--figure", "--report", "--max-width", "--seed", "--demo", "--save-images",
     )  # fmt: skip
 
 

@@ -15,10 +15,12 @@ from epi360.cli.match import (
     NO_INPUT,
     MatchInput,
     MatchWork,
+    check_report,
     default_output,
     images_of,
     match_options,
     write_pairs_table,
+    write_report,
 )
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from epi360.jobs.image_set import ImageSet
     from epi360.jobs.map_attempts import Attempt
     from epi360.jobs.mapping import MapOptions, MapRun
+    from epi360.report.folder_page import MapShown
 
 Face = Literal["front", "right", "back", "left", "up", "down"]
 ALL_FACES: tuple[Face, ...] = ("front", "right", "back", "left", "up", "down")
@@ -83,6 +86,7 @@ def map_folder(
     output: Annotated[Path | None, OUTPUT] = None,
     cubemap: Annotated[Flag, OUTPUT] = False,
     restart: Annotated[Flag, OUTPUT] = False,
+    report: Annotated[Path | None, OUTPUT] = None,
 ) -> int:
     """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
 
@@ -103,6 +107,9 @@ def map_folder(
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
         Throw away the pairs in the output that were made with other options.
+    report
+        Write a page that a browser opens offline: the map in 3D, the graph of the pairs, a table
+        that sorts and filters, and each pair with its matches; .html.
 
     Returns
     -------
@@ -115,6 +122,8 @@ def map_folder(
 
     if cube_faces != CUBE_FACES and not cubemap:
         raise ValueError("--face-size, --fov-deg, --faces and the like need --cubemap")
+    if report is not None:
+        check_report(report)
     output = default_output(folder) if output is None else output
     options = _map_options(given, work, mapping)
     cutting = _cubemap_options(cube_faces)
@@ -134,6 +143,8 @@ def map_folder(
         )
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
+    if report is not None:
+        write_report(report, run.matched, images, _shown_map(run))
     if not run.models:
         return FAILURE
     print(f"wrote {run.models[0].folder}")
@@ -194,6 +205,12 @@ def cubemap(
     source.check_used(list(masks.values()))
     _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
     return SUCCESS
+
+
+def _shown_map(run: MapRun) -> MapShown:
+    from epi360.report.folder_page import MapShown
+
+    return MapShown([model.reconstruction for model in run.models], run.unregistered)
 
 
 def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:

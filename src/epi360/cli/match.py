@@ -14,7 +14,9 @@ from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, sh
 from epi360.cli.frames import folder_of
 
 if TYPE_CHECKING:
+    from epi360.jobs.image_set import ImageSet
     from epi360.jobs.matching import MatchOptions, MatchRun
+    from epi360.report.folder_page import MapShown
 
 PairsChoice = Literal["auto", "sequential", "exhaustive"] | Path
 
@@ -71,6 +73,7 @@ def match(
     work: MatchWork = DEFAULT_WORK,
     output: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
     restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
+    report: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
 ) -> int:
     """Relative poses of the images of a folder, pair by pair, each with a verdict.
 
@@ -88,6 +91,9 @@ def match(
         that is inside them.
     restart
         Throw away the pairs in the output that were made with other options.
+    report
+        Write a page that a browser opens offline: the graph of the pairs, a table that sorts and
+        filters, and each pair with its matches; .html.
 
     Returns
     -------
@@ -97,6 +103,8 @@ def match(
     from epi360.jobs.image_set import find_images
     from epi360.jobs.matching import match_images
 
+    if report is not None:
+        check_report(report)
     options = match_options(given, work)
     output = default_output(folder) if output is None else output
     folder = images_of(folder, output, given)
@@ -105,7 +113,27 @@ def match(
     with show_bars() as progress:
         run = match_images(images, output, options, restart=restart, progress=progress)
     _report(run, images.skipped, time.monotonic() - begun)
+    if report is not None:
+        write_report(report, run, images)
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
+
+
+def check_report(report: Path) -> None:
+    """Raise before the work where the page could not be written."""
+    from epi360.report.files import check_report_name, check_writable
+
+    check_report_name(report, name="--report")
+    check_writable(report, name="--report")
+
+
+def write_report(
+    path: Path, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
+) -> None:
+    """Write the page of a folder, with its map where it was mapped, and say so."""
+    from epi360.report.folder_page import write_match_report
+
+    write_match_report(path, run, images, shown_map)
+    print(f"wrote {path}", flush=True)
 
 
 def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:

@@ -69,6 +69,9 @@ class PairOutput:
     """Write the result with its matches for programs."""
     figure: Path | None = None
     """Draw matches, epipoles and epipolar curves; .png, .jpg, .webp, .pdf or .svg."""
+    report: Path | None = None
+    """Write a page that a browser opens offline: the verdict, both pictures with the matches, and
+    what is behind the pose; .html."""
     save_images: Path | None = None
     """With --demo: write the two panoramas into this folder, to try the command on files."""
 
@@ -162,15 +165,23 @@ def _files_read(image1: Path | None, image2: Path | None, given: PairInput) -> d
 
 def _check_outputs(output: PairOutput, files_read: dict[str, Path]) -> None:
     """Raise before the work where its results could not be written, or would destroy its input."""
-    from epi360.report.files import check_distinct, check_figure_name, check_writable
+    from epi360.report.files import (
+        check_distinct,
+        check_figure_name,
+        check_report_name,
+        check_writable,
+    )
 
-    written = {"--json": output.json, "--figure": output.figure}
+    written = {"--json": output.json, "--figure": output.figure, "--report": output.report}
     check_distinct({name: path for name, path in written.items() if path}, files_read)
     if output.json is not None:
         check_writable(output.json, name="--json")
     if output.figure is not None:
         check_figure_name(output.figure, name="--figure")
         check_writable(output.figure, name="--figure")
+    if output.report is not None:
+        check_report_name(output.report, name="--report")
+        check_writable(output.report, name="--report")
     if output.save_images is not None:
         output.save_images.mkdir(exist_ok=True)
 
@@ -272,6 +283,11 @@ def _write_outputs(
         from epi360.report.figure import draw_pair
 
         draw_pair(*images.images, *images.cameras, result, path=output.figure)
+    if output.report is not None:
+        progress("writing the report")
+        from epi360.report.pair_page import write_pair_report
+
+        write_pair_report(output.report, images.names, images.images, images.cameras, result)
 
 
 def _record(images: _Pair, result: ImagePairResult) -> dict[str, Any]:

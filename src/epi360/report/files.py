@@ -43,3 +43,9 @@ def check_figure_name(path: PathLike, *, name: str = "path") -> None:
     if Path(path).suffix.lower().removeprefix(".") not in FIGURE_FORMATS:
         known = ", ".join(f".{suffix}" for suffix in FIGURE_FORMATS)
         raise ValueError(f"{name} must end in one of {known}, got {os.fspath(path)!r}")
+
+
+def check_report_name(path: PathLike, *, name: str = "path") -> None:
+    """Raise ``ValueError`` unless the extension says that a browser opens the file."""
+    if Path(path).suffix.lower() not in (".html", ".htm"):
+        raise ValueError(f"{name} must end in .html, got {os.fspath(path)!r}")

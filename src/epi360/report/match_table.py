@@ -40,7 +40,7 @@ def pairs_csv(run: MatchRun) -> bytes:
                 verdict.image2,
                 verdict.status,
                 "yes" if verdict.accepted else "no",
-                _reason(verdict, run),
+                verdict_reason(verdict, run),
                 verdict.num_matches,
                 verdict.num_inliers,
                 *(_number(value) for value in (*numbers, *pose.translation, *sigmas)),
@@ -95,7 +95,8 @@ def rejection(verdict: PairVerdict) -> str:
     return verdict.refused.partition(",")[0] or verdict.status
 
 
-def _reason(verdict: PairVerdict, run: MatchRun) -> str:
+def verdict_reason(verdict: PairVerdict, run: MatchRun) -> str:
+    """Return why a pair has its verdict, as the table says it; empty where nothing is known."""
     if verdict.contradicted:
         return CONTRADICTED
     if verdict.refused:
