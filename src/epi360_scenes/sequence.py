@@ -12,7 +12,15 @@ from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import first_difference, read_record
 from epi360_scenes.film import Effects, Film
-from epi360_scenes.mp3d_layout import POSES_FILE, frame_files, poses_text, write_frame, write_whole
+from epi360_scenes.mp3d_layout import (
+    POSES_FILE,
+    TIMES_FILE,
+    frame_files,
+    poses_text,
+    times_text,
+    write_frame,
+    write_whole,
+)
 from epi360_scenes.rendering import RayCaster
 
 OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
@@ -26,6 +34,7 @@ def prepare_sequence(
         OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
         CAMERA_FILE: json.dumps(camera_record(camera), indent=2) + "\n",
         POSES_FILE: poses_text(world_from_cam),
+        TIMES_FILE: times_text(len(world_from_cam)),
     }
     check_folder(folder, options)
     folder.mkdir(parents=True, exist_ok=True)

@@ -29,7 +29,7 @@ def test_the_command_writes_a_sequence_and_resumes_it(tmp_path, capsys):
     assert "frames: 2 of 2" in errors and "/s" in errors
     assert tree(out) == [
         "camera.json", "depth/tiff/1.tiff", "depth/tiff/2.tiff", "frm_ref.txt",
-        "render.json", "rgb/1.png", "rgb/2.png",
+        "render.json", "rgb/1.png", "rgb/2.png", "rgb/frames.csv",
     ]  # fmt: skip
     assert cv2.imread(str(out / "rgb/2.png")).shape == (32, 64, 3)
     assert len(np.loadtxt(out / "frm_ref.txt")) == 2

@@ -101,7 +101,8 @@ def render(
 
     Writes rgb/1.png, ..., depth/tiff/1.tiff, ... (float32, metres along the ray, 0 = none),
     frm_ref.txt (rows t tx ty tz qx qy qz qw of world_from_cam; row k from 0 belongs to files
-    k + 1), camera.json and render.json. The same command resumes an interrupted run.
+    k + 1), rgb/frames.csv (that t of each picture), camera.json and render.json. The same command
+    resumes an interrupted run.
 
     Parameters
     ----------
