@@ -171,12 +171,16 @@ def cubemap(
     from epi360.interop.convert import read_reconstruction
     from epi360.interop.formats import FORMATS, format_of_file
     from epi360.jobs.masks import MaskSource
+    from epi360.runs.input_files import as_file
 
     options = _cubemap_options(cube_faces)
-    name = format_of_file(model)
-    if FORMATS[name].kind != "reconstruction":
-        raise ValueError(f"{model} holds matches; a cubemap needs poses, as epi360 map finds them")
-    reconstruction = read_reconstruction(model, name)
+    with as_file(model) as file:  # a pipe gives its content once
+        name = format_of_file(file)
+        if FORMATS[name].kind != "reconstruction":
+            raise ValueError(
+                f"{model} holds matches; a cubemap needs poses, as epi360 map finds them"
+            )
+        reconstruction = read_reconstruction(file, name)
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
