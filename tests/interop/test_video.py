@@ -236,6 +236,16 @@ def test_a_film_of_damaged_boxes_ends_the_reading_of_boxes(tmp_path, clip):
             assert str(path) in str(error) and "\n" not in str(error)
 
 
+def test_boxes_in_boxes_without_end_are_not_followed(tmp_path):
+    nested = b""
+    for _ in range(3000):
+        nested = box(b"moov", nested)
+    path = tmp_path / "deep.mp4"
+    path.write_bytes(box(b"ftyp", b"isom\0\0\0\0") + nested)
+    with pytest.raises(ValueError, match="deep.mp4"):
+        open_video(path)
+
+
 def test_without_pyav_the_message_says_what_to_install(clip, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ImportError, match=r"videos need av: pip install 'epi360\[video\]'"):
