@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Videos: frames with their times, metadata of the sphere, and what is refused."""
 
+import os
 import struct
 import sys
 
@@ -120,6 +121,32 @@ def test_a_damaged_stretch_costs_its_frames_and_no_others(tmp_path, clip):
         assert (frame.image is None) == (frame.error is not None)
 
 
+def with_lost_packets(path, clip, which):
+    """A copy of a file in which some packets, counted as they are stored, are zeros."""
+    with av.open(str(clip)) as container:
+        packets = [(p.pos, p.size, p.is_keyframe) for p in container.demux(video=0) if p.size]
+    data = bytearray(clip.read_bytes())
+    for number in which(packets):
+        place, size, _ = packets[number]
+        data[place + 4 : place + size] = bytes(size - 4)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(
+    "which", [lambda _: [5, 6, 15], lambda packets: [k for k, p in enumerate(packets) if p[2]][1:2]]
+)
+def test_frames_of_a_damaged_video_have_the_index_of_the_whole_one(tmp_path, clip, which):
+    whole = {frame.timestamp_s: frame.index for frame in open_video(clip)}
+    video = open_video(with_lost_packets(tmp_path / "damaged.mp4", clip, which))
+    frames = list(video)
+    assert {frame.timestamp_s: frame.index for frame in frames} == whole
+    assert video.ending is None
+    assert any(frame.image is None for frame in frames)
+    for start_s in (0.2, 0.5, 1.0, 1.6):
+        assert all(whole[frame.timestamp_s] == frame.index for frame in video.frames(start_s))
+
+
 def test_a_video_without_its_index_is_refused_with_what_to_do(tmp_path, clip):
     cut = tmp_path / "cut.mp4"
     data = clip.read_bytes()
@@ -206,6 +233,10 @@ def test_what_is_no_video_is_one_clear_sentence(tmp_path):
         open_video(tmp_path / "none.mp4")
     with pytest.raises(ValueError, match="is a folder"):
         open_video(tmp_path)
+    if os.name == "posix":
+        os.mkfifo(tmp_path / "pipe.mp4")
+        with pytest.raises(ValueError, match="pipe.mp4 must be a file, got a pipe"):
+            open_video(tmp_path / "pipe.mp4")
 
 
 def test_sound_alone_is_no_video(tmp_path):
