@@ -178,6 +178,15 @@ def test_the_cropped_area_of_v1_is_the_camera(tmp_path):
     assert (camera.horizontal_fov_deg, camera.vertical_fov_deg) == (180.0, 180.0)
 
 
+def test_a_cropped_area_with_thousands_of_digits_is_none(tmp_path, clip):
+    names = ("CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels", "CroppedAreaLeftPixels",
+             "CroppedAreaTopPixels", "FullPanoWidthPixels", "FullPanoHeightPixels")  # fmt: skip
+    more = "".join(f"<GSpherical:{name}>{'9' * 5000}</GSpherical:{name}>" for name in names)
+    packet = box(b"uuid", SPHERICAL_UUID + XMP.format(more=more).encode())
+    info = open_video(rewritten(tmp_path, clip, b"trak", packet)).info
+    assert info.camera() == Equirectangular(256, 128)
+
+
 def test_spherical_video_v2_says_which_part_is_shown(tmp_path):
     quarter = 2**30
     equi = full_box(b"equi", struct.pack(">4I", 0, 0, quarter, quarter))

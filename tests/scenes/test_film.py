@@ -131,6 +131,8 @@ def test_a_loop_of_too_few_frames_is_refused(room):
         ({"moving_people": -1}, "moving_people must be 0 or more"),
         ({"exposure_change": 9.0}, "exposure_change must be 0 to 8 stops"),
         ({"motion_blur": 2}, "motion_blur must be odd"),
+        ({"moving_people": 10**6}, "moving_people must be at most 100"),
+        ({"motion_blur": 100_001}, "motion_blur must be at most 99"),
         ({"rolling_shutter_ms": 40.0}, "rolling_shutter_ms must be 0 to 33.3"),
     ],
 )

@@ -98,7 +98,7 @@ def map_folder(
     cubemap
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
-        Throw away the pairs in the output that were made with other options.
+        Throw away the pairs in the output that were made with other options, and a video's frames.
 
     Returns
     -------
@@ -116,7 +116,7 @@ def map_folder(
     cutting = _cubemap_options(cube_faces)
     if cubemap:
         check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
-    folder = images_of(folder, output, given)
+    folder = images_of(folder, output, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:
         run = map_images(images, output, options, restart=restart, progress=progress)

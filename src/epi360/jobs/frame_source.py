@@ -72,6 +72,15 @@ def open_frames(
     return _FolderFrames(existing_folder(path, "image folder"), start_s, end_s)
 
 
+def check_times(start_s: float | None, end_s: float | None) -> None:
+    """Raise where no frames can be between two times."""
+    for name, time_s in (("start", start_s), ("end", end_s)):
+        if time_s is not None and not math.isfinite(time_s):
+            raise ValueError(f"{name} must be a number of seconds, got {time_s}")
+    if start_s is not None and end_s is not None and end_s < start_s:
+        raise ValueError(f"end must not be before start, got {end_s} < {start_s}")
+
+
 def frame_name(video: PathLike, index: int) -> str:
     """File name of a frame of a video."""
     return f"{Path(video).stem}_{index:06d}.jpg"
