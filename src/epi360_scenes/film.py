@@ -29,8 +29,9 @@ BAND_PX = 8  # rows that are exposed at one moment, of a rolling shutter
 class Effects:
     """What is added to the pictures; without arguments, nothing is.
 
-    ``exposure_change`` is the difference between the brightest and the darkest exposure in stops,
-    ``motion_blur`` the number of moments that are mixed in a picture (odd), and
+    ``exposure_change`` is the largest difference between the brightest and the darkest exposure in
+    stops: the exposure changes slowly, so that a short film has less of it, and no film more.
+    ``motion_blur`` is the number of moments that are mixed in a picture (odd), and
     ``rolling_shutter_ms`` the time from the first row to the last. The pose of a frame is that of
     the middle of its exposure and of its middle row.
     """
@@ -140,7 +141,7 @@ def pose_at(poses: Sequence[Pose], time: float) -> Pose:
 
 
 def _gains(num_frames: int, stops: float, seed: int) -> NDArray[np.float64]:
-    """Factor of the light in each frame, with the brightest and the darkest so far apart."""
+    """Factor of the light in each frame, with the brightest and the darkest no farther apart."""
     if stops == 0.0:
         return np.ones(num_frames)
     rng = np.random.Generator(np.random.PCG64([seed, 3]))

@@ -83,8 +83,13 @@ def render_sequence(
     return len(missing)
 
 
-def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise if a folder cannot take a sequence of these options; nothing is written."""
+def check_folder(
+    folder: Path, options: Mapping[str, Any], *, defaults: Mapping[str, Any] | None = None
+) -> None:
+    """Raise if a folder cannot take a sequence of these options; nothing is written.
+
+    ``defaults`` are the values of options that may be left out, there or here.
+    """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the sequence must go into a folder, {folder} is a file")
     if not folder.is_dir() or not any(folder.iterdir()):
@@ -94,7 +99,8 @@ def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
         raise ValueError(
             f"{folder} is not empty and holds no sequence of epi360 render; choose a new folder"
         )
-    found = read_record(path, remedy="choose another folder") or {}
+    options = {**(defaults or {}), **options}
+    found = {**(defaults or {}), **(read_record(path, remedy="choose another folder") or {})}
     different = first_difference(found, {**options, **dict.fromkeys(found.keys() - options.keys())})
     if different is not None:
         raise ValueError(

@@ -7,7 +7,7 @@ import pytest
 from epi360.cameras import Equirectangular
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import handheld_path, scene
-from epi360_scenes.film import BAND_PX, Effects, Film, pose_at
+from epi360_scenes.film import BAND_PX, Effects, Film, _gains, pose_at
 from epi360_scenes.people import People
 
 CAMERA = Equirectangular(width=96, height=48)
@@ -139,3 +139,10 @@ def test_a_loop_of_too_few_frames_is_refused(room):
 def test_effects_out_of_range_are_refused(effects, message):
     with pytest.raises(ValueError, match=message):
         Effects(**effects)
+
+
+@pytest.mark.parametrize(("num_frames", "least"), [(10, 0.0), (300, 1.0)])
+def test_the_exposure_changes_by_no_more_than_asked_for(num_frames, least):
+    for seed in range(20):
+        gains = _gains(num_frames, 2.0, seed)
+        assert least < np.log2(gains.max() / gains.min()) <= 2.0

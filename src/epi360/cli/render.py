@@ -76,7 +76,8 @@ class EffectChoice:
     moving_people: int = 0
     """So many people walk through a built-in scene."""
     exposure_change: float = 0.0
-    """Stops between the brightest and the darkest exposure, which changes slowly."""
+    """Stops between the brightest and the darkest exposure at most; it changes slowly, so that less
+    than a hundred frames have less."""
     motion_blur: int = 1
     """Odd number of moments that are mixed in a picture, over half of the time of a frame."""
     rolling_shutter_ms: float = 0.0
@@ -119,7 +120,7 @@ def render(
     with options_as_typed():
         effects = Effects(**asdict(effect))
     camera, options = _camera(picture), _options(what, path, picture, effect)
-    check_folder(out, options)
+    check_folder(out, options, defaults=asdict(NO_EFFECTS))
     out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work
     with show_progress() as say:
         say("building the scene")
