@@ -21,6 +21,7 @@ from epi360_scenes.textures import GAMMA
 FRAME_RATE = 30.0
 SHUTTER_FRAMES = 0.5  # the shutter is open for half of the time between two frames
 EXPOSURE_FRAMES = 20.0  # in so many frames, the exposure changes by about what it can
+MOST_PEOPLE, MOST_MOMENTS = 100, 99  # more are slips: a picture would take hours
 BAND_PX = 8  # rows that are exposed at one moment, of a rolling shutter
 
 
@@ -28,8 +29,9 @@ BAND_PX = 8  # rows that are exposed at one moment, of a rolling shutter
 class Effects:
     """What is added to the pictures; without arguments, nothing is.
 
-    ``exposure_change`` is the difference between the brightest and the darkest exposure in stops,
-    ``motion_blur`` the number of moments that are mixed in a picture (odd), and
+    ``exposure_change`` is the largest difference between the brightest and the darkest exposure in
+    stops: the exposure changes slowly, so that a short film has less of it, and no film more.
+    ``motion_blur`` is the number of moments that are mixed in a picture (odd), and
     ``rolling_shutter_ms`` the time from the first row to the last. The pose of a frame is that of
     the middle of its exposure and of its middle row.
     """
@@ -43,8 +45,14 @@ class Effects:
         """Check the values."""
         if self.moving_people < 0:
             raise ValueError(f"moving_people must be 0 or more, got {self.moving_people}")
+        if self.moving_people > MOST_PEOPLE:
+            raise ValueError(
+                f"moving_people must be at most {MOST_PEOPLE}, got {self.moving_people}"
+            )
         if not 0 <= self.exposure_change <= 8:
             raise ValueError(f"exposure_change must be 0 to 8 stops, got {self.exposure_change}")
+        if self.motion_blur > MOST_MOMENTS:
+            raise ValueError(f"motion_blur must be at most {MOST_MOMENTS}, got {self.motion_blur}")
         if self.motion_blur < 1 or self.motion_blur % 2 == 0:
             raise ValueError(f"motion_blur must be odd: 1, 3, 5, ..., got {self.motion_blur}")
         if not 0 <= self.rolling_shutter_ms <= 1000 / FRAME_RATE:
@@ -133,7 +141,7 @@ def pose_at(poses: Sequence[Pose], time: float) -> Pose:
 
 
 def _gains(num_frames: int, stops: float, seed: int) -> NDArray[np.float64]:
-    """Factor of the light in each frame, with the brightest and the darkest so far apart."""
+    """Factor of the light in each frame, with the brightest and the darkest no farther apart."""
     if stops == 0.0:
         return np.ones(num_frames)
     rng = np.random.Generator(np.random.PCG64([seed, 3]))

@@ -2,7 +2,8 @@
 """Files of a rendered sequence, laid out as 360-MP3D-VO: written whole or not at all.
 
 ``rgb/1.png``, ``depth/tiff/1.tiff`` and so on (float32 ranges along the ray in metres, 0: none) and
-``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of world_from_cam. Files count from 1, rows from 0.
+``frm_ref.txt``: rows ``t tx ty tz qx qy qz qw`` of world_from_cam. Files count from 1, rows from 0;
+``rgb/frames.csv`` (image, timestamp_s) gives each picture the time of its row.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from epi360.runs.whole_files import write_file
 from epi360_scenes.rendering import Rendering
 
 POSES_FILE = "frm_ref.txt"
+TIMES_FILE = "rgb/frames.csv"
 
 
 def frame_files(folder: Path, index: int) -> tuple[Path, Path]:
@@ -39,6 +41,12 @@ def poses_text(world_from_cam: Sequence[Pose]) -> str:
         w, *xyz = pose.quaternion_wxyz
         rows.append(" ".join(f"{value:.17g}" for value in (time, *pose.translation, *xyz, w)))
     return "".join(f"{row}\n" for row in rows)
+
+
+def times_text(num_frames: int) -> str:
+    """Content of ``rgb/frames.csv``: the time of each picture in ``frm_ref.txt``."""
+    rows = [f"{frame_files(Path(), index)[0].name},{index}\n" for index in range(num_frames)]
+    return "image,timestamp_s\n" + "".join(rows)
 
 
 def write_whole(path: Path, data: bytes) -> None:

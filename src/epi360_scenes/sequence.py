@@ -12,7 +12,15 @@ from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import first_difference, read_record
 from epi360_scenes.film import Effects, Film
-from epi360_scenes.mp3d_layout import POSES_FILE, frame_files, poses_text, write_frame, write_whole
+from epi360_scenes.mp3d_layout import (
+    POSES_FILE,
+    TIMES_FILE,
+    frame_files,
+    poses_text,
+    times_text,
+    write_frame,
+    write_whole,
+)
 from epi360_scenes.rendering import RayCaster
 
 OPTIONS_FILE, CAMERA_FILE = "render.json", "camera.json"
@@ -26,6 +34,7 @@ def prepare_sequence(
         OPTIONS_FILE: json.dumps(dict(options), indent=2) + "\n",
         CAMERA_FILE: json.dumps(camera_record(camera), indent=2) + "\n",
         POSES_FILE: poses_text(world_from_cam),
+        TIMES_FILE: times_text(len(world_from_cam)),
     }
     check_folder(folder, options)
     folder.mkdir(parents=True, exist_ok=True)
@@ -74,8 +83,13 @@ def render_sequence(
     return len(missing)
 
 
-def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
-    """Raise if a folder cannot take a sequence of these options; nothing is written."""
+def check_folder(
+    folder: Path, options: Mapping[str, Any], *, defaults: Mapping[str, Any] | None = None
+) -> None:
+    """Raise if a folder cannot take a sequence of these options; nothing is written.
+
+    ``defaults`` are the values of options that may be left out, there or here.
+    """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the sequence must go into a folder, {folder} is a file")
     if not folder.is_dir() or not any(folder.iterdir()):
@@ -85,7 +99,8 @@ def check_folder(folder: Path, options: Mapping[str, Any]) -> None:
         raise ValueError(
             f"{folder} is not empty and holds no sequence of epi360 render; choose a new folder"
         )
-    found = read_record(path, remedy="choose another folder") or {}
+    options = {**(defaults or {}), **options}
+    found = {**(defaults or {}), **(read_record(path, remedy="choose another folder") or {})}
     different = first_difference(found, {**options, **dict.fromkeys(found.keys() - options.keys())})
     if different is not None:
         raise ValueError(

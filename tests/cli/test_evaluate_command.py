@@ -53,6 +53,7 @@ def test_errors_are_printed_written_and_drawn(files, capsys):
     assert record["ate_m"]["rmse"] == pytest.approx(0.01, rel=0.02)
     assert record["rpe_frame"]["translation_m"]["rmse"] == pytest.approx(0.02, rel=0.02)
     assert len(record["position_errors_m"]) == record["num_matched"] == 20
+    assert "errors of Robust 360-8PA (eq. 16) are the means divided by 180" in printed
     assert (files / "e.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -60,6 +61,22 @@ def test_a_model_without_times_takes_them_from_the_table_of_frames(files, capsys
     words = ["evaluate", str(files / "model"), str(files / "truth.txt")]
     assert main([*words, "--frames", str(files / "frames.csv")]) == SUCCESS
     assert "20 of 20 have a pose" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("jitter", [0.0, 1e-16])
+def test_a_true_camera_that_stands_still_has_no_errors_per_metre(files, capsys, jitter):
+    rows = "".join(f"{k / 10} {1 + jitter * (k % 3)} 2 3 0 0 0 1\n" for k in range(20))
+    (files / "still.txt").write_text(rows)
+    words = ["evaluate", files / "estimate.txt", files / "still.txt"]
+    assert_wrong_use(capsys, words, "the truth stays in one place", "--align se3")
+    outputs = ["--json", str(files / "e.json"), "--figure", str(files / "e.png")]
+    assert main([*map(str, words), "--align", "se3", *outputs]) == SUCCESS
+    printed = capsys.readouterr().out
+    assert "%" not in printed.partition("alignment")[2] and "nan" not in printed
+    assert "the true camera stands still" in printed
+    record = json.loads((files / "e.json").read_text())
+    assert record["ate_share_of_path"] is None and record["rpe_distance"]["num_pairs"] == 0
 
 
 def test_wrong_use_is_one_line(files, capsys):

@@ -32,6 +32,17 @@ def test_match_takes_a_video(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "tour-epi360" / "pairs.csv").is_file()
 
 
+def test_match_chooses_frames_again_when_it_is_told_to_restart(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    views = pictures()[:2]
+    write_video(tmp_path / "tour.mp4", [views[0]] * 2 + [views[1]] * 2)
+    assert main(["match", "tour.mp4"]) == SUCCESS
+    capsys.readouterr()
+    words = ["match", "tour.mp4", "--mask-nadir-deg", "10"]
+    assert_wrong_use(capsys, words, "--mask-nadir-deg 0.0, not --mask-nadir-deg 10.0; choose anoth")
+    assert main([*words, "--restart"]) == SUCCESS
+
+
 def test_a_still_camera_is_said_to_be_still(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_video(tmp_path / "still.mp4", noise_frames(1) * 8)
@@ -46,6 +57,10 @@ def test_wrong_use_is_one_line(tmp_path, capsys):
     assert_wrong_use(capsys, ["frames", tmp_path / "none.mp4", out], "none.mp4 does not exist")
     assert_wrong_use(capsys, ["match", tmp_path / "none.mp4"], "none.mp4 does not exist")
     assert_wrong_use(capsys, ["map", tmp_path / "none.mp4"], "none.mp4 does not exist")
+    assert_wrong_use(capsys, ["frames", video, out, "--start", "nan"], "--start must be a number")
+    assert_wrong_use(capsys, ["track", video, "--end", "nan"], "--end must be a number of seconds")
+    both = ["--every", "2", "--parallax-deg", "3"]
+    assert_wrong_use(capsys, ["frames", video, out, *both], "--parallax-deg must not be given")
     assert not out.exists()
 
 

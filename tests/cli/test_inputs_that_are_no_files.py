@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pipes and devices where a command wants a file: read whole, or refused in one line, at once."""
 
+import contextlib
 import json
 import os
 import subprocess
@@ -12,7 +13,13 @@ from command_line import assert_wrong_use
 
 from epi360 import cli
 from epi360.cameras import Equirectangular
-from epi360.interop import PosedImage, Reconstruction, read_tum_trajectory, write_nerfstudio
+from epi360.interop import (
+    PosedImage,
+    Reconstruction,
+    read_tum_trajectory,
+    write_nerfstudio,
+    write_opensfm,
+)
 from epi360.poses import Pose
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices are POSIX")
@@ -45,6 +52,51 @@ def test_a_piped_trajectory_is_converted_whole(tmp_path):
     )  # fmt: skip
     assert (answer.returncode, answer.stderr) == (0, "")
     assert len(read_tum_trajectory(tmp_path / "out.tum").images) == 2000
+
+
+def answer_to_a_pipe(content, *words):
+    """Answer of a command that gets content through a slow pipe as /dev/stdin."""
+    program = "import sys; from epi360.cli import main; sys.exit(main(sys.argv[1:]))"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, words)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(2.0)  # it waits for the first byte
+    printed, said = process.communicate(content, timeout=60)
+    return process.returncode, printed, said
+
+
+def test_a_piped_trajectory_is_evaluated_whole(tmp_path):
+    rows = "".join(f"{k / 10} {k % 7} {k} 0 0 0 0 1\n" for k in range(2000))
+    (tmp_path / "truth.txt").write_text(rows)
+    code, printed, said = answer_to_a_pipe(rows, "evaluate", "/dev/stdin", tmp_path / "truth.txt")
+    assert (code, said) == (0, "")
+    assert "2000 of 2000 have a pose" in printed
+
+
+def test_a_piped_model_is_cut_into_cube_faces(tmp_path):
+    from epi360.features.picture_writing import encode_picture
+
+    (tmp_path / "images").mkdir()
+    picture = encode_picture(np.full((32, 64, 3), 90, np.uint8), ".jpg")
+    (tmp_path / "images" / "a.jpg").write_bytes(picture)
+    model = Reconstruction({"1": Equirectangular(64, 32)}, (PosedImage("a.jpg", "1", POSE),))
+    write_opensfm(tmp_path / "reconstruction.json", model)
+    code, printed, said = answer_to_a_pipe(
+        (tmp_path / "reconstruction.json").read_text(),
+        "cubemap", "/dev/stdin", tmp_path / "images", tmp_path / "cube",
+    )  # fmt: skip
+    assert code == 0, said
+    assert "6 cube faces" in printed
+
+
+@pytest.mark.parametrize("source", ["pipe", "/dev/zero"])
+def test_a_table_of_frames_is_a_file(source, pipe, tmp_path, capsys):
+    (tmp_path / "truth.txt").write_text("0 0 0 0 0 0 0 1\n")
+    words = ["evaluate", tmp_path / "truth.txt", tmp_path / "truth.txt", "--frames"]
+    path = pipe if source == "pipe" else source
+    assert_wrong_use(capsys, [*words, path], str(path))
 
 
 @pytest.mark.parametrize("source", ["pipe", "/dev/zero"])
@@ -88,14 +140,13 @@ def test_match_leaves_out_what_is_no_file(pipe, tmp_path, capsys):
     assert "no file" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("options", [["--pairs", "PIPE"], ["--mask", "PIPE"], ["--camera", "PIPE"]])
-def test_match_refuses_options_that_are_no_files(options, pipe, tmp_path, capsys):
+@pytest.mark.parametrize("option", ["--pairs", "--mask", "--camera"])
+def test_match_refuses_options_that_are_no_files(option, pipe, tmp_path, capsys):
     images = tmp_path / "images"
     images.mkdir()
     for name in ("a.png", "b.png"):
         from epi360.features.picture_writing import encode_picture
 
         (images / name).write_bytes(encode_picture(np.zeros((8, 16, 3), np.uint8), ".png"))
-    words = [str(pipe) if word == "PIPE" else word for word in options]
-    out = tmp_path / "out"
-    assert cli.main(["match", str(images), "--output", str(out), *words]) in (1, 2)
+    words = ["match", images, "--output", tmp_path / "out", option, pipe]
+    assert_wrong_use(capsys, words, f"{pipe}")

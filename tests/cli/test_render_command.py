@@ -29,7 +29,7 @@ def test_the_command_writes_a_sequence_and_resumes_it(tmp_path, capsys):
     assert "frames: 2 of 2" in errors and "/s" in errors
     assert tree(out) == [
         "camera.json", "depth/tiff/1.tiff", "depth/tiff/2.tiff", "frm_ref.txt",
-        "render.json", "rgb/1.png", "rgb/2.png",
+        "render.json", "rgb/1.png", "rgb/2.png", "rgb/frames.csv",
     ]  # fmt: skip
     assert cv2.imread(str(out / "rgb/2.png")).shape == (32, 64, 3)
     assert len(np.loadtxt(out / "frm_ref.txt")) == 2
@@ -50,10 +50,11 @@ def test_effects_are_part_of_what_a_folder_was_made_with(tmp_path, capsys):
     assert run(capsys, *words)[0] == 0
     assert "loop" not in json.loads((out / "render.json").read_text())
     code, _, errors = run(capsys, *words, "--motion-blur", 3)
-    assert code == 2 and "holds a sequence with" in errors and "choose another folder" in errors
+    assert code == 2 and "holds a sequence with motion_blur 1, not 3; choose another" in errors
     other = (tmp_path / "other", *words[1:], "--motion-blur", 3, "--exposure-change", 1)
     assert run(capsys, *other)[0] == run(capsys, *other)[0] == 0
-    assert run(capsys, tmp_path / "other", *words[1:])[0] == 2
+    code, _, errors = run(capsys, tmp_path / "other", *words[1:])
+    assert code == 2 and "holds a sequence with exposure_change 1.0, not 0.0; choose" in errors
 
 
 def test_a_loop_ends_where_it_begins(tmp_path, capsys):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Trajectories: timestamp tx ty tz qx qy qz qw of world_from_cam."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -64,9 +66,10 @@ def test_rows_have_the_times_or_all_of_them_the_index(tmp_path, stamps):
     path = tmp_path / "poses.txt"
     write_tum_trajectory(path, Reconstruction({}, images))
     after = read_tum_trajectory(path).images
-    expected = [0, 1, 2] if None in stamps else list(stamps)
+    expected = [0, 1, 2] if None in stamps else sorted(stamps)
     assert [image.timestamp_s for image in after] == expected
-    for one, other in zip(images, after, strict=True):
+    written = images if None in stamps else sorted(images, key=lambda image: image.timestamp_s)
+    for one, other in zip(written, after, strict=True):
         np.testing.assert_allclose(
             one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-12
         )
@@ -106,21 +109,35 @@ def test_two_images_of_one_time_are_no_trajectory(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("timed", [True, False])
-def test_rows_are_in_the_order_of_the_names(tmp_path, timed):
+def write_shots(path, names, stamps):
+    """Write images whose x is their place in the list, and return what is read again."""
+    images = tuple(
+        PosedImage(name, None, Pose(np.eye(3), [float(index), 0, 0]), stamp)
+        for index, (name, stamp) in enumerate(zip(names, stamps, strict=True))
+    )
+    write_tum_trajectory(path, Reconstruction({}, images))
+    return read_tum_trajectory(path).images
+
+
+def test_rows_without_times_are_in_the_order_of_the_names(tmp_path):
     """OpenSfM's shots are in any order; other programs take row k for frame k."""
     names = ["b/frame10.jpg", "frame2.jpg", "b/frame9.jpg", "frame10.jpg"]
-    expected = ["b/frame9.jpg", "b/frame10.jpg", "frame2.jpg", "frame10.jpg"]
-    images = tuple(
-        PosedImage(
-            name, None, Pose(np.eye(3), [float(index), 0, 0]), 10.0 - index if timed else None
-        )
-        for index, name in enumerate(names)
-    )
-    path = tmp_path / "poses.tum"
-    write_tum_trajectory(path, Reconstruction({}, images))
-    after = read_tum_trajectory(path).images
-    order = [names.index(name) for name in expected]
-    assert [image.cam_from_world.translation[0] for image in after] == order
-    stamps = [10.0 - index for index in order] if timed else [0, 1, 2, 3]
-    assert [image.timestamp_s for image in after] == stamps
+    after = write_shots(tmp_path / "poses.tum", names, [None] * 4)
+    assert [image.cam_from_world.translation[0] for image in after] == [2, 0, 1, 3]
+    assert [image.timestamp_s for image in after] == [0, 1, 2, 3]
+
+
+def test_rows_with_times_are_in_the_order_of_the_times(tmp_path):
+    after = write_shots(tmp_path / "poses.tum", ["a.jpg", "b.jpg", "c.jpg"], [0.5, 20.0, 3.0])
+    assert [image.timestamp_s for image in after] == [0.5, 3.0, 20.0]
+    assert [image.cam_from_world.translation[0] for image in after] == [0, 2, 1]
+
+
+def test_a_frame_that_is_missing_among_rows_without_times_is_warned_of(tmp_path):
+    names = ["1.png", "2.png", "4.png", "5.png"]
+    with pytest.warns(UserWarning, match="between 2.png and 4.png: row k is not frame k"):
+        write_shots(tmp_path / "poses.tum", names, [None] * 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_shots(tmp_path / "timed.tum", names, [1.0, 2.0, 4.0, 5.0])
+        write_shots(tmp_path / "even.tum", ["5.png", "10.png", "15.png"], [None] * 3)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Videos: frames with their times, metadata of the sphere, and what is refused."""
 
+import os
 import struct
 import sys
 
@@ -120,6 +121,32 @@ def test_a_damaged_stretch_costs_its_frames_and_no_others(tmp_path, clip):
         assert (frame.image is None) == (frame.error is not None)
 
 
+def with_lost_packets(path, clip, which):
+    """A copy of a file in which some packets, counted as they are stored, are zeros."""
+    with av.open(str(clip)) as container:
+        packets = [(p.pos, p.size, p.is_keyframe) for p in container.demux(video=0) if p.size]
+    data = bytearray(clip.read_bytes())
+    for number in which(packets):
+        place, size, _ = packets[number]
+        data[place + 4 : place + size] = bytes(size - 4)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(
+    "which", [lambda _: [5, 6, 15], lambda packets: [k for k, p in enumerate(packets) if p[2]][1:2]]
+)
+def test_frames_of_a_damaged_video_have_the_index_of_the_whole_one(tmp_path, clip, which):
+    whole = {frame.timestamp_s: frame.index for frame in open_video(clip)}
+    video = open_video(with_lost_packets(tmp_path / "damaged.mp4", clip, which))
+    frames = list(video)
+    assert {frame.timestamp_s: frame.index for frame in frames} == whole
+    assert video.ending is None
+    assert any(frame.image is None for frame in frames)
+    for start_s in (0.2, 0.5, 1.0, 1.6):
+        assert all(whole[frame.timestamp_s] == frame.index for frame in video.frames(start_s))
+
+
 def test_a_video_without_its_index_is_refused_with_what_to_do(tmp_path, clip):
     cut = tmp_path / "cut.mp4"
     data = clip.read_bytes()
@@ -149,6 +176,15 @@ def test_the_cropped_area_of_v1_is_the_camera(tmp_path):
     packet = box(b"uuid", SPHERICAL_UUID + XMP.format(more=more).encode())
     camera = open_video(rewritten(tmp_path, half, b"trak", packet)).info.camera()
     assert (camera.horizontal_fov_deg, camera.vertical_fov_deg) == (180.0, 180.0)
+
+
+def test_a_cropped_area_with_thousands_of_digits_is_none(tmp_path, clip):
+    names = ("CroppedAreaImageWidthPixels", "CroppedAreaImageHeightPixels", "CroppedAreaLeftPixels",
+             "CroppedAreaTopPixels", "FullPanoWidthPixels", "FullPanoHeightPixels")  # fmt: skip
+    more = "".join(f"<GSpherical:{name}>{'9' * 5000}</GSpherical:{name}>" for name in names)
+    packet = box(b"uuid", SPHERICAL_UUID + XMP.format(more=more).encode())
+    info = open_video(rewritten(tmp_path, clip, b"trak", packet)).info
+    assert info.camera() == Equirectangular(256, 128)
 
 
 def test_spherical_video_v2_says_which_part_is_shown(tmp_path):
@@ -206,6 +242,10 @@ def test_what_is_no_video_is_one_clear_sentence(tmp_path):
         open_video(tmp_path / "none.mp4")
     with pytest.raises(ValueError, match="is a folder"):
         open_video(tmp_path)
+    if os.name == "posix":
+        os.mkfifo(tmp_path / "pipe.mp4")
+        with pytest.raises(ValueError, match="pipe.mp4 must be a file, got a pipe"):
+            open_video(tmp_path / "pipe.mp4")
 
 
 def test_sound_alone_is_no_video(tmp_path):
@@ -234,6 +274,16 @@ def test_a_film_of_damaged_boxes_ends_the_reading_of_boxes(tmp_path, clip):
             open_video(path)
         except ValueError as error:
             assert str(path) in str(error) and "\n" not in str(error)
+
+
+def test_boxes_in_boxes_without_end_are_not_followed(tmp_path):
+    nested = b""
+    for _ in range(3000):
+        nested = box(b"moov", nested)
+    path = tmp_path / "deep.mp4"
+    path.write_bytes(box(b"ftyp", b"isom\0\0\0\0") + nested)
+    with pytest.raises(ValueError, match="deep.mp4"):
+        open_video(path)
 
 
 def test_without_pyav_the_message_says_what_to_install(clip, monkeypatch):

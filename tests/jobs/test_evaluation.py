@@ -9,6 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
+from epi360.cameras import Equirectangular
+from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.interop.tum import write_tum_trajectory
 from epi360.jobs.evaluation import evaluate
@@ -172,6 +174,43 @@ def test_names_match_where_times_are_missing_also_without_folder_and_extension()
     estimate = frames_of(wandering(2), ["images/10.jpg", "images/2.jpg"])
     rows, truth_rows = matching_frames(estimate, truth, 0.01)
     assert (rows.tolist(), truth_rows.tolist()) == ([1, 0], [0, 1])
+
+
+def test_frames_of_two_cameras_are_told_apart_by_their_folders():
+    names = ["walk/cam0/1.png", "walk/cam1/1.png", "walk/cam0/2.png"]
+    truth = frames_of(wandering(3), names, times=False)
+    estimate = frames_of(wandering(3), ["cam1/1.jpg", "cam0/1.jpg", "cam1/2.jpg"], times=False)
+    rows, truth_rows = matching_frames(estimate, truth, 0.01)
+    assert (rows.tolist(), truth_rows.tolist()) == ([1, 0], [0, 1])
+    flat = frames_of(wandering(2), ["1.jpg", "2.jpg"], times=False)
+    with pytest.raises(ValueError, match=r"cam0/1.png and walk/cam1/1.png are both the frame 1"):
+        matching_frames(flat, truth, 0.01)
+
+
+def test_one_name_that_is_the_same_does_not_keep_others_from_being_compared_without_extension():
+    truth = frames_of(wandering(3), ["1.png", "2.png", "3.png"], times=False)
+    estimate = frames_of(wandering(3), ["3.jpg", "2.png", "1.jpg"], times=False)
+    rows, truth_rows = matching_frames(estimate, truth, 0.01)
+    assert (rows.tolist(), truth_rows.tolist()) == ([2, 1, 0], [0, 1, 2])
+
+
+def test_times_of_a_trajectory_are_never_taken_for_names(tmp_path):
+    # Image 1.png is the first one and has the time 0, as in a rendered sequence.
+    truth = read_trajectory(write_tum(tmp_path / "truth.txt", wandering(12)))
+    estimate = frames_of(wandering(12), [f"{k + 1}.png" for k in range(12)], times=False)
+    with pytest.raises(ValueError, match=r"truth has times and no names.*--frames"):
+        evaluate(estimate, truth)
+    with pytest.raises(ValueError, match=r"estimate has times and no names.*--frames"):
+        evaluate(truth, estimate)
+
+
+def test_a_table_of_frames_must_have_a_time_for_each_image(tmp_path):
+    images = [PosedImage(f"{k}.jpg", "c", pose.inverse()) for k, pose in enumerate(wandering(4))]
+    write_colmap_model(
+        tmp_path / "model", Reconstruction({"c": Equirectangular(8, 4)}, tuple(images))
+    )
+    with pytest.raises(ValueError, match=r"1 of 4 images of .*model have no time.*such as 3.jpg"):
+        read_trajectory(tmp_path / "model", {f"{k}.jpg": float(k) for k in range(3)})
 
 
 def test_too_few_frames_in_common_and_a_still_estimate_are_refused():

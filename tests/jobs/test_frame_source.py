@@ -53,6 +53,21 @@ def test_a_video_gives_names_with_the_index_and_its_own_times(tmp_path):
     assert source.camera() == Equirectangular(256, 128)
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"image,timestamp_s\n\xe4.png,0\n", "frames.csv must be a text file in UTF-8"),
+        (b"image,timestamp_s\n" + b"x" * 200_000 + b",0\n", "frames.csv must be a table"),
+        (b"image,timestamp_s\n0.png,soon\n", "frames.csv must hold numbers"),
+        (b"image\n0.png\n", "frames.csv must have the columns"),
+    ],
+)
+def test_a_damaged_table_is_named(folder, content, message):
+    (folder / "frames.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        open_frames(folder)
+
+
 def test_a_path_that_leads_out_of_the_folder_is_refused(folder):
     (folder / "frames.csv").write_text("image,timestamp_s\n../0.png,0.5\n")
     with pytest.raises(ValueError, match="leads out of"):

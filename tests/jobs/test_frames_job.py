@@ -14,7 +14,7 @@ from epi360.jobs.frames_job import FramesOptions, extract_frames
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 
-pytest.importorskip("av")
+av = pytest.importorskip("av")
 CAMERA = Equirectangular(256, 128)
 STEPS = 24
 
@@ -158,8 +158,71 @@ def test_a_folder_of_other_things_is_refused(video, tmp_path):
     with pytest.raises(ValueError, match="is not empty and holds no frames"):
         extract_frames(video, tmp_path / "full", FramesOptions())
     extract_frames(video, tmp_path / "out", FramesOptions(every=12))
-    with pytest.raises(ValueError, match="holds frames with every 12, not 6"):
+    with pytest.raises(ValueError, match="holds frames with --every 12, not --every 6"):
         extract_frames(video, tmp_path / "out", FramesOptions(every=6))
+
+
+def test_options_that_are_wrong_leave_the_folder_to_those_that_are_right(video, tmp_path):
+    out, mask = tmp_path / "out", tmp_path / "mask.png"
+    cv2.imwrite(str(mask), np.full((10, 20), 255, np.uint8))
+    for options in (
+        FramesOptions(camera=str(tmp_path / "typo.yaml")),
+        FramesOptions(every=4, mask=mask),
+        FramesOptions(start_s=60.0),
+    ):
+        with pytest.raises((ValueError, FileNotFoundError)):
+            extract_frames(video, out, options)
+        assert not out.exists()
+    # Known only after all frames were read: the folder has a record, but no frames.
+    with pytest.raises(ValueError, match="no frame to use between these times"):
+        extract_frames(video, out, FramesOptions(start_s=0.001, end_s=0.002))
+    assert len(extract_frames(video, out, FramesOptions(every=12)).chosen) == 2
+
+
+def test_frames_of_other_options_are_replaced_when_that_is_asked_for(video, tmp_path):
+    extract_frames(video, tmp_path / "out", FramesOptions(parallax_deg=3.0))
+    with pytest.raises(ValueError, match=r"with no --every, not --every 12; do this"):
+        extract_frames(video, tmp_path / "out", FramesOptions(every=12), remedy="do this")
+    extract_frames(video, tmp_path / "out", FramesOptions(every=12), restart=True)
+    names = sorted(path.name for path in (tmp_path / "out").glob("*.jpg"))
+    assert names == ["walk_000000.jpg", "walk_000012.jpg"]
+
+
+def test_a_mask_is_known_by_its_content(video, tmp_path):
+    def options(name, column):
+        mask = np.full((128, 256), 255, np.uint8)
+        mask[:, column:] = 0
+        cv2.imwrite(str(tmp_path / name), mask)
+        return FramesOptions(every=12, mask=tmp_path / name)
+
+    extract_frames(video, tmp_path / "out", options("a.png", 200))
+    assert extract_frames(video, tmp_path / "out", options("b.png", 200)).num_new == 0
+    with pytest.raises(ValueError, match="chosen with another mask"):
+        extract_frames(video, tmp_path / "out", options("a.png", 100))
+
+
+def test_a_run_on_a_damaged_video_goes_on_with_the_same_frames(video, tmp_path):
+    data = bytearray(video.read_bytes())
+    with av.open(str(video)) as container:
+        packets = [(p.pos, p.size) for p in container.demux(video=0) if p.size]
+    for place, size in (packets[3], packets[4]):
+        data[place + 4 : place + size] = bytes(size - 4)
+    damaged = tmp_path / "walk.mp4"
+    damaged.write_bytes(data)
+    run = extract_frames(damaged, tmp_path / "out", FramesOptions(every=3))
+    assert not any("cut off" in remark for remark in run.remarks)
+    files = sorted((tmp_path / "out").glob("*.jpg"))
+    before = [path.read_bytes() for path in files]
+    for path in files[-3:]:
+        path.unlink()
+    assert extract_frames(damaged, tmp_path / "out", FramesOptions(every=3)).num_new == 3
+    assert [path.read_bytes() for path in files] == before
+
+
+def test_frames_that_show_nothing_are_refused_with_what_to_do(tmp_path):
+    grey = write_video(tmp_path / "grey.mp4", [np.full((128, 256, 3), 90, np.uint8)] * 5)
+    with pytest.raises(ValueError, match=r"no frame to use: they are too dark.*--every N"):
+        extract_frames(grey, tmp_path / "out", FramesOptions())
 
 
 def test_frames_that_are_no_panoramas_need_a_camera(tmp_path):
@@ -185,6 +248,9 @@ def test_an_early_end_is_said(tmp_path, video):
         ({"parallax_deg": 0}, "parallax_deg must be between 0 and 90"),
         ({"jpeg_quality": 101}, "jpeg_quality must be from 1 to 100"),
         ({"start_s": 2.0, "end_s": 1.0}, "end must not be before start"),
+        ({"start_s": float("nan")}, "start must be a number of seconds, got nan"),
+        ({"end_s": float("nan")}, "end must be a number of seconds, got nan"),
+        ({"every": 2, "parallax_deg": 3.0}, "parallax_deg must not be given with every"),
     ],
 )
 def test_options_out_of_range_are_refused(options, message):

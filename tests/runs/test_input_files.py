@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from epi360.runs.input_files import as_file, check_is_file, read_file, read_text
+from epi360.runs.input_files import as_file, check_is_file, read_beginning, read_file, read_text
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pipes and devices are POSIX")
 LARGE = bytes(range(256)) * 4096  # more than a pipe holds
@@ -43,6 +43,12 @@ def written():
 
 def test_a_pipe_is_read_to_its_end(written):
     assert read_file(written) == LARGE
+
+
+def test_the_beginning_of_a_slow_pipe_is_waited_for(written, tmp_path):
+    assert read_beginning(written, 6000) == LARGE[:6000]
+    (tmp_path / "a").write_bytes(b"short")
+    assert read_beginning(tmp_path / "a", 6000) == b"short"
 
 
 def test_a_pipe_is_copied_for_those_who_look_twice(written):

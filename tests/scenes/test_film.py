@@ -7,7 +7,7 @@ import pytest
 from epi360.cameras import Equirectangular
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import handheld_path, scene
-from epi360_scenes.film import BAND_PX, Effects, Film, pose_at
+from epi360_scenes.film import BAND_PX, Effects, Film, _gains, pose_at
 from epi360_scenes.people import People
 
 CAMERA = Equirectangular(width=96, height=48)
@@ -131,9 +131,18 @@ def test_a_loop_of_too_few_frames_is_refused(room):
         ({"moving_people": -1}, "moving_people must be 0 or more"),
         ({"exposure_change": 9.0}, "exposure_change must be 0 to 8 stops"),
         ({"motion_blur": 2}, "motion_blur must be odd"),
+        ({"moving_people": 10**6}, "moving_people must be at most 100"),
+        ({"motion_blur": 100_001}, "motion_blur must be at most 99"),
         ({"rolling_shutter_ms": 40.0}, "rolling_shutter_ms must be 0 to 33.3"),
     ],
 )
 def test_effects_out_of_range_are_refused(effects, message):
     with pytest.raises(ValueError, match=message):
         Effects(**effects)
+
+
+@pytest.mark.parametrize(("num_frames", "least"), [(10, 0.0), (300, 1.0)])
+def test_the_exposure_changes_by_no_more_than_asked_for(num_frames, least):
+    for seed in range(20):
+        gains = _gains(num_frames, 2.0, seed)
+        assert least < np.log2(gains.max() / gains.min()) <= 2.0

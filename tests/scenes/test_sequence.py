@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt, load_camera
+from epi360.jobs.frame_source import read_frame_times
 from epi360.poses import Pose
 from epi360_paper.datasets import load_mp3d_vo
 from epi360_scenes import Rendering, handheld_path, scene
@@ -192,3 +193,10 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
 def test_unknown_scenes_are_named():
     with pytest.raises(ValueError, match="scene must be one of living_room, studio, got 'cave'"):
         scene("cave")
+
+
+def test_the_table_of_frames_gives_each_picture_the_time_of_its_pose(tmp_path):
+    render_sequence(CountingScene(), CAMERA, still_poses(3), tmp_path, OPTIONS)
+    times = read_frame_times(tmp_path / "rgb")
+    assert times == {"1.png": 0.0, "2.png": 1.0, "3.png": 2.0}
+    assert list(times.values()) == np.loadtxt(tmp_path / "frm_ref.txt")[:, 0].tolist()

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -77,7 +79,8 @@ def convert(
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
-        write_reconstruction(target, target_name, content, images=folder)
+        with _warnings_on_stderr():
+            write_reconstruction(target, target_name, content, images=folder)
     else:
         write_matches(target, target_name, content, features=features, pairs=pairs)
     print(_summary(target, target_name, content))
@@ -186,15 +189,22 @@ def _read_reconstruction(
     from epi360.jobs.given_cameras import read_given_cameras
 
     given = None if camera is None else read_given_cameras(camera)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with _warnings_on_stderr():
         reconstruction = read_reconstruction(source, name, images=images)
-    for warning in caught:
-        if issubclass(warning.category, UserWarning):  # not those about the libraries
-            print(f"epi360: {warning.message}", file=sys.stderr)
     if given is None:
         return reconstruction
     return with_camera(reconstruction, next(iter(given.cameras)), given.only())
+
+
+@contextmanager
+def _warnings_on_stderr() -> Iterator[None]:
+    """Print each warning as a line."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, UserWarning):  # not those about the libraries
+            print(f"epi360: {warning.message}", file=sys.stderr)
 
 
 def _check_free(outputs: list[Path], name: str) -> None:

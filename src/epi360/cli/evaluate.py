@@ -52,6 +52,7 @@ def evaluate(
     from epi360.jobs.trajectories import read_trajectory
     from epi360.report.files import check_distinct, check_figure_name, check_writable
     from epi360.report.trajectory import describe_evaluation
+    from epi360.runs.input_files import as_file
 
     outputs = {"--json": json, "--figure": figure}
     given = {name: path for name, path in outputs.items() if path is not None}
@@ -61,10 +62,11 @@ def evaluate(
     if figure is not None:
         check_figure_name(figure, name="--figure")
     times = None if frames is None else read_frame_table(frames)
-    with options_as_typed():
+    # A pipe gives its content once, but finding the format and reading it are two looks.
+    with options_as_typed(), as_file(estimate) as file, as_file(truth) as true_file:
         result = errors_of(
-            read_trajectory(estimate, times),
-            read_trajectory(truth, times),
+            read_trajectory(file, times),
+            read_trajectory(true_file, times),
             alignment=align,
             max_gap_s=max_gap_s,
             distance_m=distance_m,

@@ -91,7 +91,13 @@ def frames(
 
 
 def folder_of(
-    source: Path, output: Path, *, camera: str | None, mask: Path | None, mask_nadir_deg: float
+    source: Path,
+    output: Path,
+    *,
+    camera: str | None,
+    mask: Path | None,
+    mask_nadir_deg: float,
+    restart: bool,
 ) -> Path:
     """Return a folder of images as it is; frames of a video are written below the output first."""
     from epi360.interop.video import is_video
@@ -105,7 +111,14 @@ def folder_of(
         mask_nadir_deg=mask_nadir_deg,
     )
     with show_bars() as progress:
-        run = extract_frames(source, output / "frames", options, progress=progress)
+        run = extract_frames(
+            source,
+            output / "frames",
+            options,
+            restart=restart,
+            remedy="choose another --output, or --restart to choose frames again",
+            progress=progress,
+        )
     print(_describe(run), flush=True)
     return run.folder
 

@@ -106,7 +106,7 @@ def map_folder(
     cubemap
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
-        Throw away the pairs in the output that were made with other options.
+        Throw away the pairs in the output that were made with other options, and a video's frames.
     report
         Write a page that a browser opens offline: the map in 3D, the graph of the pairs, a table
         that sorts and filters, and each pair with its matches; .html.
@@ -129,7 +129,7 @@ def map_folder(
     cutting = _cubemap_options(cube_faces)
     if cubemap:
         check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
-    source, folder = folder, images_of(folder, output, given)
+    source, folder = folder, images_of(folder, output, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:
         run = map_images(
@@ -194,12 +194,16 @@ def cubemap(
     from epi360.interop.convert import read_reconstruction
     from epi360.interop.formats import FORMATS, format_of_file
     from epi360.jobs.masks import MaskSource
+    from epi360.runs.input_files import as_file
 
     options = _cubemap_options(cube_faces)
-    name = format_of_file(model)
-    if FORMATS[name].kind != "reconstruction":
-        raise ValueError(f"{model} holds matches; a cubemap needs poses, as epi360 map finds them")
-    reconstruction = read_reconstruction(model, name)
+    with as_file(model) as file:  # a pipe gives its content once
+        name = format_of_file(file)
+        if FORMATS[name].kind != "reconstruction":
+            raise ValueError(
+                f"{model} holds matches; a cubemap needs poses, as epi360 map finds them"
+            )
+        reconstruction = read_reconstruction(file, name)
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))

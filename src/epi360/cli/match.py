@@ -90,7 +90,7 @@ def match(
         Folder for the results. Default: NAME-epi360 in the current folder, beside the images where
         that is inside them.
     restart
-        Throw away the pairs in the output that were made with other options.
+        Throw away the pairs in the output that were made with other options, and a video's frames.
     report
         Write a page that a browser opens offline: the graph of the pairs, a table that sorts and
         filters, and each pair with its matches; .html.
@@ -107,7 +107,7 @@ def match(
         check_report(report)
     options = match_options(given, work)
     output = default_output(folder) if output is None else output
-    folder = images_of(folder, output, given)
+    folder = images_of(folder, output, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
@@ -158,7 +158,7 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
         )
 
 
-def images_of(folder: Path, output: Path, given: MatchInput) -> Path:
+def images_of(folder: Path, output: Path, given: MatchInput, *, restart: bool) -> Path:
     """Return the folder of the images; the frames of a video are written into the output."""
     return folder_of(
         folder,
@@ -166,6 +166,7 @@ def images_of(folder: Path, output: Path, given: MatchInput) -> Path:
         camera=given.camera,
         mask=given.mask,
         mask_nadir_deg=given.mask_nadir_deg,
+        restart=restart,
     )
 
 

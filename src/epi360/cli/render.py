@@ -76,7 +76,8 @@ class EffectChoice:
     moving_people: int = 0
     """So many people walk through a built-in scene."""
     exposure_change: float = 0.0
-    """Stops between the brightest and the darkest exposure, which changes slowly."""
+    """Stops between the brightest and the darkest exposure at most; it changes slowly, so that less
+    than a hundred frames have less."""
     motion_blur: int = 1
     """Odd number of moments that are mixed in a picture, over half of the time of a frame."""
     rolling_shutter_ms: float = 0.0
@@ -101,7 +102,8 @@ def render(
 
     Writes rgb/1.png, ..., depth/tiff/1.tiff, ... (float32, metres along the ray, 0 = none),
     frm_ref.txt (rows t tx ty tz qx qy qz qw of world_from_cam; row k from 0 belongs to files
-    k + 1), camera.json and render.json. The same command resumes an interrupted run.
+    k + 1), rgb/frames.csv (that t of each picture), camera.json and render.json. The same command
+    resumes an interrupted run.
 
     Parameters
     ----------
@@ -118,7 +120,7 @@ def render(
     with options_as_typed():
         effects = Effects(**asdict(effect))
     camera, options = _camera(picture), _options(what, path, picture, effect)
-    check_folder(out, options)
+    check_folder(out, options, defaults=asdict(NO_EFFECTS))
     out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work
     with show_progress() as say:
         say("building the scene")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from epi360.runs.input_files import open_input
+from epi360.runs.input_files import read_beginning
 from epi360.runs.whole_files import PathLike
 
 Kind = Literal["reconstruction", "matches"]
@@ -52,8 +52,7 @@ def format_of_file(path: PathLike) -> str:
     if path.is_dir():
         raise ValueError(f"folder {path} must hold a COLMAP model: cameras, images and points3D")
     try:
-        with open_input(path) as file:
-            start = file.read(4096)
+        start = read_beginning(path, 4096)
     except FileNotFoundError:
         raise FileNotFoundError(f"{path} does not exist") from None
     for name, magic in (("colmap-database", SQLITE), ("hloc", HDF5)):

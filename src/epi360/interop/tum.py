@@ -5,6 +5,9 @@ A row is the pose world_from_cam, with the camera's axes x right, y down, z forw
 seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
+import re
+import warnings
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -16,6 +19,7 @@ from epi360.poses import pose_from_quaternion
 from epi360.runs.whole_files import PathLike, write_file
 
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
+_NUMBERED = re.compile(r"(.*?)(\d{1,18})((?:\.\w+)?)")
 
 
 def read_tum_trajectory(path: PathLike) -> Reconstruction:
@@ -48,11 +52,12 @@ def read_tum_trajectory(path: PathLike) -> Reconstruction:
 
 
 def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None:
-    """Write the poses of the images as a trajectory, in the natural order of the images' names.
+    """Write the poses of the images as a trajectory, in the order of their times.
 
-    That is frame2 before frame10. Cameras, points and the names themselves are left out. If any
-    image has no time stamp, the rows count from 0 in place of the time. A file that exists is
-    replaced.
+    Cameras, points and names are left out. If any image has no time stamp, the rows count from 0 in
+    place of the time, in the natural order of the names: frame2 before frame10. A warning says so
+    where the numbers in the names have gaps, because row k is then not frame k. A file that exists
+    is replaced.
 
     Raises
     ------
@@ -63,6 +68,10 @@ def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None
     """
     timed = all(image.timestamp_s is not None for image in reconstruction.images)
     images = sorted(reconstruction.images, key=_place)
+    if timed:
+        images.sort(key=lambda image: image.timestamp_s or 0.0)
+    else:
+        _warn_of_gaps([image.name for image in images])
     by_stamp: dict[float | None, str] = {}
     for image in images if timed else ():
         other = by_stamp.setdefault(image.timestamp_s, image.name)
@@ -79,6 +88,24 @@ def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None
         # The fewest digits that read back to the same number; an index has no decimal point.
         lines.append(" ".join(repr(n if isinstance(n, int) else float(n or 0.0)) for n in numbers))
     write_file(path, ("\n".join(lines) + "\n").encode())
+
+
+def _warn_of_gaps(names: list[str]) -> None:
+    """Warn where frames are missing between two names by the numbers before their extensions."""
+    found = [_NUMBERED.fullmatch(name) for name in names]
+    if len(names) < 3 or not all(found) or len({(m[1], m[3]) for m in found if m}) > 1:
+        return
+    numbers = [int(match[2]) for match in found if match]
+    steps = [after - before for before, after in pairwise(numbers)]
+    if len(set(steps)) == 1:
+        return
+    first = next(index for index, step in enumerate(steps) if step != min(steps))
+    warnings.warn(
+        f"the images have no times, so rows count from 0, but frames are missing between "
+        f"{names[first]} and {names[first + 1]}: row k is not frame k",
+        UserWarning,
+        stacklevel=3,
+    )
 
 
 def _place(image: PosedImage) -> Any:

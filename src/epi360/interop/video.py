@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from epi360.features.image_files import MAX_PIXELS
 from epi360.features.images import looks_like_dual_fisheye
 from epi360.interop.video_boxes import SphereBoxes, read_sphere_boxes
 from epi360.interop.video_sphere import VideoSphere, sphere_of_boxes, sphere_of_side_data
+from epi360.runs.input_files import check_is_file
 from epi360.runs.whole_files import PathLike
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".insv", ".360")
@@ -104,40 +105,47 @@ class Video:
         with av.open(str(self.path), metadata_errors="replace") as container:
             stream = container.streams[self._stream]
             stream.thread_type = "AUTO"
-            index, key = self._seek(av, container, stream, start_s)
-            step_s = 1.0 / (self.info.frame_rate or 30.0)
+            times, key = self._seek(av, container, stream, start_s)
+            order, step_s = _ShownOrder(times), 1.0 / (self.info.frame_rate or 30.0)
             last_s = math.nan
             for packet in _packets(av, container, stream):
+                order.expect(packet, key)
                 try:
                     frames = [frame for frame in stream.decode(packet) if frame is not None]
                 except av.error.FFmpegError:
                     if packet is None or packet.size == 0:
-                        return  # what the decoder still held; `_early_end` says that it is missing
-                    frames = [None]
+                        break  # what the decoder still held
+                    # Where packets have times, the gap in them shows which frame is missing.
+                    frames = [None] if packet.pts is None else []
                 for frame in frames:
+                    shown = None if frame is None else frame.pts
                     # Frames before the key frame may lack what they were made from.
-                    if frame is not None and frame.pts is not None and frame.pts < key:
+                    if shown is not None and (shown < key or order.is_past(shown)):
                         continue
+                    for index, pts in order.missing_before(shown):
+                        last_s = float(pts * stream.time_base)
+                        yield index, last_s, None
                     damaged = frame is None or frame.is_corrupt
                     time = None if frame is None else frame.time
                     guess_s = 0.0 if math.isnan(last_s) else last_s + step_s
                     last_s = guess_s if time is None else time
-                    yield index, last_s, None if damaged else frame
-                    index += 1
+                    yield order.take(), last_s, None if damaged else frame
+            for index, pts in order.missing_before(math.inf):
+                yield index, float(pts * stream.time_base), None
 
     def _seek(
         self, av: Any, container: Any, stream: Any, start_s: float | None
-    ) -> tuple[int, float]:
-        """Go to the last key frame before a time; its index and its time in units of the stream."""
+    ) -> tuple[list[int], float]:
+        """Go to the last key frame before a time; times before it and its own, in stream units."""
         if start_s is None or stream.time_base is None:
-            return 0, -math.inf
+            return [], -math.inf
         start = round(start_s / stream.time_base)
         times, key = self._packet_times(av, start)
         try:
             container.seek(key, stream=stream)
         except av.error.FFmpegError:  # it cannot: decode from the beginning
-            return 0, -math.inf
-        return bisect_left(times, key), key
+            return [], -math.inf
+        return times[: bisect_left(times, key)], key
 
     def _packet_times(self, av: Any, until: int) -> tuple[list[int], int]:
         """Sorted times of the packets up to a time, and of the last key frame before it."""
@@ -171,6 +179,41 @@ class Video:
         )
 
 
+class _ShownOrder:
+    """Index of each frame: the rank of its time among those of all packets, decoded or not.
+
+    So a frame has the same index however many frames before it are damaged, and wherever decoding
+    began. When a decoder gives a frame, it has been given all packets that are shown before.
+    """
+
+    def __init__(self, times_before: list[int]) -> None:
+        self._times, self._next = times_before, len(times_before)
+
+    def expect(self, packet: Any, key: float) -> None:
+        """Note a packet that the decoder gets."""
+        if packet is None or packet.pts is None or packet.is_discard or packet.pts < key:
+            return
+        insort(self._times, packet.pts)
+
+    def is_past(self, pts: int) -> bool:
+        """Whether the frame of this time has come: damaged groups give one a second time."""
+        end = bisect_right(self._times, pts)
+        return 0 < end <= self._next and self._times[end - 1] == pts
+
+    def missing_before(self, pts: float | None) -> Iterator[tuple[int, int]]:
+        """Index and time of each frame that should have come before this one and did not."""
+        while pts is not None and self._next < len(self._times):
+            if self._times[self._next] >= pts:
+                return
+            self._next += 1
+            yield self._next - 1, self._times[self._next - 1]
+
+    def take(self) -> int:
+        """Index of the frame that has come."""
+        self._next += 1
+        return self._next - 1
+
+
 def is_video(path: PathLike) -> bool:
     """Whether a path names a file, not a folder, with the extension of a video."""
     return Path(path).suffix.lower() in VIDEO_SUFFIXES and not Path(path).is_dir()
@@ -193,8 +236,12 @@ def open_video(path: PathLike) -> Video:
     av = extra_library("av", extra="video", purpose="videos")
     if not path.exists():
         raise FileNotFoundError(f"video {path} does not exist")
-    if not path.is_file():
+    if path.is_dir():
         raise ValueError(f"video {path} is a folder, expected a video file")
+    try:
+        check_is_file(path)
+    except ValueError as error:
+        raise ValueError(f"video {error}: it is read more than once") from None
     try:
         boxes = read_sphere_boxes(path)
         container = av.open(str(path), metadata_errors="replace")

@@ -22,6 +22,7 @@ _HOLD_BOXES = {
 }  # fmt: skip
 _LARGEST_SMALL_BOX = 64
 _MOST_BOXES = 10_000  # of a damaged file; a film has about a hundred without its media
+_DEEPEST_BOX = 16  # of a damaged file; the boxes that are read are nine deep at most
 _STEREO = {0: "mono", 1: "top-bottom", 2: "left-right"}
 
 
@@ -57,7 +58,9 @@ def read_sphere_boxes(path: Path) -> SphereBoxes:
     return found
 
 
-def _boxes(file: IO[bytes], start: int, end: int) -> Iterator[tuple[bytes, int, int]]:
+def _boxes(
+    file: IO[bytes], start: int, end: int, depth: int = 0
+) -> Iterator[tuple[bytes, int, int]]:
     """Kind, start and end of the content of each box between two places, depth first."""
     while start + 8 <= end:
         file.seek(start)
@@ -74,8 +77,8 @@ def _boxes(file: IO[bytes], start: int, end: int) -> Iterator[tuple[bytes, int, 
         if kind == b"moov" and start + size > end:
             return  # cut off: what is left of the index is of no use
         yield kind, content, stop
-        if kind in _HOLD_BOXES:
-            yield from _boxes(file, content + _HOLD_BOXES[kind], stop)
+        if kind in _HOLD_BOXES and depth < _DEEPEST_BOX:
+            yield from _boxes(file, content + _HOLD_BOXES[kind], stop, depth + 1)
         start = stop
 
 

@@ -13,6 +13,7 @@ _PROJECTIONS = {  # AVSphericalProjection of FFmpeg
     0: "equirectangular", 1: "cubemap", 2: "equirectangular", 3: "half equirectangular",
     4: "rectilinear", 5: "fisheye", 6: "parametric immersive",
 }  # fmt: skip
+_MOST_DIGITS = 9  # of a number of pixels
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,8 @@ def _sphere_of_xmp(xmp: bytes | None) -> VideoSphere:
     }
     if values.get("Spherical", "").lower() != "true":
         return VideoSphere()
-    numbers = [int(value) for name in PART_NAMES if (value := values.get(name, "")).isdecimal()]
+    sizes = [values.get(name, "") for name in PART_NAMES]
+    numbers = [int(size) for size in sizes if size.isdecimal() and len(size) <= _MOST_DIGITS]
     part = PanoramaPart(*numbers) if len(numbers) == len(PART_NAMES) else None
     projection = values.get("ProjectionType", "equirectangular").lower()
     return VideoSphere(projection, values.get("StereoMode", "").lower() or None, part)

@@ -84,6 +84,11 @@ class Evaluation:
         """Length of the true way through the matched frames."""
         return self.truth.path_length()
 
+    @property
+    def moves(self) -> bool:
+        """Whether the true camera moves, by more than rounding."""
+        return _moves(self.truth)
+
 
 def evaluate(
     estimate: PosedFrames,
@@ -101,7 +106,8 @@ def evaluate(
     Raises
     ------
     ValueError
-        If fewer than three frames are in both, or an option is out of range.
+        If fewer than three frames are in both, an option is out of range, or one of the cameras
+        stands still where a scale is to be fitted.
     """
     if distance_m is not None and not 0 < distance_m < np.inf:
         raise ValueError(f"distance_m must be positive, got {distance_m}")
@@ -114,11 +120,14 @@ def evaluate(
             + _why_so_few(estimate, truth, max_gap_s)
         )
     true_frames, found = truth.rows(truth_rows), estimate.rows(rows)
+    moves = _moves(true_frames)
+    if alignment == "sim3" and not moves:
+        raise ValueError("the truth stays in one place: it gives no scale; use --align se3")
     similarity = align(found.positions, true_frames.positions, alignment)
     found = similarity.of(found)
     path_m = true_frames.path_length()
     if distance_m is None:
-        distance_m = DISTANCE_M if path_m >= 2 * DISTANCE_M else path_m / 10
+        distance_m = path_m / 10 if moves and path_m < 2 * DISTANCE_M else DISTANCE_M
     following = np.stack([np.arange(len(rows) - 1), np.arange(1, len(rows))], axis=1)
     return Evaluation(
         truth=true_frames,
@@ -134,6 +143,11 @@ def evaluate(
         distance_m=distance_m,
         stretches=_pair_errors(found, true_frames, _stretches(true_frames, distance_m)),
     )
+
+
+def _moves(truth: PosedFrames) -> bool:
+    away = np.abs(truth.positions - truth.positions[0]).max()
+    return bool(away > 1e-9 * max(1.0, np.abs(truth.positions).max()))
 
 
 def _orientation_errors_deg(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -19,11 +20,13 @@ from epi360.features.images import read_image
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
 from epi360.interop.video import Video, is_video, open_video
 from epi360.jobs.folder_files import files_below
+from epi360.runs.input_files import read_text
 from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike
 
 FRAMES_RECORD = "epi360-frames.json"  # of a folder that `epi360 frames` wrote
 FRAMES_TABLE = "frames.csv"  # of `epi360 frames` and `epi360 track`: image, timestamp_s, ...
+_LARGEST_TABLE = 2**28  # bytes: of millions of frames
 
 
 class SourceFrame(NamedTuple):
@@ -69,6 +72,15 @@ def open_frames(
     return _FolderFrames(existing_folder(path, "image folder"), start_s, end_s)
 
 
+def check_times(start_s: float | None, end_s: float | None) -> None:
+    """Raise where no frames can be between two times."""
+    for name, time_s in (("start", start_s), ("end", end_s)):
+        if time_s is not None and not math.isfinite(time_s):
+            raise ValueError(f"{name} must be a number of seconds, got {time_s}")
+    if start_s is not None and end_s is not None and end_s < start_s:
+        raise ValueError(f"end must not be before start, got {end_s} < {start_s}")
+
+
 def frame_name(video: PathLike, index: int) -> str:
     """File name of a frame of a video."""
     return f"{Path(video).stem}_{index:06d}.jpg"
@@ -82,14 +94,19 @@ def read_frame_times(folder: Path) -> dict[str, float | None]:
 
 def read_frame_table(path: Path) -> dict[str, float | None]:
     """Time of each image in a table with the columns ``image`` and ``timestamp_s``, in order."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        rows = csv.DictReader(file)
+    try:
+        rows = csv.DictReader(io.StringIO(read_text(path, largest=_LARGEST_TABLE)))
         if not {"image", "timestamp_s"} <= set(rows.fieldnames or ()):
             raise ValueError(f"{path} must have the columns image and timestamp_s")
-        try:
-            return {row["image"]: float(row["timestamp_s"] or "nan") for row in rows}
-        except (TypeError, ValueError):
-            raise ValueError(f"{path} must hold numbers in its column timestamp_s") from None
+        cells = [(row["image"], row["timestamp_s"]) for row in rows]
+    except UnicodeDecodeError:
+        raise ValueError(f"{path} must be a text file in UTF-8") from None
+    except csv.Error as error:
+        raise ValueError(f"{path} must be a table with commas ({error})") from None
+    try:
+        return {name: float(time or "nan") for name, time in cells if name}
+    except ValueError:
+        raise ValueError(f"{path} must hold numbers in its column timestamp_s") from None
 
 
 class _VideoFrames:

@@ -19,10 +19,17 @@ from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.video import Video, VideoFrame, open_video
 from epi360.jobs.frame_selection import ChosenFrame, FrameChooser
-from epi360.jobs.frame_source import FRAMES_RECORD, FRAMES_TABLE, frame_name
+from epi360.jobs.frame_source import FRAMES_RECORD, FRAMES_TABLE, check_times, frame_name
 from epi360.jobs.given_cameras import read_given_cameras
 from epi360.progress import Progress, no_progress
-from epi360.runs.made_from import first_difference, read_record, write_record
+from epi360.runs.input_files import read_file
+from epi360.runs.made_from import (
+    Difference,
+    fingerprint,
+    first_difference,
+    read_record,
+    write_record,
+)
 from epi360.runs.whole_files import write_file
 
 # Without a parallax, the first of these that gives enough frames to map.
@@ -51,8 +58,12 @@ class FramesOptions:
             raise ValueError(f"parallax_deg must be between 0 and 90, got {self.parallax_deg}")
         if not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be from 1 to 100, got {self.jpeg_quality}")
-        if self.start_s is not None and self.end_s is not None and self.end_s < self.start_s:
-            raise ValueError(f"end must not be before start, got {self.end_s} < {self.start_s}")
+        if self.every is not None and self.parallax_deg is not None:
+            raise ValueError(
+                "parallax_deg must not be given with every: every n-th frame is taken, however far "
+                "the camera moved"
+            )
+        check_times(self.start_s, self.end_s)
 
 
 @dataclass(frozen=True)
@@ -67,12 +78,19 @@ class FramesRun:
 
 
 def extract_frames(
-    video: str | Path, folder: Path, options: FramesOptions, *, progress: Progress = no_progress
+    video: str | Path,
+    folder: Path,
+    options: FramesOptions,
+    *,
+    restart: bool = False,
+    remedy: str = "choose another folder, or the same options to go on",
+    progress: Progress = no_progress,
 ) -> FramesRun:
     """Write chosen frames of a video as JPEG files, and ``frames.csv`` with their times.
 
     A run that was stopped goes on. Frames are decoded twice, once to choose and once to write, so
-    that no more than a few small pictures are in memory.
+    that no more than a few small pictures are in memory. With ``restart``, frames of other options
+    are thrown away; without it, they are refused, and the message says the ``remedy``.
 
     Raises
     ------
@@ -83,9 +101,10 @@ def extract_frames(
         If a file cannot be written.
     """
     opened = open_video(video)
-    record = _open_folder(folder, opened, options)
+    camera, mask = _check(opened, options)
+    record = _open_folder(folder, _made_from(opened, options), restart=restart, remedy=remedy)
     if "frames" not in record:
-        record |= _choose(opened, options, progress)
+        record |= _choose(opened, camera, mask, options, progress)
         write_record(folder / FRAMES_RECORD, record)
     chosen = tuple(
         ChosenFrame(index, time, float("nan") if parallax is None else parallax)
@@ -96,34 +115,78 @@ def extract_frames(
     return FramesRun(folder, chosen, record["num_frames"], num_new, tuple(record["remarks"]))
 
 
-def _open_folder(folder: Path, video: Video, options: FramesOptions) -> dict[str, Any]:
-    """Record of a folder that is new or holds frames of the same video and options."""
-    wanted = {
+def _check(video: Video, options: FramesOptions) -> tuple[Camera | None, NDArray[np.bool_] | None]:
+    """Camera and mask of the frames; what is wrong is said before a folder is made."""
+    duration_s = video.info.duration_s
+    if options.start_s is not None and duration_s is not None and options.start_s > duration_s:
+        raise ValueError(
+            f"video {video.path} has no frame to use between these times: it ends at "
+            f"{duration_s:.2f} s"
+        )
+    camera: Camera | None = None
+    if options.every is None or options.camera is not None:
+        camera = _camera(video, options)
+    mask: NDArray[np.bool_] | None = None
+    if options.mask is not None:
+        mask = read_mask(options.mask, (video.info.height, video.info.width))
+    if options.mask_nadir_deg and camera is not None:
+        below = nadir_mask(camera, options.mask_nadir_deg)
+        mask = below if mask is None else mask & below
+    return camera, mask
+
+
+def _made_from(video: Video, options: FramesOptions) -> dict[str, Any]:
+    """What the choice of the frames depends on; the mask may be moved or copied."""
+    mask = None if options.mask is None else fingerprint(read_file(options.mask))
+    return {
         **asdict(options),
-        "mask": None if options.mask is None else str(options.mask),
+        "mask": mask,
         "video": video.path.name,
         "content": content_key(video.path),
     }
+
+
+def _open_folder(
+    folder: Path, wanted: dict[str, Any], *, restart: bool, remedy: str
+) -> dict[str, Any]:
+    """Record of a folder that is new or holds frames of the same video and options."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"the frames must go into a folder, {folder} is a file")
-    found = (
-        read_record(folder / FRAMES_RECORD, remedy="choose another folder")
-        if folder.exists()
-        else None
+    path = folder / FRAMES_RECORD
+    found = read_record(path, remedy="choose another folder") if folder.exists() else None
+    if found is None and folder.is_dir() and any(folder.iterdir()):
+        raise ValueError(f"{folder} is not empty and holds no frames; choose a new folder")
+    different = None if found is None else first_difference(found, wanted)
+    if found is not None and different is None:
+        return found
+    if found is not None and "frames" in found:
+        if not restart:
+            raise ValueError(f"{folder} holds frames {_other_frames(different)}; {remedy}")
+        _throw_away(folder, found)
+    # A record without frames is that of a run which ended before it had chosen any.
+    folder.mkdir(parents=True, exist_ok=True)
+    write_record(path, wanted)
+    return wanted
+
+
+def _other_frames(different: Difference | None) -> str:
+    """What is different about the frames that are there, in the words of the command."""
+    if different is None or different.name in ("video", "content"):
+        return "of another video"
+    if different.name == "mask":
+        return "that were chosen with another mask, or without one"
+    option = f"--{different.name.removesuffix('_s').replace('_', '-')}"
+    before, now = (
+        f"no {option}" if value is None else f"{option} {value}"
+        for value in (different.before, different.now)
     )
-    if found is None:
-        if folder.is_dir() and any(folder.iterdir()):
-            raise ValueError(f"{folder} is not empty and holds no frames; choose a new folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        write_record(folder / FRAMES_RECORD, wanted)
-        return wanted
-    different = first_difference(found, wanted)
-    if different is not None:
-        raise ValueError(
-            f"{folder} holds frames with {different.name} {different.before}, not "
-            f"{different.now}; choose another folder, or the same options to go on"
-        )
-    return found
+    return f"with {before}, not {now}"
+
+
+def _throw_away(folder: Path, found: dict[str, Any]) -> None:
+    for index, *_ in found["frames"]:
+        (folder / frame_name(str(found.get("video")), index)).unlink(missing_ok=True)
+    (folder / FRAMES_TABLE).unlink(missing_ok=True)
 
 
 def content_key(path: Path) -> str:
@@ -137,16 +200,22 @@ def content_key(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _choose(video: Video, options: FramesOptions, progress: Progress) -> dict[str, Any]:
+def _choose(
+    video: Video,
+    camera: Camera | None,
+    mask: NDArray[np.bool_] | None,
+    options: FramesOptions,
+    progress: Progress,
+) -> dict[str, Any]:
     reader = _Reader(video, options, progress)
-    if options.every is None:
-        chosen, notes = _by_parallax(video, reader, options)
+    notes: list[str] = []
+    if options.every is not None:
+        chosen = _every(reader, options.every)
     else:
-        chosen, notes = _every(reader, options.every), []
+        assert camera is not None  # `_check` has it where frames are chosen by parallax
+        chosen, notes = _by_parallax(camera, mask, reader, options)
     if not chosen:
-        between = options.start_s is not None or options.end_s is not None
-        where = " between these times" if between else ""
-        raise ValueError(f"video {video.path} has no frame to use{where}")
+        raise ValueError(f"video {video.path} has no frame to use{_why_none(reader, options)}")
     frames = [
         [frame.index, frame.timestamp_s, _null_for_nan(frame.parallax_deg)] for frame in chosen
     ]
@@ -155,6 +224,18 @@ def _choose(video: Video, options: FramesOptions, progress: Progress) -> dict[st
         "num_frames": reader.num_read,
         "remarks": [*reader.remarks(), *notes],
     }
+
+
+def _why_none(reader: _Reader, options: FramesOptions) -> str:
+    if reader.num_read == 0:
+        between = options.start_s is not None or options.end_s is not None
+        return " between these times" if between else ""
+    if reader.num_damaged == reader.num_read:
+        return ": all of them are damaged or of another size; copy or export it again"
+    return (
+        ": they are too dark, too blurred or too even to tell how the camera moves; --every N "
+        "takes every n-th frame without looking at it"
+    )
 
 
 def _every(reader: _Reader, every: int) -> list[ChosenFrame]:
@@ -166,13 +247,13 @@ def _every(reader: _Reader, every: int) -> list[ChosenFrame]:
 
 
 def _by_parallax(
-    video: Video, reader: _Reader, options: FramesOptions
+    camera: Camera, mask: NDArray[np.bool_] | None, reader: _Reader, options: FramesOptions
 ) -> tuple[list[ChosenFrame], list[str]]:
     """Chosen frames, and sentences about a camera that moved little."""
     levels = PARALLAXES_DEG if options.parallax_deg is None else (options.parallax_deg,)
     chosen: list[ChosenFrame] = []
     for parallax_deg in levels:
-        chooser, chosen = _chooser(video, options, parallax_deg), []
+        chooser, chosen = FrameChooser(camera, parallax_deg, mask), []
         for frame in reader:
             chosen += chooser.add(frame.index, frame.timestamp_s, _picture(frame))
         chosen += chooser.finish()
@@ -190,17 +271,6 @@ def _by_parallax(
 
 def _null_for_nan(number: float) -> float | None:
     return None if np.isnan(number) else number
-
-
-def _chooser(video: Video, options: FramesOptions, parallax_deg: float) -> FrameChooser:
-    camera = _camera(video, options)
-    mask: NDArray[np.bool_] | None = None
-    if options.mask is not None:
-        mask = read_mask(options.mask, (camera.height, camera.width))
-    if options.mask_nadir_deg:
-        below = nadir_mask(camera, options.mask_nadir_deg)
-        mask = below if mask is None else mask & below
-    return FrameChooser(camera, parallax_deg, mask)
 
 
 def _camera(video: Video, options: FramesOptions) -> Camera:
@@ -247,6 +317,10 @@ class _Reader:
         if self.num_read != total:
             self._progress(stage, self.num_read, self.num_read)
 
+    @property
+    def num_damaged(self) -> int:
+        return len(self._damaged)
+
     def remarks(self) -> list[str]:
         sentences = [] if self._video.ending is None else [self._video.ending]
         if self._damaged:
@@ -272,19 +346,22 @@ def _write(
 ) -> int:
     """Write the images that are missing and return how many they were."""
     path_of = {frame.index: folder / frame_name(video.path, frame.index) for frame in chosen}
-    missing = {index for index, path in path_of.items() if not path.is_file()}
+    missing = {
+        frame.index: frame.timestamp_s for frame in chosen if not path_of[frame.index].is_file()
+    }
     done = len(chosen) - len(missing)
     progress("frames", done, len(chosen))
     if not missing:
         return 0
-    times = [frame.timestamp_s for frame in chosen if frame.index in missing]
-    start_s = times[0] if times[0] > 0 else None
+    first_s = min(missing.values())
+    start_s = first_s if first_s > 0 else None
     num_new = 0
     for frame in video.frames(start_s):
-        if frame.index in missing and frame.image is not None:
+        wanted_s = missing.get(frame.index)
+        if frame.timestamp_s == wanted_s and frame.image is not None:
             data = encode_picture(frame.image, ".jpg", jpeg_quality=jpeg_quality)
             write_file(path_of[frame.index], data)
-            missing.remove(frame.index)
+            del missing[frame.index]
             num_new += 1
             progress("frames", done + num_new, len(chosen))
         if not missing:

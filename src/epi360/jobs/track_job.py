@@ -20,7 +20,7 @@ from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.video import is_video
 from epi360.jobs import track_files as files
-from epi360.jobs.frame_source import FrameSource, SourceFrame, open_frames
+from epi360.jobs.frame_source import FrameSource, SourceFrame, check_times, open_frames
 from epi360.jobs.given_cameras import read_given_cameras
 from epi360.jobs.masks import MaskSource
 from epi360.jobs.refine_map import refine_with_colmap
@@ -60,6 +60,10 @@ class TrackOptions:
     odometry: OdometryOptions = field(default_factory=OdometryOptions)
     refine: bool = False
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Check the times."""
+        check_times(self.start_s, self.end_s)
 
 
 @dataclass(frozen=True, eq=False)

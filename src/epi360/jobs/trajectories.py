@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +29,7 @@ class PosedFrames:
     times_s: Floats | None  # (N,)
     rotations: Floats  # (N, 3, 3) of world_from_cam
     positions: Floats  # (N, 3)
+    has_names: bool = True  # False for a TUM trajectory, whose names are its times as text
 
     def __len__(self) -> int:
         return len(self.names)
@@ -40,6 +41,7 @@ class PosedFrames:
             None if self.times_s is None else self.times_s[indices],
             self.rotations[indices],
             self.positions[indices],
+            self.has_names,
         )
 
     def path_length(self) -> float:
@@ -58,9 +60,7 @@ class Similarity:
     def of(self, frames: PosedFrames) -> PosedFrames:
         """Frames in the other world."""
         positions = self.scale * frames.positions @ self.rotation.T + self.translation
-        return PosedFrames(
-            frames.names, frames.times_s, self.rotation @ frames.rotations, positions
-        )
+        return replace(frames, rotations=self.rotation @ frames.rotations, positions=positions)
 
 
 def read_trajectory(
@@ -68,15 +68,15 @@ def read_trajectory(
 ) -> PosedFrames:
     """Poses of a TUM trajectory, a COLMAP model or another reconstruction, in order.
 
-    ``times_of`` gives names their times, where the file has none. Images without a pose are left
-    out.
+    ``times_of`` gives names their times, where the file has none; it gives all of them or none.
+    Images without a pose are left out.
 
     Raises
     ------
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If it holds no poses, or is damaged.
+        If it holds no poses, is damaged, or has images without a time beside others with one.
     """
     kind = format_of_file(path)
     if FORMATS[kind].kind != "reconstruction":
@@ -95,14 +95,21 @@ def read_trajectory(
         image.timestamp_s if image.timestamp_s is not None else known.get(image.name)
         for image in images
     ]
-    if all(time is not None for time in times):
+    unknown = [image.name for image, time in zip(images, times, strict=True) if time is None]
+    if known and 0 < len(unknown) < len(images):
+        raise ValueError(
+            f"{len(unknown)} of {len(images)} images of {path} have no time in the table of "
+            f"frames, such as {unknown[0]}"
+        )
+    if not unknown:
         order = np.argsort(np.array(times, dtype=np.float64), kind="stable")
         stamps = np.array(times, dtype=np.float64)[order]
     else:
         order = np.array(sorted(range(len(images)), key=lambda k: _name_order(images[k].name)))
         stamps = None
     poses = [images[index].cam_from_world.inverse() for index in order]
-    return posed_frames([images[index].name for index in order], stamps, poses)
+    frames = posed_frames([images[index].name for index in order], stamps, poses)
+    return replace(frames, has_names=kind != "tum")
 
 
 def _name_order(name: str) -> list[Any]:
@@ -128,20 +135,80 @@ def matching_frames(
     """Rows of the estimate and of the truth that are the same frame, in the order of the truth.
 
     Times are compared where both have them: each frame is the nearest of the other, and not farther
-    than ``max_gap_s``. Otherwise names are compared, as they are, then without folders and
-    extensions.
+    than ``max_gap_s``. Otherwise names are compared, as they are, then without the folder that all
+    have in common and the extension, then without any folder.
+
+    Raises
+    ------
+    ValueError
+        If one side has times only and the other names only, or a name fits several frames.
     """
     if estimate.times_s is not None and truth.times_s is not None:
         return _matching_times(estimate.times_s, truth.times_s, max_gap_s)
-    for key in (str, lambda name: Path(name).stem):
-        rows = {key(name): row for row, name in enumerate(estimate.names)}
-        pairs = [
-            (rows[key(name)], row) for row, name in enumerate(truth.names) if key(name) in rows
-        ]
-        if pairs:
-            break
-    table = np.array(pairs, dtype=np.intp).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+    if not (estimate.has_names and truth.has_names):
+        sides = ("truth", "estimate") if estimate.has_names else ("estimate", "truth")
+        raise ValueError(
+            f"the {sides[0]} has times and no names, the {sides[1]} names and no times: give the "
+            "times of the images, as a table with the columns image and timestamp_s (--frames)"
+        )
+    return _matching_names(estimate.names, truth.names)
+
+
+def _matching_names(
+    estimate: Sequence[str], truth: Sequence[str]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    row_of: dict[int, int] = {}  # of the truth -> of the estimate
+    for keys, true_keys in _keys_of_names(estimate, truth):
+        rows = _rows_by_key(estimate, keys, set(row_of.values()))
+        for key, true_rows in _rows_by_key(truth, true_keys, set(row_of)).items():
+            several = [(estimate, rows.get(key, [])), (truth, true_rows)]
+            for names, which in several if key in rows else ():
+                if len(which) > 1:
+                    raise ValueError(
+                        f"{names[which[0]]} and {names[which[1]]} are both the frame {key}: one of "
+                        "them must be left out, or the other file must name the folders"
+                    )
+            if key in rows:
+                row_of[true_rows[0]] = rows[key][0]
+    table = np.array(sorted(row_of.items()), dtype=np.intp).reshape(-1, 2)
+    return table[:, 1], table[:, 0]
+
+
+Key = Callable[[str], str]
+
+
+def _keys_of_names(estimate: Sequence[str], truth: Sequence[str]) -> list[tuple[Key, Key]]:
+    """What is compared of the names of both, one after the other, until a name has its frame."""
+    inner, true_inner = _inner_name(estimate), _inner_name(truth)
+    keys: list[tuple[Key, Key]] = [(str, str), (inner, true_inner)]
+    # Where both have several folders, a frame of one folder is none of another.
+    if not all(any("/" in key(name) for name in names) for names, key in (
+        (estimate, inner), (truth, true_inner),
+    )):  # fmt: skip
+        keys.append((_stem, _stem))
+    return keys
+
+
+def _inner_name(names: Sequence[str]) -> Key:
+    """Name without extension and without the folders that all names begin with."""
+    folders = [PurePosixPath(name).parent.parts for name in names]
+    depth = next(
+        (level for level, parts in enumerate(zip(*folders, strict=False)) if len(set(parts)) > 1),
+        min(map(len, folders), default=0),
+    )
+    return lambda name: "/".join((*PurePosixPath(name).parent.parts[depth:], _stem(name)))
+
+
+def _stem(name: str) -> str:
+    return PurePosixPath(name).stem
+
+
+def _rows_by_key(names: Sequence[str], key: Key, without: set[int]) -> dict[str, list[int]]:
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        if row not in without:
+            rows.setdefault(key(name), []).append(row)
+    return rows
 
 
 def _matching_times(

@@ -21,19 +21,24 @@ def describe_evaluation(result: Evaluation) -> str:
     """Lines for people."""
     ate = Statistics.of(result.position_errors_m)
     turned = Statistics.of(result.orientation_errors_deg)
-    share = 100 / result.path_m if result.path_m else math.nan
+    share = f" = {100 * ate.rmse / result.path_m:.3f} % of the path" if result.moves else ""
     lines = [
         f"frames      {len(result.truth)} of {result.num_truth} have a pose "
         f"({100 * result.coverage:.1f} %); path {result.path_m:.4g} m",
         f"alignment   {ALIGNMENTS[result.alignment]}; scale {result.similarity.scale:.6g}",
-        f"ATE         {ate.rmse:.4g} m rms = {share * ate.rmse:.3f} % of the path; "
+        f"ATE         {ate.rmse:.4g} m rms{share}; "
         f"median {ate.median:.4g}, largest {ate.max:.4g} m",
         f"rotation    {turned.rmse:.3f} deg rms; median {turned.median:.3f}, "
         f"largest {turned.max:.3f} deg",
         f"RPE, frame  {_steps(result.steps)}",
-        f"RPE, metre  {_per_metre(result)}",
-        f"pairs       {_pairs(result.stretches, result.distance_m)}",
     ]
+    if result.moves:
+        lines += [
+            f"RPE, metre  {_per_metre(result)}",
+            f"pairs       {_pairs(result.stretches, result.distance_m)}",
+        ]
+    else:
+        lines.append("the true camera stands still: there are no errors per metre or of directions")
     return "\n".join(lines)
 
 
@@ -60,8 +65,8 @@ def _pairs(errors: PairErrors, distance_m: float) -> str:
     turned, pointed = Statistics.of(errors.rotation_deg), Statistics.of(errors.direction_deg)
     return (
         f"rotation {turned.median:.4f}, direction {pointed.median:.4f} deg median between frames "
-        f"{distance_m:.4g} m apart (means {turned.mean:.4f}, {pointed.mean:.4f}); eq. 16 is these "
-        "/ 180"
+        f"{distance_m:.4g} m apart (means {turned.mean:.4f}, {pointed.mean:.4f}); the "
+        "errors of Robust 360-8PA (eq. 16) are the means divided by 180"
     )
 
 
@@ -83,7 +88,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
         },
         "ate_m": asdict(Statistics.of(result.position_errors_m)),
         "ate_share_of_path": (
-            Statistics.of(result.position_errors_m).rmse / result.path_m if result.path_m else None
+            Statistics.of(result.position_errors_m).rmse / result.path_m if result.moves else None
         ),
         "rotation_deg": asdict(Statistics.of(result.rotation_errors_deg)),
         "orientation_deg": asdict(Statistics.of(result.orientation_errors_deg)),

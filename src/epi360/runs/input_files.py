@@ -37,6 +37,19 @@ def read_text(path: PathLike, *, largest: int = LARGEST_INPUT) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
+def read_beginning(path: PathLike, size: int) -> bytes:
+    """First bytes of a file or pipe, fewer where it is shorter; of a pipe, they are gone then."""
+    with open_input(path) as file:
+        if not is_pipe(file):
+            return file.read(size)
+        data = b""
+        for block in _blocks(path, file, LARGEST_INPUT):
+            data += block
+            if len(data) >= size:
+                break
+        return data[:size]
+
+
 def open_input(path: PathLike) -> IO[bytes]:
     """Open a file or pipe for reading, without waiting; ValueError for anything else."""
     return open(path, "rb", opener=_opener)
