@@ -69,6 +69,7 @@ class Segment:
         self._pixel_rad = pixel_rad
         self._options = options
         self._gravity = gravity
+        self._down: Array | None = None  # gravity in the world, once a map has been adjusted
         self._widest_rad = float(np.radians(start.result.parallax_deg))
         self._set_noise(np.radians(start.result.noise_deg))
 
@@ -128,12 +129,12 @@ class Segment:
         return result if result.status == "ok" and count >= share * known.sum() else None
 
     def _gravity_now(self) -> _GravityArguments:
-        if self._gravity is None:
+        if self._gravity is None or self._down is None:
             return {}
         return {
             "gravity": self._gravity.direction,
             "gravity_sigma_rad": self._gravity.sigma_rad,
-            "world_gravity": self._gravity.in_world(self.map.key_frames),
+            "world_gravity": self._down,
         }
 
     def agree(self, tracks: FrameTracks, result: AbsolutePoseResult) -> None:
@@ -312,6 +313,8 @@ class Segment:
             max_iterations=max_iterations,
         )
         self._set_noise(0.7 * self.noise.sigma_rad + 0.3 * sigma_rad)
+        if self._gravity is not None:
+            self._down = self._gravity.in_world(self.map.key_frames)
 
     def _set_noise(self, sigma_rad: float) -> None:
         low, high = (limit * self._pixel_rad for limit in _NOISE_PX)
