@@ -187,23 +187,28 @@ def _memory(clip: Clip, num_frames: int) -> int:
 
     odometry = epi360.Odometry(clip.camera)
     count = len(clip.frames)
-    begun, spent = time.perf_counter(), 0.0
+    begun, spent, cpu_s = time.perf_counter(), 0.0, 0.0
     for index in range(num_frames):
         if clip.name.endswith("-loop"):
             at = index % (count - 1)  # the last frame is the first one
         else:
             at = min(index % (2 * count - 2), (2 * count - 2) - index % (2 * count - 2))
         image = read_image(clip.frames[at])
-        before = time.perf_counter()
+        before, cpu_before = time.perf_counter(), time.process_time()
         odometry.add_frame(image, index / 30)
         spent += time.perf_counter() - before
+        cpu_s += time.process_time() - cpu_before
         if (index + 1) % BETWEEN_LINES == 0 or index + 1 == num_frames:
             frames = odometry.key_frames()
+            count_since = (index % BETWEEN_LINES) + 1
             print(
                 f"{index + 1} frames: {_resident_mb():.0f} MB, {len(frames)} key frames, "
-                f"{(index + 1) / spent:.1f} frames/s ({time.perf_counter() - begun:.0f} s in all)",
+                f"{count_since / spent:.1f} frames/s and {1000 * cpu_s / count_since:.1f} ms of "
+                f"processor time a frame since the last line "
+                f"({time.perf_counter() - begun:.0f} s in all)",
                 flush=True,
             )
+            spent, cpu_s = 0.0, 0.0
     return 0
 
 
