@@ -25,10 +25,16 @@ OVERLAP = 10
 
 @dataclass(frozen=True)
 class Placed:
-    """Poses by the frame's name, and the seconds from decoded frames to poses."""
+    """Poses by the frame's name, and the seconds from decoded frames to poses.
+
+    Processor time is that of all threads; both without reading the frames where ``reading_s`` is
+    given.
+    """
 
     world_from_cam: dict[str, Pose]
     seconds: float
+    cpu_s: float = float("nan")
+    reading_s: float = 0.0
     statuses: dict[str, int] = field(default_factory=dict)
 
 
@@ -37,23 +43,35 @@ def track(clip: Clip, scratch: Path) -> Placed:
     import epi360
 
     odometry = epi360.Odometry(clip.camera)
-    seconds = 0.0
+    watch, reading = _Watch(), _Watch()
     for index, path in enumerate(clip.frames):
-        image = read_image(path)
-        mask = _mask(clip, path.name)
-        begun = time.perf_counter()
-        odometry.add_frame(image, index / 30, mask=mask)
-        seconds += time.perf_counter() - begun
-    begun = time.perf_counter()
-    trajectory = odometry.trajectory()
-    seconds += time.perf_counter() - begun
+        with reading:
+            image, mask = read_image(path), _mask(clip, path.name)
+        with watch:
+            odometry.add_frame(image, index / 30, mask=mask)
+    with watch:
+        odometry.finish()  # as `epi360 track` does
+        trajectory = odometry.trajectory()
     poses = {
         clip.frames[index].name: pose.inverse()
         for index, pose in zip(trajectory.indices, trajectory.cam_from_world, strict=True)
     }
-    results = getattr(odometry, "results", ())
-    statuses = Counter(result.status for result in (results() if callable(results) else results))
-    return Placed(poses, seconds, dict(statuses))
+    statuses = Counter(result.status for result in odometry.results())
+    return Placed(poses, watch.seconds, watch.cpu_s, reading.seconds, dict(statuses))
+
+
+class _Watch:
+    """Adds up the time and the processor time of what is done with it."""
+
+    def __init__(self) -> None:
+        self.seconds, self.cpu_s = 0.0, 0.0
+
+    def __enter__(self) -> None:
+        self._begun = time.perf_counter(), time.process_time()
+
+    def __exit__(self, *_: object) -> None:
+        self.seconds += time.perf_counter() - self._begun[0]
+        self.cpu_s += time.process_time() - self._begun[1]
 
 
 def map_frames(clip: Clip, scratch: Path) -> Placed:

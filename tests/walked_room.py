@@ -30,6 +30,17 @@ def frames():
     ]
 
 
+@cache
+def level_frames():
+    """The first frames of the walk without its sway: the camera stands upright in all of them."""
+    room = furnished_room(1)
+    level = [
+        Pose(rotation_from_vector([0.0, 0.03 * index, 0.0]), world_from_cam(index).translation)
+        for index in range(10)
+    ]
+    return [room.render(CAMERA, pose, supersample=1).image for pose in level]
+
+
 def turned(image, columns):
     """What a camera sees that turns to the left by so many columns."""
     return np.roll(image, columns, axis=1)

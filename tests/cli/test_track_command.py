@@ -217,3 +217,14 @@ def test_recording_is_written(tmp_path):
     arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--recording", str(recording)]) == 0
     assert recording.stat().st_size > 10_000
+
+
+def test_upright_frames_are_tracked_with_gravity_and_the_log_says_so(walk, tmp_path, capsys):
+    folder, _, _ = walk
+    output = tmp_path / "level"
+    assert main(["track", str(folder), "--out", str(output), "--upright", "1"]) == 0
+    assert log_of(output)["options"]["upright_deg"] == 1.0
+    assert log_of(output)["statuses"] == {"tracked": 12}
+    assert main(["track", str(folder), "--out", str(tmp_path / "no"), "--upright", "0"]) == 2
+    assert "--upright must be in (0, 45] degrees" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()

@@ -2,7 +2,7 @@
 import numpy as np
 
 from epi360 import Pose
-from epi360.odometry.frame_result import FrameTracks
+from epi360.odometry.frame_result import FrameTracks, shared_rows
 from epi360.odometry.key_frames import SparseMap
 
 HERE = Pose(np.eye(3), np.zeros(3))
@@ -51,6 +51,11 @@ def test_joined_tracks_are_one_landmark_which_a_key_frame_sees_once():
     places, ids, _ = sparse_map.observations([0, 1, 2])
     assert list(zip(places.tolist(), ids.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 1), (2, 1)]
     assert sparse_map.num_landmarks == 2
+
+
+def test_landmark_that_two_tracks_show_is_shared_once():
+    rows1, rows2 = shared_rows(np.array([5, 3, 5, 9]), np.array([9, 5, 1]))
+    assert list(zip(rows1.tolist(), rows2.tolist(), strict=True)) == [(0, 1), (3, 0)]
 
 
 def test_landmark_that_three_frames_disagree_with_is_gone_for_good():

@@ -213,6 +213,19 @@ def test_nothing_but_key_frames_may_be_moved():
         odometry.move_map([], np.zeros((0, 3)))
 
 
+def test_few_points_that_agree_are_enough():
+    odometry = Odometry(CAMERA, options=OdometryOptions(max_points=70))
+    part = np.zeros((CAMERA.height, CAMERA.width), bool)
+    part[:, :180] = True
+    results = [
+        odometry.add_frame(image, mask=part if index >= 6 else None)
+        for index, image in enumerate(frames()[:10])
+    ]
+    assert [result.status for result in results[6:]] == ["tracked"] * 4
+    assert max(result.num_inliers for result in results[6:]) < 25
+    assert error_share(odometry.trajectory().positions, range(10)) < SMALL_ERROR
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("max_points", 0), ("min_survival", 1.0), ("window", 2), ("min_inliers", 3)],

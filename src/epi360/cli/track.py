@@ -29,6 +29,9 @@ class TrackInput:
     whoever holds the camera, are best masked."""
     mask_nadir_deg: float = 0.0
     """Ignore this angle around straight down: a tripod and its holder."""
+    upright: float | None = None
+    """The frames stand upright to so many degrees (one sigma), as those of a camera that levels its
+    panoramas. Not for frames that tilt with the hand."""
     start: float | None = None
     """Seconds of the video to begin at."""
     end: float | None = None
@@ -122,6 +125,7 @@ def _options(given: TrackInput, work: TrackWork) -> TrackOptions:
             camera=given.camera,
             mask=given.mask,
             mask_nadir_deg=given.mask_nadir_deg,
+            upright_deg=given.upright,
             start_s=given.start,
             end_s=given.end,
             odometry=odometry,

@@ -158,4 +158,4 @@ def _groups(bearings: Array) -> Array:
     turn = 0.5 + np.arctan2(x, z) / (2.0 * np.pi)
     sector = np.minimum(turn * SECTORS, SECTORS - 1).astype(int)
     cell = band * SECTORS + sector
-    return (np.unique(cell)[:, None] == cell).astype(np.float64)
+    return np.asarray(np.unique(cell)[:, None] == cell, dtype=np.float64)

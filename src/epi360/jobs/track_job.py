@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.upright import DOWN, check_upright, gravity_of
 from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.video import is_video
@@ -57,6 +58,7 @@ class TrackOptions:
     mask_nadir_deg: float = 0.0
     start_s: float | None = None
     end_s: float | None = None
+    upright_deg: float | None = None  # gravity is straight down in every frame, to one sigma
     odometry: OdometryOptions = field(default_factory=OdometryOptions)
     refine: bool = False
     seed: int = 0
@@ -114,11 +116,14 @@ def track_frames(
         If the output cannot be made.
     """
     options = options or TrackOptions()
+    check_upright(options.upright_deg)
     source = open_frames(path, start_s=options.start_s, end_s=options.end_s)
     if options.camera is None:
         camera: Camera = source.camera()
     else:
         camera = read_given_cameras(options.camera).only()
+    if options.upright_deg is not None:
+        gravity_of(camera, None, path.name)  # refuses what is no panorama
     _prepare(output)
     run = _Run(source, camera, output, options, watcher)
     try:
@@ -169,6 +174,8 @@ class _Run:
             camera,
             mask=None if usable.all() else usable,
             options=options.odometry,
+            gravity=None if options.upright_deg is None else DOWN,
+            gravity_sigma_deg=options.upright_deg or 1.0,
             seed=options.seed,
         )
         self._names: list[str] = []

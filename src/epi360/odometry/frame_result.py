@@ -120,6 +120,7 @@ class FrameTracks:
 def shared_rows(
     a: NDArray[np.int64], b: NDArray[np.int64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows in both arrays of the identities that both have."""
-    _, rows_a, rows_b = np.intersect1d(a, b, assume_unique=True, return_indices=True)
+    """Rows in both arrays of the identities that both have; the first of those that repeat."""
+    # Two tracks may show one landmark once a loop is closed, so that its identity repeats.
+    _, rows_a, rows_b = np.intersect1d(a, b, return_indices=True)
     return rows_a, rows_b

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from epi360.estimation import RelativePoseResult, estimate_relative_pose
 from epi360.odometry.frame_result import FrameStatus, FrameTracks, shared_rows
+from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.turning import angles_between, rotation_angle, rotation_between
 
 Array = NDArray[np.float64]
@@ -45,12 +46,15 @@ class Start:
 class Waiting:
     """Frames from the first one kept until a map can begin."""
 
-    def __init__(self, pixel_rad: float, sigma_rad: float, seed: int) -> None:
+    def __init__(
+        self, pixel_rad: float, sigma_rad: float, seed: int, gravity: GravityPrior | None = None
+    ) -> None:
         self.frames: list[FrameTracks] = []
         self._reference: FrameTracks | None = None
         self._pixel_rad = pixel_rad
         self._sigma_rad = sigma_rad
         self._seed = seed
+        self._gravity = gravity
         self._before: FrameTracks | None = None
 
     @property
@@ -91,7 +95,7 @@ class Waiting:
         parallax_px = float(np.median(left)) / self._pixel_rad
         if parallax_px < _TURNING_PX:
             return self._without_parallax(tracks, before, rotation)
-        result = estimate_relative_pose(bearings1, bearings2, seed=self._seed)
+        result = self._two_views(bearings1, bearings2)
         sigma = direction_sigma(result)
         noise_rad = max(np.radians(result.noise_deg), _TRACK_NOISE_PX * self._pixel_rad)
         strong = np.radians(result.parallax_deg) >= _PARALLAX_SIGMAS * noise_rad
@@ -109,6 +113,18 @@ class Waiting:
         known = f"known to {np.degrees(sigma):.0f} degrees" if np.isfinite(sigma) else "unknown"
         said = f"parallax of {parallax_px:.1f} pixels: the direction of motion is {known}"
         return Start("waiting", f"{said} since frame {self._reference.index}")
+
+    def _two_views(self, bearings1: Array, bearings2: Array) -> RelativePoseResult:
+        if self._gravity is None:
+            return estimate_relative_pose(bearings1, bearings2, seed=self._seed)
+        return estimate_relative_pose(
+            bearings1,
+            bearings2,
+            gravity1=self._gravity.direction,
+            gravity2=self._gravity.direction,
+            gravity_sigma_deg=float(np.degrees(self._gravity.sigma_rad)),
+            seed=self._seed,
+        )
 
     def _without_parallax(
         self, tracks: FrameTracks, before: FrameTracks | None, rotation: Array

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.key_frames import Ids, SparseMap
 from epi360.odometry.points import triangulate_tracks
 from epi360.odometry.turning import nearest_rotation
@@ -63,7 +64,12 @@ def triangulate(
 
 
 def adjust_last(
-    sparse_map: SparseMap, window: int, noise: Noise, *, max_iterations: int = 5
+    sparse_map: SparseMap,
+    window: int,
+    noise: Noise,
+    *,
+    gravity: GravityPrior | None = None,
+    max_iterations: int = 5,
 ) -> float:
     """Adjust the last key frames and what they see; returns the noise that is left, in radians."""
     count = len(sparse_map.key_frames)
@@ -74,14 +80,20 @@ def adjust_last(
     fixed[: max(len(held), 1)] = True
     if free[0] > 0 and len(held) < 2:  # nothing older holds the scale
         fixed[:2] = True
-    return adjust(sparse_map, numbers, fixed, noise, max_iterations=max_iterations)
+    return adjust(sparse_map, numbers, fixed, noise, gravity=gravity, max_iterations=max_iterations)
 
 
-def adjust_all(sparse_map: SparseMap, noise: Noise, *, max_iterations: int = 15) -> float:
+def adjust_all(
+    sparse_map: SparseMap,
+    noise: Noise,
+    *,
+    gravity: GravityPrior | None = None,
+    max_iterations: int = 15,
+) -> float:
     """Adjust all key frames together, the first one held; returns the noise that is left."""
     numbers = list(range(len(sparse_map.key_frames)))
     fixed = np.arange(len(numbers)) == 0
-    return adjust(sparse_map, numbers, fixed, noise, max_iterations=max_iterations)
+    return adjust(sparse_map, numbers, fixed, noise, gravity=gravity, max_iterations=max_iterations)
 
 
 def adjust(
@@ -90,6 +102,7 @@ def adjust(
     fixed: NDArray[np.bool_],
     noise: Noise,
     *,
+    gravity: GravityPrior | None = None,
     max_iterations: int,
 ) -> float:
     """Adjust these key frames but the fixed ones, and the landmarks that the others see."""
@@ -113,6 +126,8 @@ def adjust(
         noise_rad=noise.sigma_rad,
         fixed=fixed,
     )
+    if gravity is not None:
+        problem = _with_gravity(problem, gravity, gravity.in_world(sparse_map.key_frames))
     result = adjust_window(problem, loss="cauchy", max_iterations=max_iterations)
     for place, key_frame in enumerate(key_frames):
         key_frame.rotation = nearest_rotation(result.rotations[place])
@@ -123,6 +138,16 @@ def adjust(
     # landmark.
     share = max(1.0 - 1.5 * len(landmarks) / len(ids), 0.25)
     return float(np.nanmedian(result.residuals_rad) * _NOISE_OF_MEDIAN / np.sqrt(share))
+
+
+def _with_gravity(problem: WindowProblem, gravity: GravityPrior, in_world: Array) -> WindowProblem:
+    num_frames = len(np.asarray(problem.rotations))
+    return replace(
+        problem,
+        gravity=np.tile(gravity.direction, (num_frames, 1)),
+        gravity_sigma_rad=gravity.sigma_rad,
+        world_gravity=in_world,
+    )
 
 
 def _held(sparse_map: SparseMap, free: list[int]) -> list[int]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
 from epi360.features import ImageSource, read_image, read_mask
@@ -23,6 +23,7 @@ from epi360.odometry.frame_result import (
     Trajectory,
     shared_rows,
 )
+from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.options import OdometryOptions
@@ -52,13 +53,18 @@ class Odometry:
         White = use, in the size of the frames: the operator and the camera's own holder are black.
     options : OdometryOptions, optional
         How frames are tracked.
+    gravity : array_like, shape (3,), optional
+        Direction of gravity in the camera in every frame, ``(0, 1, 0)`` if the frames are upright
+        panoramas. Leave it out for a camera that is held by hand and not levelled.
+    gravity_sigma_deg : float
+        Its standard deviation in degrees, per axis.
     seed : int
         Random seed of the sampling; the same seed gives the same result.
 
     Raises
     ------
     ValueError
-        If the mask cannot be used.
+        If the mask cannot be used, or gravity or its standard deviation is out of range.
     FileNotFoundError
         If the mask does not exist.
 
@@ -75,10 +81,13 @@ class Odometry:
         *,
         mask: ImageSource | None = None,
         options: OdometryOptions | None = None,
+        gravity: ArrayLike | None = None,
+        gravity_sigma_deg: float = 1.0,
         seed: int = 0,
     ) -> None:
         self._options = options or OdometryOptions()
         self._seed = seed
+        self._gravity = GravityPrior.given(gravity, gravity_sigma_deg)
         usable = None if mask is None else read_mask(mask, (camera.height, camera.width))
         working = camera_of_width(camera, self._options.max_width)
         if usable is not None and working != camera:
@@ -250,7 +259,10 @@ class Odometry:
 
     def _new_wait(self) -> Waiting:
         return Waiting(
-            self._pixel_rad, float(np.radians(self._options.start_sigma_deg)), self._seed
+            self._pixel_rad,
+            float(np.radians(self._options.start_sigma_deg)),
+            self._seed,
+            self._gravity,
         )
 
     def _next_frame(self, timestamp_s: float | None) -> FrameResult:
@@ -345,7 +357,9 @@ class Odometry:
         """Begin a map; None if the frame does not find its place in it."""
         waited = self._waiting.frames
         recognition = Recognition(self._working, self._usable, self._pixel_rad)
-        segment = Segment.begin(start, tracks, waited, self._pixel_rad, self._options, recognition)
+        segment = Segment.begin(
+            start, tracks, waited, self._pixel_rad, self._options, recognition, self._gravity
+        )
         pose = segment.last_key_frame.cam_from_world
         if segment.locate(tracks, pose) is None:
             return None

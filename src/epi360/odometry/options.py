@@ -28,7 +28,8 @@ class OdometryOptions:
         The map begins when the direction of motion since the first frame is known to this standard
         deviation.
     min_inliers : int
-        A frame with fewer points that agree with its pose is lost.
+        A frame with fewer points that agree with its pose is lost. Fewer than 30 must also be at
+        least half of the points in view that the map knows; more of them, 30 percent.
     loop_closure : bool
         Whether places that are seen again correct the trajectory.
 
@@ -44,7 +45,7 @@ class OdometryOptions:
     max_width: int = 1600
     window: int = 8
     start_sigma_deg: float = 2.0
-    min_inliers: int = 25
+    min_inliers: int = 15
     loop_closure: bool = True
 
     def __post_init__(self) -> None:
