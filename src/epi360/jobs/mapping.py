@@ -8,7 +8,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.map_attempts import RULES, Attempt, map_by_attempts
+from epi360.jobs.map_pairs import without_doubtful
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.match_result import Colors, load_matches_and_colors
 from epi360.jobs.matching import MatchOptions, MatchRun, match_images, open_match_output
@@ -103,7 +104,8 @@ def map_images(
     them.
 
     Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. A pair
+    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. Ambiguous
+    pairs join no groups of images that others do not join, as rooms may have the same carpet. A pair
     that two or more triangles contradict, or that `check_graph` refuses, stays out: a few of them
     lead COLMAP's mapper astray. What was matched is not matched again, and what was mapped from the
     same matches with the same options is not mapped again.
@@ -147,7 +149,7 @@ def map_images(
         images, output, options.match, first_pairs=first_pairs, restart=restart, progress=progress
     )
     graph, colors = load_matches_and_colors(output)
-    graph = _without_contradicted(graph, matched)
+    graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
     mapper = MapperOptions(
         options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
@@ -205,18 +207,6 @@ def _poses_of(images: ImageSet, initial: Reconstruction) -> dict[str, Pose]:
             f"initial must have poses of the images, got {len(initial.images)} other ones"
         )
     return known
-
-
-def _without_contradicted(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
-    # One triangle is not enough: even if a pose is 10 degrees off, most of its inliers can be
-    # right matches, and where pairs are few, a map falls apart without them.
-    dropped = {
-        (pair.image1, pair.image2)
-        for pair in matched.verdicts
-        if (pair.contradicted and pair.num_contradicted > 1) or pair.refused
-    }
-    kept = tuple(pair for pair in graph.pairs if (pair.image1, pair.image2) not in dropped)
-    return replace(graph, pairs=kept)
 
 
 def _read_record(output: Path) -> dict[str, Any]:
