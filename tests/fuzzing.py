@@ -12,9 +12,11 @@ import traceback
 import warnings
 from contextlib import closing, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+from written_videos import noise_frames, write_video
 
 from epi360 import cli
 from epi360.cameras import Equirectangular
@@ -33,7 +35,7 @@ from epi360.interop import (
 )
 from epi360.poses import Pose, rotation_from_vector
 
-PROGRESS = re.compile(r"epi360: [a-z ]+: \d+ of \d+.*")
+PROGRESS = re.compile(r"epi360: (?!error)[a-z ]+: \d+ of \d+.*")
 LONGEST_MESSAGE, LONGEST_S = 1100, 20.0
 VALUES = [
     "/dev/zero", "/etc/passwd", "../../victim.png", "VICTIM", "x" * 5000, "", ".", "a\0b", "ä/\n",
@@ -76,7 +78,12 @@ def write_sources(folder: Path) -> None:
     write_tum_trajectory(folder / "poses.tum", reconstruction)
     (folder / "camera.yaml").write_text(CALIBRATION)
     (folder / "pairs.txt").write_text("0.png 1.jpg\n1.jpg 2.tiff\n")
+    (folder / "frames.csv").write_text(
+        "image,timestamp_s\n" + "".join(f"{image.name},{k}\n" for k, image in enumerate(posed))
+    )
     _write_matches(folder, cameras)
+    with suppress(ImportError):
+        write_video(folder / "walk.mp4", noise_frames(6, (64, 128)))
 
 
 def _write_matches(folder: Path, cameras: dict) -> None:
@@ -123,7 +130,17 @@ def _command(rng: random.Random, given: Path, out: Path) -> list[object]:
         ["pair", *pictures, "--json", out / "pair.json"],
         ["pair", *pictures, "--camera", given / "camera.yaml", "--mask", pictures[0]],
         ["match", images, "--output", out / "matches", "--pairs", given / "pairs.txt"],
-    ]
+        ["evaluate", picked, given / "poses.tum", "--json", out / "errors.json"],
+        ["evaluate", picked, given / "model", "--frames", given / "frames.csv"],
+        ["render", out / "walk", "--num-frames", 1, "--supersample", 1, "--camera",
+         given / "camera.yaml"],
+    ]  # fmt: skip
+    if find_spec("pycolmap"):
+        commands.append(["map", images, "--output", out / "map", "--mapper-threads", 1])
+    if (given / "walk.mp4").exists():
+        video = given / "walk.mp4"
+        commands.append(["frames", video, out / "frames", "--every", 2])
+        commands.append(["frames", video, out / "frames", "--mask", pictures[0]])
     if (given / "matches.db").exists():
         files = ["--features", out / "f.h5"]
         commands.append(["convert", given / "matches.db", out / "m.h5", *files])

@@ -64,6 +64,15 @@ def test_a_loop_ends_where_it_begins(tmp_path, capsys):
     np.testing.assert_allclose(rows[0, 1:], rows[-1, 1:], atol=1e-9)
 
 
+def test_a_camera_with_more_pixels_than_any_command_reads_is_refused(tmp_path, capsys):
+    calibration = tmp_path / "lens.json"
+    lens = {"model": "KannalaBrandt", "width": 10**6, "height": 10**6, "fx": 1e5, "fy": 1e5}
+    calibration.write_text(json.dumps({**lens, "cx": 5e5, "cy": 5e5}))
+    words = ["render", tmp_path / "out", "--num-frames", 1, "--camera", calibration]
+    assert_wrong_use(capsys, words, "--camera may have", "1000000x1000000")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_fisheye_sequence_has_the_size_of_its_camera(tmp_path, capsys):
     lens = {"model": "KannalaBrandt", "width": 48, "height": 40, "fx": 14, "fy": 14,
             "cx": 24, "cy": 20, "max_angle_deg": 95}  # fmt: skip

@@ -155,7 +155,13 @@ def _camera(picture: CameraChoice) -> Camera:
     from epi360.features.image_files import MAX_PIXELS
 
     if picture.camera is not None:
-        return load_camera(picture.camera)
+        camera = load_camera(picture.camera)
+        if camera.width * camera.height > MAX_PIXELS:
+            raise ValueError(
+                f"--camera may have {MAX_PIXELS} pixels at most, got "
+                f"{camera.width}x{camera.height} in {picture.camera}"
+            )
+        return camera
     width = 1024 if picture.width is None else picture.width
     if width < 2 or width % 2:
         raise ValueError(f"--width must be a positive even number, got {width}")
