@@ -104,11 +104,11 @@ def map_images(
     them.
 
     Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches. Ambiguous
-    pairs join no groups of images that others do not join, as rooms may have the same carpet. A pair
-    that two or more triangles contradict, or that `check_graph` refuses, stays out: a few of them
-    lead COLMAP's mapper astray. What was matched is not matched again, and what was mapped from the
-    same matches with the same options is not mapped again.
+    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches.
+    Ambiguous pairs join no groups of images that others do not join, as rooms may have the same
+    carpet. A pair that two or more triangles contradict, or that `check_graph` refuses, stays out:
+    a few of them lead COLMAP's mapper astray. What was matched is not matched again, and what was
+    mapped from the same matches with the same options is not mapped again.
 
     Raises
     ------
