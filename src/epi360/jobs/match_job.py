@@ -182,7 +182,7 @@ class MatchJob:
         # Each of our threads multiplies descriptors. With threads of its own in each of them, BLAS
         # waits in loops for the others: 0.13 s of processor time a pair in place of 0.05.
         with threadpool_limits(1, user_api="blas"):
-            found = dict(_on_threads(work, pairs, self.num_threads))
+            found = dict(on_threads(work, pairs, self.num_threads))
         matched = [(pair, each) for pair in pairs if (each := found[pair]) is not None]
         gravity: dict[str, Any] = {}
         if self.upright_deg is not None:
@@ -199,7 +199,7 @@ class MatchJob:
     ) -> list[VerifiedPair]:
         """Estimate pairs again from the matches that they have."""
         items = list(finished.items())
-        found = dict(_on_threads(self._placed, items, self.num_threads))
+        found = dict(on_threads(self._placed, items, self.num_threads))
         matched = [(item[0], each) for item in items if (each := found[item]) is not None]
         results = self._estimated(
             matched,
@@ -295,6 +295,11 @@ class MatchJob:
             self.unreadable[name] = str(error)
             return None
 
+    def descriptors(self, index: int) -> NDArray[np.float32]:
+        """Descriptors (N, 128) of an image, strongest first; none where it cannot be read."""
+        features = self._features_or_none(index) if index in self.keys else None
+        return np.zeros((0, 128), np.float32) if features is None else features[0].descriptors
+
     def _load_features(self, index: int) -> tuple[Features, Features]:
         """All features of an image and the stronger ones; found again if their file is damaged."""
         keypoints = self.cache.load(self.keys[index])
@@ -328,7 +333,7 @@ class MatchJob:
 
         total = done + len(wanted)
         self.progress(stage, done, total)
-        for count, _ in enumerate(_on_threads(attempt, wanted, self.num_threads), start=1):
+        for count, _ in enumerate(on_threads(attempt, wanted, self.num_threads), start=1):
             self.progress(stage, done + count, total)
 
 
@@ -357,7 +362,7 @@ class _Matched:
         return float(np.mean(heights > _BELOW_HORIZON))
 
 
-def _on_threads(
+def on_threads(
     work: Callable[[Item], Result], items: Sequence[Item], num_threads: int
 ) -> Iterator[tuple[Item, Result]]:
     """Items with their results, as they come; an interrupt waits only for those in work."""
