@@ -59,6 +59,7 @@ def alike_pairs(
             progress("retrieval", done + len(found), 2 * num_images)
         return [found[index] for index in range(num_images)]
 
+    progress("retrieval", 0, 2 * num_images)
     # Each of our threads multiplies descriptors, as those of `MatchJob` do.
     with threadpool_limits(1, user_api="blas"):
         words = learn_words(np.concatenate(for_each(sampled, 0)))
