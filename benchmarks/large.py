@@ -91,7 +91,7 @@ def _retrieval(options: argparse.Namespace) -> dict[str, Any]:
     rows = [_chosen(cache, keys, overlaps, count, options.jobs) for count in NEIGHBORS]
     header = ["neighbors", "pairs", "of all"]
     header += [f"recall at {overlap:g}" for overlap in OVERLAPS] + ["wall s", "CPU s"]
-    print(text_table(header, [_cells(row) for row in rows]))
+    print(text_table([header, *(_cells(row) for row in rows)]))
     best = max((row for row in rows if row.share <= SHARE), key=lambda row: row.share, default=None)
     if best is not None:
         print(
