@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Docstrings as the site shows them: with links, shapes and defaults."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import griffe
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from public_names import public_names  # noqa: E402
+
+# A word such as `scene` may be a parameter as well.
+LIKE_A_NAME = re.compile(r"[A-Z_]")
+MENTION = re.compile(r"(?<!`)(`{1,2})([A-Za-z_][\w.]*)\1(?!`)")
+# "ndarray, shape (N, 3)" would be read as a Python tuple of a name and a call.
+SHAPE = re.compile(r"^(\s*[\w, ]+ : [^\n]*?), (shapes? \()", re.M)
+# Of "low, high : int = 3" both would get the default of the first.
+TOGETHER = re.compile(
+    r"^(?P<names>\w+(?:, \w+)+)(?P<rest>(?: : [^\n]*)?\n(?:    [^\n]*\n|\n(?=    ))+)", re.M
+)
+
+
+class Docstrings(griffe.Extension):
+    """What is done to each docstring before it is shown."""
+
+    def __init__(self) -> None:
+        self._called = {
+            one.name: one.called
+            for page in reversed(public_names().values())
+            for one in page
+            if LIKE_A_NAME.search(one.name)
+        }
+
+    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
+        """Change the docstring of an object that was read."""
+        if obj.docstring:
+            text = SHAPE.sub(r"\1 of \2", obj.docstring.value + "\n")
+            text = TOGETHER.sub(_split, text)
+            obj.docstring.value = MENTION.sub(self._link, text)
+
+    def _link(self, match: re.Match[str]) -> str:
+        called = self._called.get(match[2].removeprefix("epi360."))
+        return f"[`{match[2]}`][{called}]" if called else match[0]
+
+
+def _split(match: re.Match[str]) -> str:
+    return "".join(f"{name}{match['rest']}" for name in match["names"].split(", "))
