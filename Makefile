@@ -34,7 +34,7 @@ test: $(VENV)/.stamp-test
 
 # The documentation as a folder that a browser opens: site/index.html. It needs no build of epi360.
 docs: $(VENV)/.stamp-docs
-	$(BIN)/python docs/site/build.py site
+	$(BIN)/python docs/site/build_site.py site
 
 # The pictures of the documentation, which are in the repository; a few minutes.
 pictures: $(VENV)/.stamp-test

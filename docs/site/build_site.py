@@ -8,9 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from check import mistakes
+from check_site import mistakes
 from public_names import SOURCES, public_names
-from stage import stage
+from stage_pages import stage
 
 HERE = Path(__file__).resolve().parent
 
