@@ -25,6 +25,8 @@ LINK = re.compile(
     r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<link>[^)\s]+)\)|src=\"(?P<source>[^\"]+)\""
 )
 
+PICTURE = re.compile(r"<img src=\"(?P<source>[^\"]+)\"[^>]*>")
+
 
 def site_pages() -> dict[str, Path]:
     """The pages that are files of the repository, by their names on the site."""
@@ -51,7 +53,10 @@ def _turned(text: str, page: str, home: Path, folder: Path) -> str:
         if link.startswith(("https://", "#")):
             return match[0]
         name, _, anchor = link.partition("#")
-        there = _on_site((home / name).resolve(), folder)
+        target = (home / name).resolve()
+        if not target.exists():
+            raise SystemExit(f"{page} links to {link}, which is not there")
+        there = _on_site(target, folder)
         if there is None:
             return match["text"]
         relative = os.path.relpath(there, Path(page).parent).replace(os.sep, "/")
