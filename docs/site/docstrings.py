@@ -9,10 +9,8 @@ from typing import Any
 import griffe
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
-from public_names import public_names  # noqa: E402
+from public_names import link_to  # noqa: E402
 
-# A word such as `scene` may be a parameter as well.
-LIKE_A_NAME = re.compile(r"[A-Z_]")
 MENTION = re.compile(r"(?<!`)(`{1,2})([A-Za-z_][\w.]*)\1(?!`)")
 # "ndarray, shape (N, 3)" would be read as a Python tuple of a name and a call.
 SHAPE = re.compile(r"^(\s*[\w, ]+ : [^\n]*?), (shapes? \()", re.M)
@@ -25,24 +23,24 @@ TOGETHER = re.compile(
 class Docstrings(griffe.Extension):
     """What is done to each docstring before it is shown."""
 
-    def __init__(self) -> None:
-        self._called = {
-            one.name: one.called
-            for page in reversed(public_names().values())
-            for one in page
-            if LIKE_A_NAME.search(one.name)
-        }
-
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Change the docstring of an object that was read."""
         if obj.docstring:
             text = SHAPE.sub(r"\1 of \2", obj.docstring.value + "\n")
             text = TOGETHER.sub(_split, text)
-            obj.docstring.value = MENTION.sub(self._link, text)
+            obj.docstring.value = MENTION.sub(_link, text)
 
-    def _link(self, match: re.Match[str]) -> str:
-        called = self._called.get(match[2].removeprefix("epi360."))
-        return f"[`{match[2]}`][{called}]" if called else match[0]
+    def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
+        """Let a function hide the module of its name that it is imported from, as in Python."""
+        for package in (pkg, *pkg.modules.values()):
+            for name, module in list(package.modules.items()):
+                if package.imports.get(name) == f"{module.path}.{name}":
+                    package.set_member(name, griffe.Alias(name, module[name], parent=package))
+
+
+def _link(match: re.Match[str]) -> str:
+    called = link_to(match[2])
+    return f"[`{match[2]}`][{called}]" if called else match[0]
 
 
 def _split(match: re.Match[str]) -> str:

@@ -2,6 +2,7 @@
 """Public names of the packages, read from their sources without importing them."""
 
 import ast
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,8 @@ SOURCES = Path(__file__).resolve().parents[2] / "src"
 TOP = "epi360"
 # The command has pages of its own, and the readers of calibrations are exported one folder above.
 WITHOUT_PAGE = {"epi360.cli", "epi360.cameras.calibration"}
+# Other words in backticks, such as `scene`, may be parameters or plain words.
+LIKE_A_NAME = re.compile(r"[A-Z_]")
 
 
 @dataclass(frozen=True)
@@ -100,3 +103,16 @@ def _tree(module: str) -> ast.Module:
 def description(module: str) -> str:
     """First sentence of the docstring of a module."""
     return (ast.get_docstring(_tree(module)) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def link_to(mention: str) -> str | None:
+    """How the API calls what a text in backticks names: ``Pose`` or ``epi360.Pose``."""
+    return _mentions().get(mention) if LIKE_A_NAME.search(mention) else None
+
+
+@cache
+def _mentions() -> dict[str, str]:
+    """Short and full names; where two packages have a name, the short one is that of epi360."""
+    names = [one for page in public_names().values() for one in page]
+    names.sort(key=lambda one: one.called.count("."), reverse=True)
+    return {key: one.called for one in names for key in (one.name, one.called)}

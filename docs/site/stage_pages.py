@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from public_names import TOP, PublicName, description, public_names
+from public_names import TOP, PublicName, description, link_to, public_names
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -24,7 +24,7 @@ FENCE = re.compile(r"^```.*?^```$", re.M | re.S)
 LINK = re.compile(
     r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<link>[^)\s]+)\)|src=\"(?P<source>[^\"]+)\""
 )
-
+MENTION = re.compile(r"(?<!\[)`([A-Za-z_][\w.]*)`")
 PICTURE = re.compile(r"<img src=\"(?P<source>[^\"]+)\"[^>]*>")
 
 
@@ -62,7 +62,28 @@ def _turned(text: str, page: str, home: Path, folder: Path) -> str:
         relative = os.path.relpath(there, Path(page).parent).replace(os.sep, "/")
         return match[0].replace(link, f"{relative}#{anchor}" if anchor else relative)
 
-    return "".join(part if is_code else LINK.sub(turned, part) for is_code, part in _parts(text))
+    return "".join(
+        part if is_code else _with_names(PICTURE.sub(_opened, LINK.sub(turned, part)))
+        for is_code, part in _parts(text)
+    )
+
+
+def _with_names(text: str) -> str:
+    """Text in which public names lead to the API, but for titles and what is a link already."""
+    return "".join(
+        line if line.startswith("#") else MENTION.sub(_named, line)
+        for line in text.splitlines(keepends=True)
+    )
+
+
+def _named(mention: re.Match[str]) -> str:
+    called = link_to(mention[1])
+    return f"[`{mention[1]}`][{called}]" if called else mention[0]
+
+
+def _opened(picture: re.Match[str]) -> str:
+    """A picture that opens alone when it is clicked, so that a phone can magnify it."""
+    return f'<a href="{picture["source"]}">{picture[0]}</a>'
 
 
 def _parts(text: str) -> Iterator[tuple[bool, str]]:
