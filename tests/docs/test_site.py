@@ -69,6 +69,13 @@ def test_a_page_fits_a_phone_and_asks_for_nothing(site, browser, page):
 
 
 @pytest.mark.slow  # builds the site
+def test_a_function_is_not_taken_for_the_module_of_its_name(site):
+    page = (site / "api" / "epi360.epipolar.html").read_text(encoding="utf-8")
+    assert 'id="epi360.stability"' in page
+    assert 'id="epi360.stability.Stability"' not in page
+
+
+@pytest.mark.slow  # builds the site
 def test_a_mistake_in_a_site_is_found(site, tmp_path):
     assert list(mistakes(site)) == []
     page = tmp_path / "index.html"
