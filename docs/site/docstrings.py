@@ -3,6 +3,7 @@
 
 import re
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,29 @@ TOGETHER = re.compile(
 class Docstrings(griffe.Extension):
     """What is done to each docstring before it is shown."""
 
-    def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Change the docstring of an object that was read."""
-        if obj.docstring:
-            text = SHAPE.sub(r"\1 of \2", obj.docstring.value + "\n")
-            text = TOGETHER.sub(_split, text)
-            obj.docstring.value = MENTION.sub(_link, text)
-
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
-        """Let a function hide the module of its name that it is imported from, as in Python."""
-        for package in (pkg, *pkg.modules.values()):
-            for name, module in list(package.modules.items()):
-                if package.imports.get(name) == f"{module.path}.{name}":
-                    package.set_member(name, griffe.Alias(name, module[name], parent=package))
+        """Change the docstrings of a package that was read."""
+        for obj in _objects(pkg):
+            if obj.docstring:
+                text = SHAPE.sub(r"\1 of \2", obj.docstring.value + "\n")
+                text = TOGETHER.sub(_split, text)
+                obj.docstring.value = MENTION.sub(_link, text)
+        _hide_modules(pkg)
+
+
+def _objects(obj: griffe.Object) -> Iterator[griffe.Object]:
+    yield obj
+    for member in obj.members.values():
+        if isinstance(member, griffe.Object):
+            yield from _objects(member)
+
+
+def _hide_modules(pkg: griffe.Module) -> None:
+    """Let a function hide the module of its name that it is imported from, as in Python."""
+    for package in [obj for obj in _objects(pkg) if isinstance(obj, griffe.Module)]:
+        for name, module in list(package.modules.items()):
+            if package.imports.get(name) == f"{module.path}.{name}":
+                package.set_member(name, griffe.Alias(name, module[name], parent=package))
 
 
 def _link(match: re.Match[str]) -> str:

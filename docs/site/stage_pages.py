@@ -18,6 +18,7 @@ OTHERS = {
     "benchmarks.md": ROOT / "benchmarks" / "README.md",
     "changelog.md": ROOT / "CHANGELOG.md",
     "contributing.md": ROOT / "CONTRIBUTING.md",
+    "security.md": ROOT / "SECURITY.md",
 }
 LANGUAGES = {".py": "python", ".cpp": "cpp", ".hpp": "cpp", ".cff": "yaml", ".yml": "yaml"}
 FENCE = re.compile(r"^```.*?^```$", re.M | re.S)
