@@ -126,7 +126,8 @@ its matches have a pose <i class="none"></i> no pose</p>
 <p>Click an image to see its pairs.</p>
 <div class="thumbnails"></div></section></div>
 <h2>The pairs</h2>
-<div class="table"><div class="filters"><label>Name or reason contains <input type="search" name="text"></label>
+<div class="table"><div class="filters">
+<label>Name or reason contains <input type="search" name="text"></label>
 <label>Verdict <select name="verdict"><option value="">all</option><option>accepted</option>
 <option>refused</option><option>no pose</option></select></label></div>
 <p class="count" aria-live="polite"></p>
