@@ -14,10 +14,10 @@ from epi360.features.picture_writing import encode_picture
 from epi360.odometry import FrameResult, Odometry
 from epi360.report.html_page import picture_address, shrunk
 
-_KEPT_SIZES = ((200, 640), (10**9, 320))  # up to so many pictures, of this width
+_KEPT_SIZES = ((300, 640), (10**9, 400))  # up to so many pictures, of this width
 _MOST_WITHOUT_POSE = 300  # frames of a long wait look alike
-_PICTURE_BYTES = 4_500_000  # of a page, as they stand in it
-_PICTURE_SIZES = ((640, 76), (512, 72), (384, 68), (320, 64), (256, 60), (192, 50))
+_PICTURE_BYTES = 7_000_000  # of a page, as they stand in it
+_PICTURE_SIZES = ((640, 76), (512, 72), (400, 68), (320, 64), (256, 60), (192, 50))
 
 
 class TrackPictures:
@@ -54,6 +54,7 @@ class TrackPictures:
 def _fitting(content: bytes, most: float) -> str:
     address = "data:image/jpeg;base64," + base64.b64encode(content).decode("ascii")
     decoded = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
     image = np.asarray(cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB), np.uint8)
     for size, quality in _PICTURE_SIZES:
         if len(address) <= most:

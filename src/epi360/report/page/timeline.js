@@ -91,9 +91,10 @@ class Timeline {
   }
 
   _loops(svg, top) {
+    const longest = Math.max(...this.record.loops.map(([frame, old]) => frame - old));
     const d = this.record.loops.map(([frame, old]) => {
-      const [a, b] = [this.x(old), this.x(frame)];
-      return `M${a.toFixed(1)} ${top - 2}Q${((a + b) / 2).toFixed(1)} ${top - 2 * PLOT.arcs} ${b.toFixed(1)} ${top - 2}`;
+      const [a, b] = [this.x(old), this.x(frame)], high = PLOT.arcs * (0.4 + (1.6 * (frame - old)) / longest);
+      return `M${a.toFixed(1)} ${top - 2}Q${((a + b) / 2).toFixed(1)} ${top - 2 - high + 6} ${b.toFixed(1)} ${top - 2}`;
     });
     drawn(svg, "path", { class: "loop", d: d.join("") });
     drawn(svg, "text", { x: PLOT.left - 6, y: top - 12, "text-anchor": "end" }, "loops");
