@@ -12,7 +12,6 @@ _BINS = 40
 _GATES_SHOWN = 3.0  # the histogram ends at so many times the gate
 _BANDS = np.arange(-90.0, 91.0, 15.0)
 _MAX_DOTS = 1500
-_SURFACE_STEPS = 21
 
 
 def residual_histogram(
@@ -65,36 +64,3 @@ def residuals_by_latitude(latitudes_deg: Array, residuals_deg: Array) -> str:
                 f"<title>{title}</title></path>"
             )
     return chart(parts, "Residuals by latitude")
-
-
-def sk_surface(ratios: Array, costs: Array, S: float, K: float) -> str:
-    """Return the paper's eq. 14 over S and K; ``costs`` are those at the logarithms of K / S."""
-    reach = float(ratios[-1]) / 2.0  # of ln S and of ln K
-    grid = np.linspace(-reach, reach, _SURFACE_STEPS)
-    half = (grid[1] - grid[0]) / 2.0
-    axes = Axes(reach + half, reach + half, x_min=-reach - half, y_min=-reach - half)
-    # Colours go by rank: next to the highest costs, all others would look the same.
-    heights = np.argsort(np.argsort(costs)) / (len(costs) - 1.0)
-    parts = [axes.frame("ln S", "ln K")]
-    for x in grid:
-        for y in grid:
-            height = float(np.interp(y - x, ratios, heights))
-            left, top = axes.x(x - half), axes.y(y + half)
-            right, bottom = axes.x(x + half), axes.y(y - half)
-            parts.append(
-                f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left + 0.6:.1f}" '
-                f'height="{bottom - top + 0.6:.1f}" fill="{_heat(height)}"/>'
-            )
-    found = float(np.clip(np.log(K / S), -2 * reach, 2 * reach))
-    x, y = axes.x(-found / 2.0), axes.y(found / 2.0)
-    parts.append(f'<circle class="found" cx="{x:.1f}" cy="{y:.1f}" r="6"/>')
-    return chart(parts, "The paper's cost over S and K")
-
-
-def _heat(height: float) -> str:
-    """Return a colour from dark blue (low) to pale yellow (high) that also a grey print orders."""
-    stops = np.array([[38, 34, 98], [30, 110, 140], [90, 180, 120], [250, 240, 170]], float)
-    place = float(np.clip(height, 0.0, 1.0)) * (len(stops) - 1)
-    i = min(int(place), len(stops) - 2)
-    red, green, blue = stops[i] + (place - i) * (stops[i + 1] - stops[i])
-    return f"#{round(red):02x}{round(green):02x}{round(blue):02x}"

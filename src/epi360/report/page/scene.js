@@ -149,7 +149,7 @@ function nameMark(THREE, name) {
   Object.assign(canvas, { width: 256, height: 64 });
   const context = canvas.getContext("2d");
   context.font = "bold 34px sans-serif";
-  Object.assign(context, { lineWidth: 6, strokeStyle: "#000", fillStyle: "#fff", textAlign: "center" });
+  Object.assign(context, { lineWidth: 6, strokeStyle: pageColour("--panel"), fillStyle: pageColour("--text"), textAlign: "center" });
   context.strokeText(name, 128, 44, 250);
   context.fillText(name, 128, 44, 250);
   const material = new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false, sizeAttenuation: false });
