@@ -21,10 +21,13 @@ if TYPE_CHECKING:
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444", "#8c6d31")
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X", "*")
 _INK, _SOFT, _FAINT = "#222222", "#666666", "#d5d9dd"
+_BAND = "#f3f5f7"
 _LABEL_LETTERS = 30  # of a row's name in one line
-_PANEL_WIDTH, _ROW_HEIGHT, _PANEL_EXTRA = 5.4, 0.27, 1.05  # inches
-_LEGEND_HEIGHT, _TITLE_HEIGHT, _NOTE_HEIGHT = 0.32, 0.75, 0.24
+_PANEL_WIDTH, _WIDE_PANEL, _ROW_HEIGHT, _PANEL_EXTRA = 5.4, 7.2, 0.27, 1.05  # inches
+_LEGEND_HEIGHT, _TITLE_HEIGHT, _NOTE_HEIGHT = 0.32, 0.62, 0.24
 _DPI = 110
+_MOST_SHARED = 10
+_LEAST_POWERS, _MANY_POWERS = 3.0, 60.0  # ratios of the largest to the smallest value
 
 
 @dataclass(frozen=True)
@@ -73,12 +76,15 @@ def draw_overview(overview: Overview) -> Figure:
         raise ValueError("an overview must have a panel with rows and series, got none")
     columns = min(overview.columns, len(panels))
     names = list(dict.fromkeys(name for panel in panels for name in panel.series))
+    is_shared = len(names) <= _MOST_SHARED  # one legend for all panels, or one beside each
     lines = [panels[i : i + columns] for i in range(0, len(panels), columns)]
     heights = [max(_height_of(panel) for panel in line) + _PANEL_EXTRA for line in lines]
-    width = _PANEL_WIDTH * columns if columns > 1 else 8.0
+    width = (_PANEL_WIDTH if is_shared else _WIDE_PANEL) * columns if columns > 1 else 8.0
     note = textwrap.wrap(overview.note, int(14 * width))
-    per_line = max(1, int(width / 2.4))
-    legend_height = _LEGEND_HEIGHT * ceil(len(names) / per_line) if len(names) > 1 else 0.0
+    per_line = max(1, int(width / 2.0))
+    legend_height = (
+        _LEGEND_HEIGHT * ceil(len(names) / per_line) if is_shared and len(names) > 1 else 0.0
+    )
     bottom = _NOTE_HEIGHT * len(note) + 0.1
     height = sum(heights) + _TITLE_HEIGHT + legend_height + bottom
     top = 1.0 - (_TITLE_HEIGHT + legend_height) / height
@@ -92,12 +98,15 @@ def draw_overview(overview: Overview) -> Figure:
         if panel is None:
             axes.set_axis_off()
         else:
-            _draw_panel(axes, panel, styles)
+            own = styles if is_shared else _styles(list(panel.series), overview.hollow)
+            _draw_panel(axes, panel, own)
+            if not is_shared and len(panel.series) > 1:
+                _draw_own_legend(axes, panel, own)
     figure.suptitle(
         overview.title, x=0.012, y=1.0 - 0.16 / height, ha="left", va="top", fontsize=15,
         fontweight="bold", color=_INK,
     )  # fmt: skip
-    if len(names) > 1:
+    if is_shared and len(names) > 1:
         _draw_legend(figure, names, styles, per_line, 1.0 - 0.52 / height)
     for i, line in enumerate(reversed(note)):
         figure.text(0.012, (0.08 + _NOTE_HEIGHT * i) / height, line, fontsize=9, color=_SOFT)
@@ -106,7 +115,8 @@ def draw_overview(overview: Overview) -> Figure:
 
 def _height_of(panel: Panel) -> float:
     lines = sum(len(textwrap.wrap(row, _LABEL_LETTERS)) or 1 for row in panel.rows)
-    return _ROW_HEIGHT * max(lines, 2)
+    # Many dots in a row need room beside each other.
+    return _ROW_HEIGHT * max(lines * max(1.0, len(panel.series) / 5.0), 2)
 
 
 def _styles(names: Sequence[str], hollow: frozenset[str]) -> dict[str, dict[str, object]]:
@@ -144,35 +154,36 @@ def _draw_legend(
     )  # fmt: skip
 
 
+def _draw_own_legend(axes: Axes, panel: Panel, styles: Mapping[str, dict[str, object]]) -> None:
+    from matplotlib.lines import Line2D
+
+    labels = [textwrap.fill(name, 20) for name in panel.series]
+    handles = [Line2D([], [], linestyle="", markersize=7, **styles[name]) for name in panel.series]  # type: ignore[arg-type]
+    axes.legend(
+        handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, fontsize=9,
+        handletextpad=0.2, borderaxespad=0.2,
+    )  # fmt: skip
+
+
 def _draw_panel(axes: Axes, panel: Panel, styles: Mapping[str, dict[str, object]]) -> None:
     places = range(len(panel.rows))
-    known = [value for values in panel.series.values() for value in values if isfinite(value)]
-    if panel.powers and (not known or min(known) <= 0.0):
-        # A measured zero has no logarithm: the axis is linear up to the smallest other value.
-        smallest = min((value for value in known if value > 0), default=1.0)
-        axes.set_xscale("symlog", linthresh=smallest)
-    elif panel.powers:
-        axes.set_xscale("log")
-    if panel.powers:
-        _write_plain_powers(axes, known)
+    _scale(axes, panel)
+    for place in places[::2]:  # whose dot is whose, where the dots of a row are apart
+        axes.axhspan(place - 0.5, place + 0.5, color=_BAND, zorder=0, linewidth=0)
     shifts = _shifts(panel, styles)
     for name, values in panel.series.items():
         rows = [place + shifts[name] for place in places]
         axes.plot(values, rows, linestyle="", markersize=7, zorder=3, **styles[name])  # type: ignore[arg-type]
     if panel.aim is not None:
         axes.axvline(panel.aim, color=_INK, linestyle="--", linewidth=1, zorder=2)
-    if not panel.powers and known:
-        low, high = min([*known, 0.0]), max([*known, panel.aim or 0.0, 0.0])
-        margin = 0.05 * (high - low) or 1.0
-        axes.set_xlim(low - margin, high + margin)
     labels = [textwrap.fill(row, _LABEL_LETTERS) for row in panel.rows]
     axes.set_yticks(list(places), labels, fontsize=9.5, color=_INK)
-    axes.set_ylim(len(panel.rows) - 0.4, -0.6)
+    axes.set_ylim(len(panel.rows) - 0.5, -0.5)
     axes.set_xlabel(panel.axis, fontsize=10, color=_INK)
     axes.set_title(textwrap.fill(panel.title, 52), loc="left", fontsize=11, color=_INK)
     axes.tick_params(axis="x", labelsize=9, colors=_INK)
     axes.tick_params(axis="y", length=0)
-    axes.grid(color=_FAINT, linewidth=0.8)
+    axes.grid(axis="x", color=_FAINT, linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.spines["bottom"].set_color(_SOFT)
@@ -186,15 +197,31 @@ def _shifts(panel: Panel, styles: Mapping[str, dict[str, object]]) -> dict[str, 
     return {name: step * (hues.index(styles[name]["color"]) - middle) for name in panel.series}
 
 
-def _write_plain_powers(axes: Axes, known: Sequence[float]) -> None:
-    """Write 0.1, 1, 10 instead of powers; with less than two of them also twice and five times."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
-
-    positive = [value for value in known if value > 0]
-    if axes.get_xscale() != "log" or not positive:
-        axes.xaxis.set_minor_locator(NullLocator())
+def _scale(axes: Axes, panel: Panel) -> None:
+    """Choose the axis: linear from zero, or powers where the values differ by some."""
+    known = [value for values in panel.series.values() for value in values if isfinite(value)]
+    known += [] if panel.aim is None else [panel.aim]
+    if not known:
         return
-    wide = max(positive) > 60.0 * min(positive)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    positive = [value for value in known if value > 0]
+    if panel.powers and positive and len(positive) < len(known):
+        # A measured zero has no logarithm: the axis is linear up to the smallest other value.
+        axes.set_xscale("symlog", linthresh=min(positive))
+    elif panel.powers and max(known) > _LEAST_POWERS * min(known) > 0:
+        axes.set_xscale("log")
+        _write_plain_powers(axes, max(known) / min(known))
+    else:
+        low, high = min(known) if panel.powers else min([*known, 0.0]), max([*known, 0.0])
+        high = high if high > low else low + 1.0
+        margin = 0.05 * (high - low)
+        axes.set_xlim(low - margin, high + margin)
+
+
+def _write_plain_powers(axes: Axes, ratio: float) -> None:
+    """Write 0.1, 1, 10 instead of powers; with less than two of them also twice and five times."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    subs = (1.0,) if ratio > _MANY_POWERS else (1.0, 2.0, 5.0)
+    axes.xaxis.set_major_locator(LogLocator(subs=subs))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
