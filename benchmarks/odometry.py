@@ -226,6 +226,9 @@ def _resident_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
+_SERIES = {"track": "epi360 track", "map": "epi360 map"}  # as the picture names them
+
+
 def _frames_per_second(run: Run) -> float:
     return run.num_frames / run.seconds
 
@@ -252,7 +255,12 @@ def _report(runs: list[Run], facts: dict[str, Any], options: argparse.Namespace)
         ("RPE of a metre or a tenth of the path", "%", lambda run: run.rpe_metre_percent, True),
     )
     panels = [
-        panel_of(title, axis, [(run.sequence, run.method, value(run)) for run in runs], powers=log)
+        panel_of(
+            title,
+            axis,
+            [(run.sequence, _SERIES.get(run.method, run.method), value(run)) for run in runs],
+            powers=log,
+        )
         for title, axis, value, log in fields
     ]
     write_picture(options.picture, "Trajectories of sequences", panels, facts)

@@ -211,7 +211,7 @@ def _scale(axes: Axes, panel: Panel) -> None:
         axes.set_xscale("log")
         _write_plain_powers(axes, max(known) / min(known))
     else:
-        low, high = min(known) if panel.powers else min([*known, 0.0]), max([*known, 0.0])
+        low, high = min([*known, 0.0]), max([*known, 0.0])
         high = high if high > low else low + 1.0
         margin = 0.05 * (high - low)
         axes.set_xlim(low - margin, high + margin)
