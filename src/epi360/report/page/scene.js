@@ -152,7 +152,8 @@ function nameMark(THREE, name) {
   Object.assign(context, { lineWidth: 6, strokeStyle: pageColour("--panel"), fillStyle: pageColour("--text"), textAlign: "center" });
   context.strokeText(name, 128, 44, 250);
   context.fillText(name, 128, 44, 250);
-  const material = new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false, sizeAttenuation: false });
+  const texture = Object.assign(new THREE.CanvasTexture(canvas), { colorSpace: "srgb" });
+  const material = new THREE.SpriteMaterial({ map: texture, depthTest: false, sizeAttenuation: false });
   const sprite = new THREE.Sprite(material);
   sprite.scale.set(0.2, 0.05, 1);
   sprite.center.set(0.5, -0.3);
