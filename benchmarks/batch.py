@@ -268,13 +268,21 @@ def _best_of(rounds: int, runs: dict[Any, Callable[[], Run]]) -> dict[Any, Run]:
 
 def _speed_panels(table: Rows) -> list[Panel]:
     def entries(column: int) -> list[Entry]:
-        return [(f"{row[0]} matches, {row[2]} threads", row[1], float(row[column])) for row in rows]
+        return [(_row_name(row), _method_name(row[1]), float(row[column])) for row in table[1:]]
 
-    rows = table[1:]
     return [
         panel_of("Speed", "pairs a second", entries(5), powers=True),
         panel_of("Work", "pairs a second of processor time", entries(7), powers=True),
     ]
+
+
+def _row_name(row: list[str]) -> str:
+    threads = "1 thread" if row[2] == "1" else f"{row[2]} threads"
+    return f"{row[0]} matches, {threads}"
+
+
+def _method_name(name: str) -> str:
+    return name if name.startswith("epi360") else f"pycolmap {name}"
 
 
 def _memory_panels(table: Rows) -> list[Panel]:
