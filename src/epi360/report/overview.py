@@ -92,16 +92,9 @@ def draw_overview(overview: Overview) -> Figure:
     layout = ConstrainedLayoutEngine(rect=box, hspace=0.04, wspace=0.03)
     figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
-    grid = figure.subplots(len(lines), columns, squeeze=False, height_ratios=heights)
     styles = _styles(names, overview.hollow)
-    for axes, panel in zip(grid.flat, [*panels, *[None] * (grid.size - len(panels))], strict=True):
-        if panel is None:
-            axes.set_axis_off()
-        else:
-            own = styles if is_shared else _styles(list(panel.series), overview.hollow)
-            _draw_panel(axes, panel, own)
-            if not is_shared and len(panel.series) > 1:
-                _draw_own_legend(axes, panel, own)
+    grid = figure.subplots(len(lines), columns, squeeze=False, height_ratios=heights)
+    _draw_panels(list(grid.flat), panels, styles if is_shared else None, overview.hollow)
     figure.suptitle(
         overview.title, x=0.012, y=1.0 - 0.16 / height, ha="left", va="top", fontsize=15,
         fontweight="bold", color=_INK,
@@ -111,6 +104,22 @@ def draw_overview(overview: Overview) -> Figure:
     for i, line in enumerate(reversed(note)):
         figure.text(0.012, (0.08 + _NOTE_HEIGHT * i) / height, line, fontsize=9, color=_SOFT)
     return figure
+
+
+def _draw_panels(
+    places: Sequence[Axes],
+    panels: Sequence[Panel],
+    shared: Mapping[str, dict[str, object]] | None,
+    hollow: frozenset[str],
+) -> None:
+    """Draw each panel, with styles and a legend of its own where none are shared."""
+    for axes, panel in zip(places, panels, strict=False):
+        styles = shared or _styles(list(panel.series), hollow)
+        _draw_panel(axes, panel, styles)
+        if shared is None and len(panel.series) > 1:
+            _draw_own_legend(axes, panel, styles)
+    for axes in places[len(panels) :]:
+        axes.set_axis_off()
 
 
 def _height_of(panel: Panel) -> float:
