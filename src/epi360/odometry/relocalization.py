@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epi360.estimation import RansacOptions, estimate_relative_pose
+from epi360.estimation.absolute_pose_fit import AbsolutePoseFit, fit_absolute_pose
 from epi360.features.binary_features import BinaryFeatures, match_binary_descriptors
-from epi360.odometry.absolute_pose import AbsolutePoseResult, estimate_absolute_pose
 from epi360.odometry.points import triangulate_tracks
 from epi360.poses import Pose, rotation_error_deg
 
@@ -98,7 +98,7 @@ class Relocalization:
     key_frame : int
         Key frame that shows the same place; the most convincing of those refused otherwise, -1
         where there was none.
-    pose : AbsolutePoseResult
+    pose : AbsolutePoseFit
         Of the matches below.
     matches : ndarray, shape (M, 2)
         Rows of features of the key frame and of the camera.
@@ -111,7 +111,7 @@ class Relocalization:
     """
 
     key_frame: int
-    pose: AbsolutePoseResult
+    pose: AbsolutePoseFit
     matches: NDArray[np.int64]
     num_cells: int
     explained_share: float
@@ -183,7 +183,7 @@ def relocalize(
 
 def nowhere() -> Relocalization:
     """Return the answer where there is no candidate."""
-    none = estimate_absolute_pose(np.zeros((0, 3)), np.zeros((0, 3)))
+    none = fit_absolute_pose(np.zeros((0, 3)), np.zeros((0, 3)))
     return Relocalization(-1, none, np.zeros((0, 2), np.int64), 0, 0.0, "too_few_matches")
 
 
@@ -208,7 +208,7 @@ def locate(
         return Relocalization(view.key_frame, none, matches, 0, 0.0, "two_views_disagree")
     in_view = points @ view.cam_from_world.rotation.T + view.cam_from_world.translation
     guess = _scaled(two_view.cam2_from_cam1, in_view, b2, two_view.inlier_mask & has_point)
-    pose = estimate_absolute_pose(
+    pose = fit_absolute_pose(
         b2, points, threshold_rad=options.threshold_rad, guess=guess @ view.cam_from_world,
         min_inliers=options.min_inliers, seed=seed,
     )  # fmt: skip
