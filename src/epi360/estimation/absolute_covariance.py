@@ -17,7 +17,7 @@ from epi360.poses import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
 
-_STEPS, _NOISE_STEPS = 8, 30
+_STEPS, _NOISE_STEPS = 8, 12
 _LOSS_SCALE = 2.0  # of Cauchy's loss, in standard deviations
 _MEDIAN_OF_SQUARE = 2.0 * np.log(2.0)  # of the squared length of a standard normal vector
 _SMALLEST_NOISE = 1e-9  # radians
@@ -121,7 +121,10 @@ def _point_spread(at: _Linearised, covariances: Array | None) -> Array:
 
 
 def _weights(noise: float, spread: Array) -> Array:
-    return np.asarray(np.linalg.inv(spread + noise**2 * np.eye(2)), np.float64)
+    total = spread + noise**2 * np.eye(2)
+    a, b, d = total[:, 0, 0], total[:, 0, 1], total[:, 1, 1]
+    inverse = np.stack([d, -b, -b, a], axis=1) / (a * d - b * b)[:, None]
+    return np.asarray(inverse.reshape(-1, 2, 2))
 
 
 def _noise(residuals: Array, spread: Array) -> float:
@@ -132,9 +135,11 @@ def _noise(residuals: Array, spread: Array) -> float:
     high, low = max(lengths, _SMALLEST_NOISE), max(0.1 * lengths, _SMALLEST_NOISE)
     if not spread.any():
         return float(high)
+    variances, axes = np.linalg.eigh(spread)
+    along = np.einsum("nij,ni->nj", axes, residuals) ** 2
     for _ in range(_NOISE_STEPS):
         middle = float(np.sqrt(low * high))
-        if np.median(_squares(residuals, _weights(middle, spread))) > _MEDIAN_OF_SQUARE:
+        if np.median(np.sum(along / (variances + middle**2), axis=1)) > _MEDIAN_OF_SQUARE:
             low = middle
         else:
             high = middle
