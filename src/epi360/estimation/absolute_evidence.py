@@ -84,7 +84,7 @@ def chance_of_agreement(bearings: Array, directions: Array, gate_rad: float) -> 
     pairs = len(b) * (len(b) - 1)
     area = 1.0 - np.cos(gate_rad)
     shares = [float(0.5 * area)]  # wrong matches all over the sphere
-    for radius in _RADII_RAD[_RADII_RAD > gate_rad]:
+    for radius in (gate_rad, *_RADII_RAD[_RADII_RAD > gate_rad]):
         within = float(np.count_nonzero(cosines > np.cos(radius))) / pairs
         shares.append(within * area / (1.0 - float(np.cos(radius))))
     return float(min(1.0, max(shares)))

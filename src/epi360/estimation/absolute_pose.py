@@ -257,9 +257,9 @@ class _Search:
         for gate in gates:
             for pose in self._candidates(gate, guess):
                 directions = directions_of(pose, self.points)
-                _, alarms = best_gate(self.bearings, directions, gates[-1])
+                radius, alarms = best_gate(self.bearings, directions, gates[-1])
                 if alarms < fewest:
-                    best, fewest = (pose, gate), alarms
+                    best, fewest = (pose, self.threshold or max(radius, _smallest_gate())), alarms
         return None if best is None else self._settled(*best)
 
     def without(self, chosen: Mask) -> _Search:

@@ -281,8 +281,17 @@ def _refined(
     else:
         final, used = result, matches
     shown = _with_matches(final, used, features, camera, views, len(matches))
+    warnings = shown.warnings
+    if second.seen_share < _LEAST_LIFT * second.chance_share:
+        warnings += (
+            f"the image shows {second.seen_share:.0%} of the points that the map expects, hardly "
+            "more than by chance: the place has changed, or is another one that looks alike",
+        )
     return dataclasses.replace(
-        shown, seen_share=second.seen_share, chance_share=second.chance_share
+        shown,
+        seen_share=second.seen_share,
+        chance_share=second.chance_share,
+        warnings=warnings,
     )
 
 

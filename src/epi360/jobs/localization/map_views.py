@@ -78,7 +78,13 @@ class LocalizationMap:
         self._features = lru_cache(_VIEWS_IN_MEMORY)(self._features_of)
 
     def camera_of_size(self, width: int, height: int) -> Camera | None:
-        """The only camera of the map with this size."""
+        """The only camera of the map with this size, or None.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of an image in pixels.
+        """
         fitting = [
             camera
             for camera in self.model.cameras.values()
@@ -87,14 +93,31 @@ class LocalizationMap:
         return fitting[0] if len(fitting) == 1 else None
 
     def similar_views(self, features: Features) -> list[int]:
-        """Numbers of the images of the map, those that look most like these features first."""
+        """Numbers of the images of the map, those that look most like these features first.
+
+        Parameters
+        ----------
+        features : Features
+            Of a new image, found as those of the map.
+
+        Raises
+        ------
+        ValueError
+            If the features of the map are missing, or not of the same kind.
+        """
         if not len(features):
             return []
         found = self._index.most_similar(features.descriptors)
         return [self._with_points[k] for k in found]
 
     def covisible(self, number: int) -> list[int]:
-        """Other images that see points of an image, those with most of them first."""
+        """Other images that see points of an image, those with most of them first.
+
+        Parameters
+        ----------
+        number : int
+            Row of the image in the model.
+        """
         seen = self.model.observations
         assert seen is not None
         shown = np.isin(seen.points, seen.points[self._observations[number]])
