@@ -69,8 +69,8 @@ def convert(
         Estimate the pose of each pair of matches that has none: COLMAP's mapper and its
         triangulation use verified pairs only.
     no_descriptors
-        Leave the descriptors out: a tenth to a twentieth of the size, but new images cannot be
-        matched with these.
+        Leave the descriptors out: a seventh of the size or less, but new images cannot be matched
+        with these.
     """
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import format_of_name
