@@ -91,9 +91,8 @@ def true_poses(file: Path, names: list[str]) -> dict[str, Pose]:
 
 def real_queries(name: str, data: Path, work: Path, every: int) -> Iterator[Query]:
     """Images of a real set, each left out of its map."""
-    source = (
-        data / name / "images" if name == "theta_flat" else data / "video_clips" / name / "frames"
-    )
+    folder = data / name if name == "theta_flat" else data / "video_clips" / name
+    source = folder / ("images" if name == "theta_flat" else "frames")
     images = work / f"{name}-images"
     if not images.is_dir():
         shutil.copytree(source, images)

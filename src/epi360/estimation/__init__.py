@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Bearings to pose: refinement, the robust estimator and its verdict."""
 
-from epi360.estimation.absolute_pose import AbsolutePoseResult, estimate_absolute_pose
+from epi360.estimation.absolute_pose import estimate_absolute_pose
+from epi360.estimation.absolute_result import AbsolutePoseResult
 from epi360.estimation.linear import eight_point
 from epi360.estimation.options import RansacOptions
 from epi360.estimation.paper import paper_pose

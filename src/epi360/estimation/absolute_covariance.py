@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from epi360.epipolar.essential import skew
 from epi360.estimation.absolute_evidence import angles_between
+from epi360.estimation.absolute_pose_fit import Gravity
 from epi360.poses import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
@@ -24,15 +25,6 @@ _SMALLEST_NOISE = 1e-9  # radians
 # Of the error that neighbouring bearings share, as with pairs of views: it falls to 1 / e.
 _REACH = np.radians(45.0)
 _SHARED_SAMPLE, _SIGNIFICANT = 400, 4.0
-
-
-@dataclass(frozen=True)
-class Gravity:
-    """Direction of gravity in the camera, if known, and in the world."""
-
-    in_camera: Array | None
-    in_world: Array
-    sigma: float
 
 
 @dataclass(frozen=True)

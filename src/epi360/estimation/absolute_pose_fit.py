@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array
 from epi360.epipolar.essential import skew
+from epi360.estimation.absolute_evidence import angles_between, directions_of
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -147,7 +148,7 @@ def _judged(
 ) -> AbsolutePoseFit:
     residuals = np.full(len(b), np.nan)
     if pose is not None:
-        residuals = _angles(pose, b, X)
+        residuals = angles_between(b, directions_of(pose, X))
     inliers = residuals < threshold
     if pose is None or inliers.sum() < min_inliers:
         nothing = np.full((6, 6), np.nan)
@@ -194,11 +195,3 @@ def _information(pose: Pose, x: Array, angles: Array, noise: float, level: Gravi
         down = pose.rotation @ level.in_world
         information[:3, :3] += (np.eye(3) - np.outer(down, down)) / level.sigma**2
     return information
-
-
-def _angles(pose: Pose, b: Array, X: Array) -> Array:
-    x = X @ pose.rotation.T + pose.translation
-    u = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
-    # The half angle's tangent keeps all digits near 0 and near pi (Kahan 2006).
-    lengths = (np.linalg.norm(v, axis=1) for v in (u - b, u + b))
-    return np.asarray(2.0 * np.arctan2(*lengths))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epi360.estimation import RansacOptions, estimate_relative_pose
+from epi360.estimation.absolute_evidence import num_cells
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit, fit_absolute_pose
 from epi360.features.binary_features import BinaryFeatures, match_binary_descriptors
 from epi360.odometry.points import triangulate_tracks
@@ -29,8 +30,6 @@ Status = Literal[
     "unexplained_points",
 ]
 
-# Latitude bands of equal area and sectors of the sphere whose share is the spread of inliers.
-_BANDS, _SECTORS = 4, 12
 # A point is looked for where the camera found anything within this angle: lens and mask have ends.
 _SIGHT_RAD = 0.25
 # Two views and points that agree turn the camera by the same angle, but for noise.
@@ -247,14 +246,6 @@ def explained_share(
     seen = (similar & (chords < threshold_rad)).any(axis=1)
     in_sight = chords[:, 0] < _SIGHT_RAD
     return float(seen[in_sight].mean()) if in_sight.any() else 0.0
-
-
-def num_cells(bearings: Array) -> int:
-    """Number of the 48 equal cells of the sphere that hold a bearing."""
-    band = np.clip(((bearings[:, 1] + 1.0) / 2.0 * _BANDS).astype(int), 0, _BANDS - 1)
-    longitude = np.arctan2(bearings[:, 0], bearings[:, 2])
-    sector = ((longitude / (2.0 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
-    return len(np.unique(band * _SECTORS + sector))
 
 
 def _scaled(cam2_from_cam1: Pose, points1: Array, b2: Array, inliers: Mask) -> Pose:
