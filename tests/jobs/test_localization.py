@@ -181,3 +181,27 @@ def test_an_image_without_a_camera_is_refused(world):
         epi360.localize_image(np.zeros((300, 400, 3), np.uint8), world)
     with pytest.raises(ValueError, match="max_views must be at least 1"):
         epi360.LocalizationOptions(max_views=0)
+
+
+def test_a_map_that_colmap_made_from_its_own_sift(room_folder, new_image, tmp_path):
+    """Its descriptors are VLFeat's and ours are OpenCV's, and they match."""
+    import pycolmap
+
+    database, images = tmp_path / "database.db", tmp_path / "images"
+    for number, name in enumerate(name for name in room_folder[1]):
+        images.mkdir(exist_ok=True)
+        (images / f"{number}.png").write_bytes((room_folder[0] / name).read_bytes())
+    truth = {f"{number}.png": pose for number, pose in enumerate(room_folder[1].values())}
+    reader = pycolmap.ImageReaderOptions()
+    reader.camera_model = "EQUIRECTANGULAR"
+    mode = pycolmap.CameraMode.SINGLE
+    pycolmap.extract_features(database, images, camera_mode=mode, reader_options=reader)
+    pycolmap.match_exhaustive(database)
+    (tmp_path / "sparse").mkdir()
+    options = pycolmap.IncrementalPipelineOptions()
+    options.min_model_size = 3
+    assert pycolmap.incremental_mapping(database, images, tmp_path / "sparse", options)
+    world = epi360.load_map(tmp_path / "sparse" / "0")
+    result = epi360.localize_image(new_image, world)
+    assert_right(result, world, truth, largest_deg=0.5, largest_m=0.03)
+    assert result.num_inliers > 150
