@@ -50,6 +50,9 @@ class Mapping:
     """Refine focal length and distortion of fisheye and pinhole cameras."""
     mapper_threads: int | None = None
     """One per core by default; with 1, the same images give the same model to the last digit."""
+    no_descriptors: Flag = False
+    """Leave the descriptors out of database.db, most of its size (1 MB of 8,000 key points): COLMAP
+    cannot match new images with the map then. epi360 localize does not need them there."""
 
 
 @Parameter(name="*", group=Group("Cube faces", sort_key=4))
@@ -228,6 +231,7 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
             mapping.refine_cameras,
             mapping.mapper_threads,
             not mapping.no_track,
+            not mapping.no_descriptors,
         )
 
 

@@ -9,6 +9,7 @@ from epi360.cameras import Camera
 from epi360.interop.colmap_database import read_colmap_database, write_colmap_database
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.colmap_model_rigs import keeps_rigs
+from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.formats import FORMATS
 from epi360.interop.hloc import read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
@@ -72,14 +73,15 @@ def write_matches(
     *,
     features: PathLike | None = None,
     pairs: PathLike | None = None,
+    descriptors: DescriptorsOf | None = None,
 ) -> None:
     """Write a match graph to a COLMAP database, or as hloc's matches, features and pairs."""
     if name == "colmap-database":
-        write_colmap_database(path, graph)
+        write_colmap_database(path, graph, descriptors=descriptors)
     elif features is None:
         raise ValueError(f"hloc keeps key points beside {path}; name the features file too")
     else:
-        write_hloc(features, path, graph, pairs=pairs)
+        write_hloc(features, path, graph, pairs=pairs, descriptors=descriptors)
 
 
 def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Reconstruction:

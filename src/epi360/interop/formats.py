@@ -32,7 +32,7 @@ FORMATS = {
     ),
     "tum": Format("TUM trajectory", "reconstruction", frozenset(("time stamps",))),
     "colmap-database": Format(
-        "COLMAP database", "matches", frozenset(("cameras", "poses of pairs", "rig"))
+        "COLMAP database", "matches", frozenset(("cameras", "poses of pairs", "rig", "descriptors"))
     ),
     "hloc": Format("hloc matches", "matches", frozenset(("descriptors",))),
 }
