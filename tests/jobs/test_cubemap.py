@@ -153,6 +153,18 @@ def test_names_keep_folders_and_never_collide():
     assert twins["a.jpg", "front"] == "a.jpg_front.jpg"
 
 
+def test_flat_names_survive_programs_that_drop_folders_and_what_follows_a_dot():
+    options = CubemapOptions(faces=("front", "up"), flat=True)
+    names = face_image_names(["a b/v1.2 x.jpg", "c.png"], options)
+    assert names["a b/v1.2 x.jpg", "front"] == "a_b_v1_2_x_front.jpg"
+    assert names["c.png", "up"] == "c_up.jpg"
+    same = ["x/1.jpg", "x.1.jpg", "X 1.jpg", "y.jpg"]
+    flat = face_image_names(same, options)
+    stems = {name.split(".")[0].casefold() for name in flat.values()}
+    assert len(stems) == 8 and all(name.count(".") == 1 for name in flat.values())
+    assert flat["X 1.jpg", "up"] == "3_X_1_up.jpg"
+
+
 def test_observations_fall_where_the_exported_poses_see_the_points():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3)) * 3
@@ -201,7 +213,9 @@ def test_points_that_only_a_missing_face_saw_are_left_out():
         ({"faces": ("top",)}, "got top"),
         ({"fov_deg": 180.0}, "fov_deg must be 10 to 150"),
         ({"face_size": 0}, "face_size must be 8 to 16384"),
+        ({"face_size": "large"}, "face_size must be 8 to 16384 pixels or"),
         ({"jpeg_quality": 0}, "jpeg_quality"),
+        ({"alpha": True}, "image_format must be png for alpha"),
         ({"image_format": "gif"}, "image_format must be jpg or png"),
     ],
 )
@@ -286,6 +300,52 @@ class TestExport:
             assert frame["mask_path"] == frame["file_path"].replace("images/", "masks/") + ".png"
             mask = cv2.imdecode(np.fromfile(out / frame["mask_path"], np.uint8), -1)
             assert mask.shape == (64, 64) and mask.all()  # nerfstudio wants one channel
+
+    @pytest.mark.parametrize("kind", ["jpg", "png"])
+    def test_each_mask_is_also_where_the_colmap_reader_of_nerfstudio_looks(self, tmp_path, kind):
+        """It takes (masks / name).with_suffix(".png"), COLMAP takes masks / (name + ".png")."""
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path, ("sub/ä.1.png", "b.png"))
+        out, options = tmp_path / "out", CubemapOptions(image_format=kind)
+        export_cubemap(folder, source, out, options, mask_nadir_deg=30.0)
+        faces = [path.relative_to(out / "images") for path in out.rglob(f"images/**/*.{kind}")]
+        assert len(faces) == 12
+        for face in faces:
+            theirs = (out / "masks" / face).with_suffix(".png")
+            assert theirs.read_bytes() == (out / "masks" / f"{face}.png").read_bytes()
+        assert len(list(out.rglob("masks/**/*.png"))) == 24
+        export_cubemap(folder, plain_reconstruction(["b.png"]), out, options, mask_nadir_deg=30.0)
+        assert len(list(out.rglob("masks/**/*.png"))) == 12
+
+    def test_alpha_is_transparent_where_the_mask_is_black(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        options = CubemapOptions(image_format="png", alpha=True)
+        export_cubemap(folder, source, tmp_path / "out", options, mask_nadir_deg=30.0)
+        for name in ("a_down.png", "a_front.png"):
+            face = cv2.imdecode(np.fromfile(tmp_path / "out" / "images" / name, np.uint8), -1)
+            mask = read_picture(tmp_path / "out" / "masks" / f"{name}.png")[..., 0]
+            assert face.shape == (64, 64, 4)
+            np.testing.assert_array_equal(face[..., 3], mask)
+        assert mask.all() and face[..., :3].any()
+        export_cubemap(folder, source, tmp_path / "opaque", options)  # nothing is masked
+        face = cv2.imdecode(np.fromfile(tmp_path / "opaque/images/a_up.png", np.uint8), -1)
+        assert face.shape == (64, 64, 3)
+
+    def test_a_record_without_the_newest_options_is_that_of_their_defaults(self, tmp_path):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        out = tmp_path / "out"
+        export_cubemap(folder, source, out)
+        record = json.loads((out / "cubemap.json").read_text())
+        del record["options"]["flat"], record["options"]["alpha"]
+        (out / "cubemap.json").write_text(json.dumps(record))
+        assert export_cubemap(folder, source, out).num_kept == 2
+        with pytest.raises(ValueError, match="other options"):
+            export_cubemap(folder, source, out, CubemapOptions(flat=True))
 
     def test_a_camera_that_does_not_see_all_around_gets_masks(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap
