@@ -176,6 +176,11 @@ class _FaceCameras:
                     self.cam_from_rig[key] = face_from_cam(face) @ cam_from_rig
                 elif len(seen) > 1:
                     self.cam_from_rig[key] = face_from_cam(face)
+        # An upright face leads where there is one: the frame of a rig is that of its first camera.
+        upright = sorted(
+            self.cam_from_rig.items(), key=lambda each: abs(each[1].rotation[1, 1]) < 0.5
+        )
+        self.cam_from_rig = dict(upright)
 
 
 def visible_faces(camera: Camera, options: CubemapOptions) -> tuple[FaceName, ...]:
