@@ -12,7 +12,7 @@ from epi360.cli.command import app
 
 COMMANDS = (
     "pair", "frames", "match", "map", "track", "evaluate", "batch", "convert", "cubemap", "render",
-    "reproduce",
+    "reproduce", "completion",
 )  # fmt: skip
 
 
