@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from command_line import assert_help_names
+from convert_scene import CAMERA, assert_same_poses, refused, scene
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cli import main
@@ -13,7 +14,6 @@ from epi360.interop import (
     MatchedImage,
     MatchedPair,
     MatchGraph,
-    Observations,
     PosedImage,
     Reconstruction,
     TwoViewGeometry,
@@ -25,33 +25,7 @@ from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
-CAMERA = Equirectangular(360, 180)
 COLMAP = "colmap", "colmap-text"
-
-
-def scene():
-    """Three panoramas, five points around them, each seen by all."""
-    rng = np.random.default_rng(0)
-    images = tuple(
-        PosedImage(
-            f"hall/{index}.jpg",
-            "1",
-            Pose(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)),
-        )
-        for index in range(3)
-    )
-    points = 5 * rng.normal(size=(5, 3))
-    colors = rng.integers(0, 256, (5, 3)).astype(np.uint8)
-    rows, columns = np.repeat(np.arange(5), 3), np.tile(np.arange(3), 5)
-    pixels = [
-        CAMERA.pixels_from_bearings(
-            [images[image].cam_from_world.rotation @ points[point]
-             + images[image].cam_from_world.translation]
-        )[0]
-        for point, image in zip(rows, columns, strict=True)
-    ]  # fmt: skip
-    observations = Observations(rows, columns, np.array(pixels))
-    return Reconstruction({"1": CAMERA}, images, points, colors, observations)
 
 
 @pytest.fixture
@@ -64,21 +38,6 @@ def run(capsys, monkeypatch, tmp_path):
         return code, out.strip(), err.strip()
 
     return run
-
-
-def refused(answer, *parts):
-    code, out, err = answer
-    assert (code, out) == (2, "")
-    assert err.startswith("epi360: error: ") and "\n" not in err
-    for part in parts:
-        assert part in err
-
-
-def assert_same_poses(before, after):
-    for one, other in zip(before.images, after.images, strict=True):
-        np.testing.assert_allclose(
-            one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-9
-        )
 
 
 def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):
@@ -97,41 +56,6 @@ def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):
         assert_same_poses(scene(), reconstruction)
         np.testing.assert_allclose(reconstruction.points, scene().points, atol=1e-12)
         np.testing.assert_array_equal(reconstruction.colors, scene().colors)
-
-
-def test_a_model_becomes_a_project_of_opensfm_and_comes_back(run, tmp_path):
-    write_colmap_model("model", scene())
-    assert run("model", "project", "--format", "opensfm-folder") == (
-        0, "wrote project (OpenSfM project): 3 images, 5 points, 1 camera", ""
-    )  # fmt: skip
-    assert len(list((tmp_path / "project" / "exif" / "hall").iterdir())) == 3
-    code, out, err = run("project", "back")
-    assert (code, out, err) == (0, "wrote back (COLMAP model): 3 images, 5 points, 1 camera", "")
-    back, before = read_colmap_model("back"), scene()
-    assert_same_poses(before, back)
-    assert len(back.observations.points) == 15
-    # One file has no place for observations, and says so.
-    out = run("model", "my_reconstruction.json")[1]
-    assert out.endswith("5 points, 1 camera; not kept: observations")
-    refused(run("model", "project", "--format", "opensfm-folder"), "project is there already")
-
-
-def test_a_match_folder_with_a_reconstruction_in_it_stays_one(run, tmp_path):
-    write_opensfm("reconstruction.json", scene())
-    (tmp_path / "epi360-match.json").write_text("{}")
-    code, _, err = run(".", "model")
-    assert code == 2 and "make a model first with epi360 map" in err
-
-
-def test_a_trajectory_gets_times_and_names(run, tmp_path):
-    write_opensfm("reconstruction.json", scene())
-    assert run("reconstruction.json", "poses.tum", "--fps", "10")[0] == 0
-    assert [image.timestamp_s for image in read_tum_trajectory("poses.tum").images] == [0, 0.1, 0.2]
-    names = (tmp_path / "poses_names.txt").read_text().splitlines()
-    assert names == ["# timestamp filename", *(f"{k / 10!r} hall/{k}.jpg" for k in range(3))]
-    refused(run("reconstruction.json", "poses.tum"), "poses.tum is there already")
-    refused(run("reconstruction.json", "t.tum", "--fps", "0"), "--fps must be positive")
-    refused(run("reconstruction.json", "model", "--fps", "2"), "--fps is for a TUM trajectory")
 
 
 def test_images_may_lie_beside_the_file(run, tmp_path):
@@ -253,7 +177,6 @@ def test_a_camera_that_the_target_lacks_is_refused_before_anything_is_written(ru
 @pytest.mark.parametrize("name", COLMAP)
 def test_a_colmap_model_comes_back_with_its_observations(run, tmp_path, name):
     pytest.importorskip("pycolmap")
-    from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 
     write_colmap_model("sparse", scene())
     code, out, _ = run("sparse", "copy", "--format", name)
@@ -397,5 +320,6 @@ def test_a_source_without_images_is_refused(run, tmp_path):
 
 def test_help_names_every_option(capsys):
     assert_help_names(
-        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs"
-    )
+        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs",
+        "--fps",
+    )  # fmt: skip

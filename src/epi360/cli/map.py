@@ -181,7 +181,8 @@ def cubemap(
     Parameters
     ----------
     model
-        COLMAP model (folder), nerfstudio's transforms.json or OpenSfM's reconstruction.json.
+        COLMAP model (folder), nerfstudio's transforms.json, OpenSfM's project (folder) or its
+        reconstruction.json.
     images
         Folder that the names of the images start from.
     output

@@ -9,6 +9,7 @@ adjustment takes for the standard deviation of x and y. Source: tracks_manager.c
 of mapillary/OpenSfM.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from itertools import islice
@@ -55,7 +56,7 @@ def read_tracks(
             pixels.append((float(cells[3]), float(cells[4])))
         except ValueError:
             raise _error(path, number, "numbers as x and y") from None
-        if not np.isfinite(pixels[-1]).all():
+        if not all(map(math.isfinite, pixels[-1])):
             raise _error(path, number, "finite numbers as x and y")
         points.append(point)
         images.append(image)
@@ -78,13 +79,13 @@ def tracks_of(reconstruction: Reconstruction) -> bytes:
         half, unit = _middles_and_units(reconstruction)
         order = np.argsort(seen.images, kind="stable")
         points, images = seen.points[order], seen.images[order]
-        normalized = (seen.pixels[order] - half[images]) / unit[images, None]
+        normalized = ((seen.pixels[order] - half[images]) / unit[images, None]).tolist()
         first = np.searchsorted(images, np.arange(len(reconstruction.images) + 1))
         names = [image.name for image in reconstruction.images]
         colors = reconstruction.colors[points].tolist()
         one_pixel = (1.0 / unit).tolist()
         for row, (point, image) in enumerate(zip(points.tolist(), images.tolist(), strict=True)):
-            (x, y), (red, green, blue) = normalized[row].tolist(), colors[row]
+            (x, y), (red, green, blue) = normalized[row], colors[row]
             feature = row - int(first[image])
             lines.append(
                 f"{names[image]}\t{point}\t{feature}\t{x!r}\t{y!r}\t{one_pixel[image]!r}\t"
