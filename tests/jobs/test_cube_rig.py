@@ -140,6 +140,18 @@ def test_points_have_the_reprojection_error_that_colmap_computes(tmp_path):
     assert 0.4 < np.mean(list(written.values())) < 1.2
 
 
+def test_a_bundle_adjustment_runs_where_a_face_is_left_out(tmp_path):
+    """Points of which one observation is left would stop it: track.Length() > 1."""
+    source = panoramas()
+    faces = ("front", "left", "right", "back")
+    cube = cubemap_reconstruction(source, CubemapOptions(faces=faces))
+    counts = np.bincount(cube.observations.points)
+    assert len(counts) == len(cube.points) < len(source.points)
+    assert counts.min() == 2
+    write_colmap_model(tmp_path, cube)
+    assert adjusted(pycolmap.Reconstruction(tmp_path)).compute_mean_reprojection_error() > 0
+
+
 def test_cameras_of_a_rig_stay_on_it_with_their_faces(tmp_path):
     """Two fisheyes back to back: five faces each, ten sensors of one rig, a frame a moment."""
     back_from_front = Pose(rotation_from_vector([0, np.pi, 0]), np.array([0.0, 0.0, -0.03]))

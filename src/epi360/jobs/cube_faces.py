@@ -128,8 +128,8 @@ def cubemap_reconstruction(
 
     The faces of a panorama are a frame of a rig, whose cameras are the faces: a bundle adjustment
     keeps them together. Panoramas of one size share a rig. Cameras that are on a rig already stay
-    on it, each with its faces. An observation goes to the face nearest to whose middle it lies;
-    points that no face sees are left out.
+    on it, each with its faces. An observation goes to the face nearest to whose middle it lies.
+    Points that no face sees are left out, and those of several observations of which one remains.
     """
     for image in reconstruction.images:
         if image.camera is None:
@@ -215,6 +215,11 @@ def _with_points(
         rows = rows[better]
         nearness[rows], images[rows], pixels[rows] = rays[better, 2], target, found[better]
     kept = images >= 0
+    before, now = (
+        np.bincount(each, minlength=len(source.points)) for each in (seen.points, seen.points[kept])
+    )
+    # COLMAP's bundle adjustment stops at a point that only one image sees.
+    kept &= ~((now < 2) & (before > now))[seen.points]
     points, renumbered = np.unique(seen.points[kept], return_inverse=True)
     observations = Observations(renumbered.astype(np.int64), images[kept], pixels[kept])
     return replace(
