@@ -10,12 +10,13 @@ from typing import Any
 
 import pytest
 
-# SwiftShader is WebGL without a graphics card. No name resolves: nothing is reached by accident.
+# SwiftShader is WebGL without a graphics card. No name resolves: nothing is reached by accident
+# but a server of a test on this machine.
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update", "--disable-default-apps",
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--host-resolver-rules=MAP * ~NOTFOUND", "--window-size=1440,900",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1", "--window-size=1440,900",
 )  # fmt: skip
 LOCAL = ("file:", "blob:", "data:", "about:", "chrome:", "chrome-untrusted:", "devtools:")
 
@@ -55,12 +56,15 @@ def show(driver: Any, path: Path, *, width: int = 1440, dark: bool = False) -> N
     driver.get(path.as_uri())
 
 
-def requests_elsewhere(driver: Any) -> list[str]:
-    """Addresses that the browser asked for outside the page's own file."""
+def requests_elsewhere(driver: Any, *, served_at: str | None = None) -> list[str]:
+    """Addresses that the browser asked for outside the page's own file, or its own server."""
     messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
     sent = [m for m in messages if m["method"] == "Network.requestWillBeSent"]
     addresses = [message["params"]["request"]["url"] for message in sent]
-    return [address for address in addresses if not address.startswith(LOCAL)]
+    sockets = [m for m in messages if m["method"] == "Network.webSocketCreated"]
+    addresses += [m["params"]["url"].replace("ws://", "http://") for m in sockets]
+    local = LOCAL if served_at is None else (*LOCAL, served_at)
+    return [address for address in addresses if not address.startswith(local)]
 
 
 def errors(driver: Any) -> list[str]:
