@@ -36,7 +36,8 @@ def walk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walk") / "frames"
     write_frames(folder, 12)
     output = folder.parent / "out"
-    code = main(["track", str(folder), "--out", str(output), "--refine"])
+    report = ["--report", str(folder.parent / "way.html")]
+    code = main(["track", str(folder), "--out", str(output), "--refine", *report])
     return folder, output, code
 
 
@@ -52,6 +53,23 @@ def test_track_writes_all_files(walk):
     assert model.observations is not None and len(model.observations.points) > 2 * len(points)
     assert log["track"] == "done" and log["statuses"] == {"tracked": 12}
     assert any("COLMAP's bundle adjustment" in message for message in log["messages"])
+
+
+def test_the_report_shows_every_key_frame(walk):
+    folder, output, _ = walk
+    page = (folder.parent / "way.html").read_text(encoding="utf-8")
+    data = json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+    assert len(data["keys"]) == len(data["cameras"]) == log_of(output)["num_key_frames"]
+    assert [each["frame"] for each in data["pictures"]] == data["keys"]
+    assert "The camera was followed through 12 of 12 frames" in page
+
+
+def test_a_report_that_no_browser_opens_is_refused_before_the_work(walk, tmp_path, capsys):
+    folder, _, _ = walk
+    words = ["--out", str(tmp_path / "out"), "--report", str(tmp_path / "way.pdf")]
+    assert main(["track", str(folder), *words]) == 2
+    assert "--report must end in .html" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_tracked_rows_are_those_of_the_trajectory_in_order(walk):

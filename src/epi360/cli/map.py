@@ -15,13 +15,13 @@ from epi360.cli.match import (
     NO_INPUT,
     MatchInput,
     MatchWork,
-    check_report,
     default_output,
     images_of,
     match_options,
     write_pairs_table,
     write_report,
 )
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.interop import Reconstruction

@@ -299,10 +299,11 @@ class Odometry:
         if is_key_frame:
             pose = segment.add_key_frame(tracks, pose)
             segment.color(segment.last_key_frame, image, self._full_from_working)
-            said = segment.recognise(gray, tracks)
-            if said:
+            old = segment.recognise(gray, tracks)
+            if old is not None:
                 pose = segment.last_key_frame.cam_from_world
-                frame = replace(frame, message=_joined(frame.message, said))
+                said = _joined(frame.message, f"closes a loop with frame {old}")
+                frame = replace(frame, message=said, loop_frame=old)
         segment.add_frame(tracks.index, pose, count)
         self._recent = [*self._recent[-1:], tracks.index]
         return replace(

@@ -215,17 +215,17 @@ class Segment:
         if gray is not None:
             self.recognition.add(0, self.recognition.features(gray))
 
-    def recognise(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> str:
-        """Remember what the newest key frame looks like; a sentence if that closes a loop."""
+    def recognise(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> int | None:
+        """Remember what the newest key frame looks like; the frame with which it closes a loop."""
         recognition, number = self.recognition, len(self.map.key_frames) - 1
         recognition.add(number, recognition.features(gray))
         loop = recognition.close_loop(self.map) if self._options.loop_closure else None
         if loop is None:
-            return ""
+            return None
         self.grow(recognition.correct(self.map, loop))
         pose, limit = self.last_key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
         recognition.join_tracks(self.map, tracks, pose, loop.old, limit)
-        return f"closes a loop with frame {self.map.key_frames[loop.old].index}"
+        return self.map.key_frames[loop.old].index
 
     def find(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> AbsolutePoseResult | None:
         """Pose of a frame that shares no tracks with the map, by what key frames look like."""
