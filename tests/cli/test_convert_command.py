@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from command_line import assert_help_names
+from convert_scene import CAMERA, assert_same_poses, refused, scene
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cli import main
@@ -13,44 +14,18 @@ from epi360.interop import (
     MatchedImage,
     MatchedPair,
     MatchGraph,
-    Observations,
     PosedImage,
     Reconstruction,
     TwoViewGeometry,
 )
+from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.formats import FORMATS, format_of_file
 from epi360.interop.nerfstudio import read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
-CAMERA = Equirectangular(360, 180)
 COLMAP = "colmap", "colmap-text"
-
-
-def scene():
-    """Three panoramas, five points around them, each seen by all."""
-    rng = np.random.default_rng(0)
-    images = tuple(
-        PosedImage(
-            f"hall/{index}.jpg",
-            "1",
-            Pose(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)),
-        )
-        for index in range(3)
-    )
-    points = 5 * rng.normal(size=(5, 3))
-    colors = rng.integers(0, 256, (5, 3)).astype(np.uint8)
-    rows, columns = np.repeat(np.arange(5), 3), np.tile(np.arange(3), 5)
-    pixels = [
-        CAMERA.pixels_from_bearings(
-            [images[image].cam_from_world.rotation @ points[point]
-             + images[image].cam_from_world.translation]
-        )[0]
-        for point, image in zip(rows, columns, strict=True)
-    ]  # fmt: skip
-    observations = Observations(rows, columns, np.array(pixels))
-    return Reconstruction({"1": CAMERA}, images, points, colors, observations)
 
 
 @pytest.fixture
@@ -63,21 +38,6 @@ def run(capsys, monkeypatch, tmp_path):
         return code, out.strip(), err.strip()
 
     return run
-
-
-def refused(answer, *parts):
-    code, out, err = answer
-    assert (code, out) == (2, "")
-    assert err.startswith("epi360: error: ") and "\n" not in err
-    for part in parts:
-        assert part in err
-
-
-def assert_same_poses(before, after):
-    for one, other in zip(before.images, after.images, strict=True):
-        np.testing.assert_allclose(
-            one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-9
-        )
 
 
 def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):
@@ -217,7 +177,6 @@ def test_a_camera_that_the_target_lacks_is_refused_before_anything_is_written(ru
 @pytest.mark.parametrize("name", COLMAP)
 def test_a_colmap_model_comes_back_with_its_observations(run, tmp_path, name):
     pytest.importorskip("pycolmap")
-    from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 
     write_colmap_model("sparse", scene())
     code, out, _ = run("sparse", "copy", "--format", name)
@@ -374,8 +333,9 @@ def test_a_source_without_images_is_refused(run, tmp_path):
 
 def test_help_names_every_option(capsys):
     assert_help_names(
-        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs"
-    )
+        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs",
+        "--fps", "--verify", "--no-descriptors",
+    )  # fmt: skip
 
 
 def test_matches_of_hloc_say_that_they_need_verification_or_get_it(run, tmp_path):

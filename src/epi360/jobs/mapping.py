@@ -20,7 +20,13 @@ from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_databa
 from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.reconstruction import Reconstruction
-from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings
+from epi360.jobs.colmap_mapper import (
+    STAGE,
+    Mapper,
+    MapperOptions,
+    mapper_settings,
+    turn_upright,
+)
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.map_pairs import without_doubtful
@@ -102,7 +108,8 @@ def map_images(
     ``"auto"`` if their names differ in a number only and most images can be tracked.
 
     ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
-    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
+    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. Down
+    is +y in the models, by the mean of the cameras' y axes, except if there is ``initial``. With
     ``restart``, pairs that were matched with other options are thrown away instead of refusing
     them.
 
@@ -279,6 +286,9 @@ def _map(
         initial=initial,
         progress=progress,
     )
+    if initial[0] == TRACKED_POSES:  # the world of poses that the caller gave is theirs
+        for model in mapped.models:
+            turn_upright(model)
     shutil.rmtree(output / MODELS, ignore_errors=True)
     if mapped.models:
         with whole_folder(output / MODELS) as temporary:
