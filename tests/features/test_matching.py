@@ -116,7 +116,7 @@ def test_every_mutual_pair_is_a_match_without_a_ratio():
 
 
 def test_products_of_descriptors_are_exact_in_any_order():
-    first, second = (matching.rounded(each.descriptors) for each in random_pair(11))
+    first, second = (matching.rounded_descriptors(each.descriptors) for each in random_pair(11))
     exact = first.astype(np.float64) @ second.astype(np.float64).T
     np.testing.assert_array_equal(first @ second.T, exact)
     order = np.random.default_rng(12).permutation(128)

@@ -82,7 +82,7 @@ def look(features1: Features, features2: Features, before: Look | None = None) -
 
     ``before`` is a look at the first ones of both: its products are not made again.
     """
-    d1, d2 = rounded(features1.descriptors), rounded(features2.descriptors)
+    d1, d2 = rounded_descriptors(features1.descriptors), rounded_descriptors(features2.descriptors)
     if before is None:
         return _two_nearest(d1, d2)
     num1, num2 = len(before.nearest), len(before.others)
@@ -110,8 +110,8 @@ def _wider(look1: Look, look2: Look) -> Look:
     return Look(nearest, np.maximum(look1.best, look2.best), second, others)
 
 
-def rounded(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Descriptors whose products are exact."""
+def rounded_descriptors(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit descriptors as they are matched; half precision holds them exactly."""
     return np.asarray(np.round(descriptors * np.float32(_STEPS)) / np.float32(_STEPS))
 
 

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.features.matching import rounded
+from epi360.features.matching import rounded_descriptors
 
 Descriptors = NDArray[np.float32]
 Number = TypeVar("Number", bound=np.generic)
@@ -41,20 +41,20 @@ def learn_words(samples: Descriptors) -> Descriptors:
 
     The products of rounded descriptors are exact, and so are their comparisons.
     """
-    samples = rounded(samples)
+    samples = rounded_descriptors(samples)
     count = min(NUM_WORDS, len(samples) // SAMPLES_PER_WORD)
     words = samples[np.linspace(0, len(samples) - 1, count).astype(int)]
     for _ in range(_ROUNDS if count else 0):
         nearest = _nearest(samples, words)
         sizes = np.bincount(nearest, minlength=count)[:, None]
         means = (_sums(samples, nearest, count) / np.maximum(sizes, 1)).astype(np.float32)
-        words = np.where(sizes > 0, rounded(means), words)
+        words = np.where(sizes > 0, rounded_descriptors(means), words)
     return np.asarray(words)
 
 
 def signature(descriptors: Descriptors, words: Descriptors) -> Signature:
     """Signature of an image by its descriptors (N, D), strongest first."""
-    strongest = rounded(descriptors[:NUM_DESCRIPTORS])
+    strongest = rounded_descriptors(descriptors[:NUM_DESCRIPTORS])
     if len(strongest) == 0 or len(words) == 0:
         return Signature(np.zeros(0, np.uint16), np.zeros((0, words.shape[1] // 8), np.uint8))
     nearest = _nearest(strongest, words)
