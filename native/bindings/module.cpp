@@ -92,6 +92,7 @@ void bind_paper(nb::module_& m);       // paper.cpp
 void bind_robust(nb::module_& m);      // robust.cpp
 void bind_internals(nb::module_& m);   // internals.cpp
 void bind_adjustment(nb::module_& m);  // adjustment.cpp
+void bind_features(nb::module_& m);    // features.cpp
 }  // namespace epi360
 
 NB_MODULE(_core, m) {
@@ -99,6 +100,7 @@ NB_MODULE(_core, m) {
   bind_robust(m);
   bind_internals(m);
   bind_adjustment(m);
+  bind_features(m);
   m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
   m.def(
       "eight_point",

@@ -8,6 +8,9 @@ from epi360.estimation.result import Status
 
 _Array = NDArray[np.float64]
 
+def find_sift(
+    picture: NDArray[np.uint8], mask: NDArray[np.uint8] | None, contrast_threshold: float
+) -> tuple[_Array, NDArray[np.uint8]]: ...
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
 def eight_point(bearings1: _Array, bearings2: _Array, weights: _Array | None = None) -> _Array: ...
 def pose_from_essential(

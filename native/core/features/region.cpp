@@ -1,0 +1,197 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/features/region.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/multiversion.h"
+
+namespace epi360 {
+namespace {
+
+constexpr int kAngleBins = 36;
+constexpr int kLargestRadius = 40;
+constexpr int kLanes = 8;
+constexpr int kRowLength = 2 * kLargestRadius + 1 + kLanes;
+constexpr int kSide = 4, kBins = 8;  // of a descriptor: 4 x 4 histograms of 8 directions
+constexpr float kBinNumbers[kBins] = {0, 1, 2, 3, 4, 5, 6, 7};
+constexpr int kCells = (kSide + 2) * (kSide + 2);  // with those around, which are not kept
+
+// Angle of (x, y) in turns, in [0, 1]; its error is below 0.0002 turns. The polynomial is OpenCV's.
+EPI360_INLINE float turns(float y, float x) {
+  const float ax = std::abs(x), ay = std::abs(y);
+  const float c = std::min(ax, ay) / (std::max(ax, ay) + 1e-12f), c2 = c * c;
+  float a = (((-0.04432655554792128f * c2 + 0.1555786518463281f) * c2 - 0.3258083974640975f) * c2 +
+             0.9997878412794807f) *
+            c * 0.15915494309189535f;
+  a = ay > ax ? 0.25f - a : a;
+  a = x < 0.0f ? 0.5f - a : a;
+  return y < 0.0f ? 1.0f - a : a;
+}
+
+// Whole vectors: the rest of a row by itself would cost as much as a vector for each pixel. Octaves
+// have room for it behind each row.
+EPI360_INLINE int whole_vectors(int count) { return (count + kLanes - 1) / kLanes * kLanes; }
+
+// Gradients at x = first .. first + count - 1 of a row.
+EPI360_INLINE void gradients(const float* above, const float* here, const float* below, int first,
+                             int count, float* magnitudes, float* angles) {
+  for (int k = 0; k < count; ++k) {
+    const int x = first + k;
+    const float dx = here[x + 1] - here[x - 1], dy = above[x] - below[x];
+    magnitudes[k] = std::sqrt(dx * dx + dy * dy);
+    angles[k] = turns(dy, dx);
+  }
+}
+
+EPI360_INLINE int peaks(const float* raw, float* angles) {
+  float h[kAngleBins];
+  const auto at = [&](int k) { return raw[(k + kAngleBins) % kAngleBins]; };
+  for (int k = 0; k < kAngleBins; ++k) {
+    h[k] = (at(k - 2) + at(k + 2)) * (1.0f / 16.0f) + (at(k - 1) + at(k + 1)) * (4.0f / 16.0f) +
+           at(k) * (6.0f / 16.0f);
+  }
+  const float least = 0.8f * *std::max_element(h, h + kAngleBins);
+  int count = 0;
+  for (int k = 0; k < kAngleBins; ++k) {
+    const float left = h[(k + kAngleBins - 1) % kAngleBins], right = h[(k + 1) % kAngleBins];
+    if (!(h[k] > left && h[k] > right && h[k] >= least)) continue;
+    float bin = k + 0.5f * (left - right) / (left - 2.0f * h[k] + right);
+    bin = bin < 0.0f ? bin + kAngleBins : bin >= kAngleBins ? bin - kAngleBins : bin;
+    angles[count++] = bin * (360.0f / kAngleBins);
+  }
+  return count;
+}
+
+// Columns j of a row for which low < j * slope + start < high, cut to [first, last].
+EPI360_INLINE void narrow(float slope, float start, float low, float high, int& first, int& last) {
+  if (std::abs(slope) < 1e-6f) {
+    if (!(start > low && start < high)) last = first - 1;
+    return;
+  }
+  const float a = (low - start) / slope, b = (high - start) / slope;
+  first = std::max(first, static_cast<int>(std::ceil(std::min(a, b))));
+  last = std::min(last, static_cast<int>(std::floor(std::max(a, b))));
+}
+
+struct RowOfRegion {
+  float rows[kRowLength], columns[kRowLength], bins[kRowLength], weights[kRowLength];
+  int cells[kRowLength];
+};
+
+// Shares of each gradient among its nearest bins. All eight directions of a histogram are added to
+// at once: adding to two of them would wait for the last pixel's to be stored.
+EPI360_INLINE void add_row(const RowOfRegion& row, int count, float* histograms) {
+  for (int k = 0; k < count; ++k) {
+    const float r = row.rows[k], c = row.columns[k], bin = row.bins[k], w = row.weights[k];
+    const float w1 = w * r, w0 = w - w1;
+    const float w11 = w1 * c, w10 = w1 - w11, w01 = w0 * c, w00 = w0 - w01;
+    float share[kBins];
+    for (int b = 0; b < kBins; ++b) {
+      const float distance = std::abs(bin - kBinNumbers[b]);
+      share[b] = std::max(0.0f, 1.0f - std::min(distance, kBins - distance));
+    }
+    float* h = histograms + row.cells[k];
+    constexpr int kDown = (kSide + 2) * kBins;
+    for (int b = 0; b < kBins; ++b) h[b] += w00 * share[b];
+    for (int b = 0; b < kBins; ++b) h[kBins + b] += w01 * share[b];
+    for (int b = 0; b < kBins; ++b) h[kDown + b] += w10 * share[b];
+    for (int b = 0; b < kBins; ++b) h[kDown + kBins + b] += w11 * share[b];
+  }
+}
+
+void finish(const float* histograms, unsigned char* descriptor) {
+  float values[kDescriptorSize];
+  for (int r = 0; r < kSide; ++r) {
+    for (int c = 0; c < kSide; ++c) {
+      const float* h = histograms + ((r + 1) * (kSide + 2) + c + 1) * kBins;
+      std::copy(h, h + kBins, values + (r * kSide + c) * kBins);
+    }
+  }
+  float sum = 0.0f, clipped = 0.0f;
+  for (const float v : values) sum += v * v;
+  const float most = 0.2f * std::sqrt(sum);
+  for (float& v : values) {
+    v = std::min(v, most);
+    clipped += v * v;
+  }
+  const float scale = 512.0f / std::max(std::sqrt(clipped), 1e-7f);
+  for (int k = 0; k < kDescriptorSize; ++k) {
+    descriptor[k] = static_cast<unsigned char>(std::min(255.0f, values[k] * scale + 0.5f));
+  }
+}
+
+}  // namespace
+
+EPI360_MULTIVERSION
+int orientations(const Octave& octave, const Place& place, float* angles) {
+  const int radius = static_cast<int>(std::lround(4.5f * place.sigma));
+  float weights[kLargestRadius + 1], magnitudes[kRowLength], turned[kRowLength];
+  const float spread = 1.5f * place.sigma;
+  for (int i = 0; i <= radius; ++i) weights[i] = std::exp(-0.5f * i * i / (spread * spread));
+  float histogram[kAngleBins + 1] = {};
+  const int first = std::max(1, place.x - radius);
+  const int last = std::min(octave.width() - 2, place.x + radius);
+  for (int i = -radius; i <= radius; ++i) {
+    const int y = place.y + i;
+    if (y < 1 || y > octave.height() - 2) continue;
+    gradients(octave.row(place.level, y - 1), octave.row(place.level, y),
+              octave.row(place.level, y + 1), first, whole_vectors(last - first + 1), magnitudes,
+              turned);
+    const float weight = weights[std::abs(i)];
+    for (int x = first; x <= last; ++x) {
+      const int k = x - first;
+      const int bin = static_cast<int>(turned[k] * kAngleBins + 0.5f);
+      histogram[bin] += magnitudes[k] * weight * weights[std::abs(x - place.x)];
+    }
+  }
+  histogram[0] += histogram[kAngleBins];
+  return peaks(histogram, angles);
+}
+
+EPI360_MULTIVERSION
+void describe(const Octave& octave, const Place& place, float angle, unsigned char* descriptor) {
+  const float cell = 3.0f * place.sigma, radians = angle * 0.017453292519943295f;
+  const float cosine = std::cos(radians) / cell, sine = std::sin(radians) / cell;
+  const float zero = angle / 360.0f;
+  const int radius =
+      std::min(kLargestRadius, static_cast<int>(std::lround(cell * 1.4142135f * 2.5f)));
+  float weights[kRowLength] = {};
+  for (int i = 0; i <= radius; ++i) {
+    weights[radius + i] = weights[radius - i] = std::exp(-0.125f * i * i / (cell * cell));
+  }
+  alignas(32) float histograms[kCells * kBins] = {};
+  RowOfRegion row;
+  float magnitudes[kRowLength], turned[kRowLength];
+  for (int i = -radius; i <= radius; ++i) {
+    const int y = place.y + i;
+    if (y < 1 || y > octave.height() - 2) continue;
+    int first = std::max(-radius, 1 - place.x);
+    int last = std::min(radius, octave.width() - 2 - place.x);
+    narrow(cosine, -i * sine, -2.5f, 2.5f, first, last);
+    narrow(sine, i * cosine, -2.5f, 2.5f, first, last);
+    const int count = last - first + 1;
+    if (count <= 0) continue;
+    const int whole = whole_vectors(count);
+    gradients(octave.row(place.level, y - 1), octave.row(place.level, y),
+              octave.row(place.level, y + 1), place.x + first, whole, magnitudes, turned);
+    for (int k = 0; k < whole; ++k) {
+      const float j = static_cast<float>(first + k);
+      // One more than in Lowe's numbering, so that all are positive: 0 to 5.
+      const float r = std::min(std::max(j * sine + i * cosine + 2.5f, 0.0f), 4.9999f);
+      const float c = std::min(std::max(j * cosine - i * sine + 2.5f, 0.0f), 4.9999f);
+      float o = turned[k] - zero;
+      o = (o < 0.0f ? o + 1.0f : o) * kBins;
+      const int r0 = static_cast<int>(r), c0 = static_cast<int>(c);
+      row.rows[k] = r - r0;
+      row.columns[k] = c - c0;
+      row.bins[k] = o;
+      row.weights[k] = magnitudes[k] * weights[first + k + radius] * weights[i + radius];
+      row.cells[k] = (r0 * (kSide + 2) + c0) * kBins;
+    }
+    add_row(row, count, histograms);
+  }
+  finish(histograms, descriptor);
+}
+
+}  // namespace epi360

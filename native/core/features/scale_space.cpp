@@ -1,0 +1,119 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/features/scale_space.h"
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <utility>
+
+namespace epi360 {
+namespace {
+
+constexpr double kSigmaOfPicture = 0.5;  // blur that any picture is taken to have
+
+// Rows of the doubled picture, and the last of them that a blurred row needs.
+class DoubledPicture {
+ public:
+  DoubledPicture(const unsigned char* picture, int width, int height)
+      : picture_(picture),
+        width_(width),
+        height_(height),
+        kernel_(std::sqrt(kFirstSigma * kFirstSigma - 4.0 * kSigmaOfPicture * kSigmaOfPicture)),
+        ring_(static_cast<std::size_t>(kRows) * 2 * width),
+        scratch_(2 * width + 2 * kLargestBlurRadius) {}
+
+  void write(int y, float* out) {
+    const int radius = kernel_.radius();
+    for (; made_ < std::min(2 * height_, y + radius + 1); ++made_) make(made_);
+    const float* rows[2 * kLargestBlurRadius + 1];
+    for (int t = -radius; t <= radius; ++t) {
+      rows[t + radius] = row(reflected(y + t, 2 * height_));
+    }
+    blur_row(kernel_, rows, 2 * width_, scratch_.data(), out);
+  }
+
+ private:
+  static constexpr int kRows = 16;
+  float* row(int y) { return ring_.data() + static_cast<std::size_t>(y % kRows) * 2 * width_; }
+
+  // Row y lies on the picture's row y / 2 or between it and the next.
+  void make(int y) {
+    const unsigned char* first = picture_ + static_cast<std::size_t>(y / 2) * width_;
+    const unsigned char* second = y % 2 == 1 && y / 2 + 1 < height_ ? first + width_ : first;
+    float* out = row(y);
+    for (int x = 0; x + 1 < width_; ++x) {
+      const float here = 0.5f * (first[x] + second[x]);
+      out[2 * x] = here;
+      out[2 * x + 1] = 0.5f * (here + 0.5f * (first[x + 1] + second[x + 1]));
+    }
+    out[2 * width_ - 2] = out[2 * width_ - 1] = 0.5f * (first[width_ - 1] + second[width_ - 1]);
+  }
+
+  const unsigned char* picture_;
+  int width_, height_, made_ = 0;
+  GaussianKernel kernel_;
+  std::vector<float> ring_, scratch_;
+};
+
+}  // namespace
+
+Octave::Octave(int width, int height, Source source)
+    : width_(width),
+      height_(height),
+      stride_((static_cast<std::size_t>(width) + 15) / 16 * 16 + 16),  // room for whole vectors
+      source_(std::move(source)),
+      scratch_(width + 2 * kLargestBlurRadius),
+      next_(static_cast<std::size_t>(width / 2) * (height / 2)) {
+  const double ratio = std::pow(2.0, 1.0 / kScaleLayers);
+  double sigma = kFirstSigma;
+  for (int level = 1; level < kScaleLevels; ++level, sigma *= ratio) {
+    kernels_.emplace_back(sigma * std::sqrt(ratio * ratio - 1.0));
+  }
+  const int rows = std::min(kRingRows, height);
+  for (std::vector<float>& level : levels_) level.resize(stride_ * rows);
+}
+
+void Octave::advance(int first) {
+  ensure(kScaleLayers, first + kBandRows + kReachRows);
+  ensure(kScaleLevels - 1, first + kBandRows + kVisitRows);
+}
+
+void Octave::ensure(int level, int rows) {
+  rows = std::min(rows, height_);
+  if (done_[level] >= rows) return;
+  if (level > 0) ensure(level - 1, rows + kernels_[level - 1].radius());
+  for (; done_[level] < rows; ++done_[level]) make_row(level, done_[level]);
+}
+
+void Octave::make_row(int level, int y) {
+  float* out = levels_[level].data() + offset(y);
+  if (level == 0) {
+    source_(y, out);
+    return;
+  }
+  const GaussianKernel& kernel = kernels_[level - 1];
+  const int radius = kernel.radius();
+  const float* rows[2 * kLargestBlurRadius + 1];
+  for (int t = -radius; t <= radius; ++t) {
+    rows[t + radius] = row(level - 1, reflected(y + t, height_));
+  }
+  blur_row(kernel, rows, width_, scratch_.data(), out);
+  if (level == kScaleLayers && y % 2 == 0 && y / 2 < height_ / 2) {
+    float* half = next_.data() + static_cast<std::size_t>(y / 2) * (width_ / 2);
+    for (int x = 0; x < width_ / 2; ++x) half[x] = out[2 * x];
+  }
+}
+
+Octave::Source doubled_picture(const unsigned char* picture, int width, int height) {
+  auto doubled = std::make_shared<DoubledPicture>(picture, width, height);
+  return [doubled](int y, float* out) { doubled->write(y, out); };
+}
+
+Octave::Source stored_rows(std::vector<float> values, int width) {
+  auto kept = std::make_shared<std::vector<float>>(std::move(values));
+  return [kept, width](int y, float* out) {
+    std::copy_n(kept->data() + static_cast<std::size_t>(y) * width, width, out);
+  };
+}
+
+}  // namespace epi360

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// One octave of SIFT's scale space, row by row: rows that are no longer needed are overwritten, so
+// that the octave stays in the cache and memory does not grow with the height of the picture.
+#pragma once
+
+#include <functional>
+#include <vector>
+
+#include "core/features/blur.h"
+
+namespace epi360 {
+
+inline constexpr int kScaleLayers = 3;  // scales of an octave on which key points are found
+inline constexpr int kScaleLevels = kScaleLayers + 3;
+inline constexpr double kFirstSigma = 1.6;
+inline constexpr int kBandRows = 16;
+// Rows beyond a key point's that its region may reach, and that refining it may visit.
+inline constexpr int kReachRows = 46, kVisitRows = 8;
+
+class Octave {
+ public:
+  // Writes row y of the first level.
+  using Source = std::function<void(int y, float* out)>;
+
+  Octave(int width, int height, Source source);
+  int width() const { return width_; }
+  int height() const { return height_; }
+  const float* row(int level, int y) const { return levels_[level].data() + offset(y); }
+
+  // Makes all rows present that key points of [first, first + kBandRows) look at. first grows.
+  void advance(int first);
+
+  // Every second pixel of the level that has twice the first one's sigma, once all rows are made.
+  std::vector<float> take_next() { return std::move(next_); }
+
+ private:
+  static constexpr int kRingRows = 128;
+  std::size_t offset(int y) const {
+    return static_cast<std::size_t>(y & (kRingRows - 1)) * stride_;
+  }
+  void ensure(int level, int rows);
+  void make_row(int level, int y);
+
+  int width_, height_;
+  std::size_t stride_;
+  Source source_;
+  std::vector<GaussianKernel> kernels_;  // from each level to the next
+  std::vector<float> levels_[kScaleLevels];
+  int done_[kScaleLevels] = {};
+  std::vector<float> scratch_, next_;
+};
+
+// First level of the first octave: the picture (8 bits) at twice its size, blurred.
+Octave::Source doubled_picture(const unsigned char* picture, int width, int height);
+
+// First level from numbers that are there.
+Octave::Source stored_rows(std::vector<float> values, int width);
+
+}  // namespace epi360
