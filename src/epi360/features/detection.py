@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import ImageSource, read_image, read_mask
@@ -111,7 +112,7 @@ class SiftKeypoints:
     pixels: Array
     sizes: Array
     strengths: Array
-    descriptors: NDArray[np.float32] | NDArray[np.uint8]
+    descriptors: NDArray[np.uint8]
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.int64]) -> SiftKeypoints:
         """Return those of a mask or of indices."""
@@ -160,13 +161,9 @@ def find_keypoints(
     if scale < 1.0:
         size = (round(width * scale), round(height * scale))
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    # Without precise upscaling every key point is 0.25 px too far right and down, at all sizes.
-    sift = cv2.SIFT_create(  # type: ignore[attr-defined]
-        contrastThreshold=contrast_threshold, enable_precise_upscale=True
-    )
     stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
     views = search_views(np.asarray(grey), camera)
-    parts = [_searched(sift, view, stretch) for view in views]
+    parts = [_searched(view, contrast_threshold, stretch) for view in views]
     found = _merged(parts, camera, stretch[0])
     usable = None if mask is None else read_mask(mask, (height, width))
     kept = _kept(found, camera, usable, mask_nadir_deg, max_features)
@@ -181,20 +178,15 @@ def check_options(max_width: int, mask_nadir_deg: float) -> None:
         raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
 
 
-_NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.float32))
+_NOTHING = SiftKeypoints(np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 128), np.uint8))
 
 
-def _searched(sift: cv2.Feature2D, view: View, stretch: Array) -> SiftKeypoints:
-    points, descriptors = sift.detectAndCompute(view.picture, view.mask)
-    if not points:
-        return _NOTHING
-    table = np.array([(*p.pt, p.size, p.response) for p in points])
-    pixels = table[:, :2] + 0.5  # OpenCV puts pixel centres at integers
-    moved, own, relative = view.to_image(pixels)
-    sizes = table[:, 2] * relative * stretch[0]
-    return SiftKeypoints(
-        moved * stretch, sizes, table[:, 3], np.asarray(descriptors, np.float32)
-    ).chosen(own)
+def _searched(view: View, contrast_threshold: float, stretch: Array) -> SiftKeypoints:
+    rows, descriptors = _core.find_sift(view.picture, view.reported(), contrast_threshold)
+    # The core puts pixel centres at integers.
+    moved, own, relative = view.to_image(rows[:, :2] + 0.5)
+    sizes = rows[:, 2] * relative * stretch[0]
+    return SiftKeypoints(moved * stretch, sizes, rows[:, 3], descriptors).chosen(own)
 
 
 def _merged(parts: list[SiftKeypoints], camera: Camera, pixel: float) -> SiftKeypoints:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 STRIP_LATITUDE_DEG = 47.0
 FACE_LATITUDE_DEG = 43.0  # the overlap: a key point near the border is found by one of the two
 _MARGIN_DEG = 9.0  # context around a view's own part, for the descriptors' windows
-_LARGEST_STRIP = 3_000_000  # pixels: SIFT's scale space takes 240 bytes for each
+_SLACK_PX = 2  # by which a mask may be larger than what it stands for
 
 
 @dataclass(frozen=True)
@@ -32,25 +32,42 @@ class View:
         """Pixels of the image, which of them this view reports, and their relative scale."""
         return pixels, np.ones(len(pixels), dtype=bool), np.ones(len(pixels))
 
+    def reported(self) -> NDArray[np.uint8] | None:
+        """Mask of the pixels that this view reports and some more, so that no others are described.
+
+        None stands for all.
+        """
+        return self.mask
+
 
 @dataclass(frozen=True)
 class Strip(View):
-    """Rows around the horizon and some of the columns, continued across the seam."""
+    """Rows around the horizon, continued across the seam."""
 
     camera: Equirectangular
     padding: int
     top: int
-    left: int  # the first and behind the last column that are its own
-    right: int
 
     def to_image(self, pixels: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Report the columns and latitudes that no other view reports."""
-        moved = pixels + [self.left - self.padding, self.top]
+        """Report each column once, and the latitudes around the horizon."""
+        moved = pixels + [-self.padding, self.top]
         height = self.camera.height
-        own = (moved[:, 0] >= self.left) & (moved[:, 0] < self.right)
+        own = (moved[:, 0] >= 0) & (moved[:, 0] < self.camera.width)
         degrees_per_row = self.camera.vertical_fov_deg / height
         latitude = self.camera.center_latitude_deg + (height / 2 - moved[:, 1]) * degrees_per_row
         return moved, own & (np.abs(latitude) < STRIP_LATITUDE_DEG), np.ones(len(pixels))
+
+    def reported(self) -> NDArray[np.uint8]:
+        """White where `to_image` reports."""
+        camera, (height, width) = self.camera, self.picture.shape
+        rows_per_degree = camera.height / camera.vertical_fov_deg
+        horizon = camera.height / 2 + camera.center_latitude_deg * rows_per_degree - self.top
+        reach = STRIP_LATITUDE_DEG * rows_per_degree + _SLACK_PX
+        mask = np.zeros((height, width), np.uint8)
+        rows = slice(max(0, int(horizon - reach)), max(0, int(horizon + reach) + 1))
+        columns = slice(self.padding - _SLACK_PX, self.padding + camera.width + _SLACK_PX)
+        mask[rows, columns] = 255
+        return mask
 
 
 @dataclass(frozen=True)
@@ -71,9 +88,17 @@ class Face(View):
         moved = self.camera.pixels_from_bearings(bearings)
         return moved, own & np.isfinite(moved).all(axis=1), 1.0 / lengths
 
+    def reported(self) -> NDArray[np.uint8]:
+        """White where `to_image` reports."""
+        size = len(self.picture)
+        radius = self.focal * np.tan(np.radians(90.0 - FACE_LATITUDE_DEG)) + _SLACK_PX
+        from_middle = np.square(np.arange(size) + 0.5 - size / 2.0)
+        inside = from_middle[:, None] + from_middle[None, :] < radius**2
+        return np.asarray(inside, np.uint8)
+
 
 def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
-    """Views that together show what the camera sees: strips and pole faces of a full panorama."""
+    """Views that together show what the camera sees: strip and pole faces of a full panorama."""
     height, width = grey.shape
     if not isinstance(camera, Equirectangular):
         yield View(grey, _lens_mask(camera, height, width))
@@ -85,7 +110,9 @@ def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
     if camera.horizontal_fov_deg < 360.0:
         yield View(grey, None)
         return
-    yield from _strips(grey, scaled)
+    strip = _strip(grey, scaled)
+    if strip is not None:
+        yield strip
     for sign in (1.0, -1.0):
         if scaled.vertical_fov_deg / 2 + sign * scaled.center_latitude_deg > STRIP_LATITUDE_DEG:
             yield _face(grey, scaled, sign)
@@ -100,20 +127,18 @@ def _lens_mask(camera: Camera, height: int, width: int) -> NDArray[np.uint8] | N
     return np.asarray(cv2.erode(mask, np.ones((7, 7), np.uint8), borderValue=255), dtype=np.uint8)
 
 
-def _strips(grey: NDArray[np.uint8], camera: Equirectangular) -> Iterator[Strip]:
+def _strip(grey: NDArray[np.uint8], camera: Equirectangular) -> Strip | None:
     height, width = grey.shape
     rows_per_degree = height / camera.vertical_fov_deg
     reach = (STRIP_LATITUDE_DEG + _MARGIN_DEG) * rows_per_degree
     horizon = height / 2 + camera.center_latitude_deg * rows_per_degree
     top, bottom = max(0, round(horizon - reach)), min(height, round(horizon + reach))
     if bottom - top < 16:  # a panorama of the ceiling or the floor alone
-        return
+        return None
     padding = max(16, round(_MARGIN_DEG * width / 360.0))
-    borders = np.linspace(0, width, 1 + -(-width * (bottom - top) // _LARGEST_STRIP)).astype(int)
-    for left, right in zip(borders[:-1], borders[1:], strict=True):
-        columns = np.arange(left - padding, right + padding) % width
-        strip = np.ascontiguousarray(grey[top:bottom, columns])
-        yield Strip(strip, None, camera, padding, top, int(left), int(right))
+    columns = np.arange(-padding, width + padding) % width
+    strip = np.ascontiguousarray(grey[top:bottom, columns])
+    return Strip(strip, None, camera, padding, top)
 
 
 def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> Face:

@@ -19,7 +19,7 @@ from epi360.runs.made_from import fingerprint
 from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
-EXTRACTION_VERSION = 2
+EXTRACTION_VERSION = 3
 _TYPES = {
     "pixels": np.float32,
     "sizes": np.float32,
