@@ -23,6 +23,7 @@ from epi360.jobs.pair_selection import (
     mostly_match,
     select_pairs,
 )
+from epi360.jobs.place_job import check_places
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
 
@@ -142,7 +143,8 @@ def match_images(
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None
-    verdicts = _with_graph(tuple(_named(pair, job, settled) for pair in pairs), is_level)
+    named = tuple(_named(pair, job, settled) for pair in pairs)
+    verdicts = _with_graph(_with_places(named, pairs, job, settled, level), is_level)
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
     confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
     write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
@@ -219,6 +221,25 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
     return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
 
 
+def _with_places(
+    verdicts: tuple[PairVerdict, ...],
+    pairs: Sequence[Pair],
+    job: MatchJob,
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
+) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the surroundings say."""
+    readable = [job.is_readable(pair) for pair in pairs]
+    wanted = {job.keys_of(pair): pair for pair, each in zip(pairs, readable, strict=True) if each}
+    places = check_places(job, wanted, settled, level)
+    judged = []
+    for verdict, pair, each in zip(verdicts, pairs, readable, strict=True):
+        place = places.get(job.keys_of(pair)) if each else None
+        refused = place.refused if place is not None else ""
+        judged.append(replace(verdict, refused=refused) if refused else verdict)
+    return tuple(judged)
+
+
 def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[PairVerdict, ...]:
     """Verdicts with what the other pairs say."""
     names = [(verdict.image1, verdict.image2) for verdict in verdicts]
@@ -227,7 +248,8 @@ def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[Pair
         verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
     ):
         warnings = (*verdict.warnings, *found.doubts(verdict))
-        each = replace(verdict, **vars(found), warnings=warnings)
+        refused = verdict.refused or found.refused
+        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
         if found.confirmed:
             each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
         judged.append(each)
