@@ -15,7 +15,7 @@ common each of them is, the folder says itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,10 @@ _MOST_OWN = 8.0  # log-likelihood ratio that a pair's own surroundings can say
 _MISTRUSTED = -1.0  # a pair with less than this is not asked about others
 # Pairs are right, at copies, elsewhere: what is thought before the folder is seen.
 _PRIOR = np.array([400.0, 0.2, 0.2])
-_ACCEPTED = 0.96  # least probability
+_ACCEPTED = 0.975  # least probability
+# Pairs are heard once with all that are not mistrusted, then with those that are this probable.
+_BELIEVED, _NUM_HEARINGS = 0.97, 3
+_FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MOST_STEPS = 200
 
 
@@ -67,9 +70,11 @@ def judge_places(
 ) -> tuple[PlaceVerdict, ...]:
     """Which accepted pairs the surroundings speak against.
 
-    Pairs witness against each other, so those whose evidence is worst lose their say one by one. A
-    pair is refused if the pose is less probable than 0.9; in a folder whose pairs all look right,
-    it takes clear evidence, in one with many copies, a pair must have some for it.
+    Pairs witness against each other, so those whose evidence is worst lose their say one by one.
+    What the others say is weighed; and then again, with only those pairs as witnesses that it has
+    found right. A pair is refused if its pose is less probable than 0.975 both times. In a folder
+    whose pairs all look right that takes clear evidence against it; in one with many copies, a
+    pair needs some for it.
     """
     if len(images) == 0:
         return ()
@@ -78,11 +83,16 @@ def judge_places(
         court = _Court(images, evidence, rates)
         trusted = court.trusted()
         rates = court.rates(trusted)
+    own_ratios = [_own_ratio(each) for each in evidence]
     heard = [court.heard(row, trusted) for row in range(len(images))]
-    probabilities = _probabilities(heard, [_own_ratio(each) for each in evidence])
+    first = probabilities = _probabilities(heard, own_ratios)
+    for _ in range(_NUM_HEARINGS):
+        believed = probabilities >= _BELIEVED
+        heard = [court.heard(row, believed) for row in range(len(images))]
+        probabilities = _probabilities(heard, own_ratios)
     return tuple(
         _verdict(each, float(probability))
-        for each, probability in zip(heard, probabilities, strict=True)
+        for each, probability in zip(heard, np.maximum(first, probabilities), strict=True)
     )
 
 
@@ -124,7 +134,13 @@ class _Court:
             [all_logs[kept] for all_logs, kept in zip(self.logs[row], heeded, strict=True)]
         )
         means = _cell_means(cells, np.column_stack([logs, found]))
-        return _Heard(means[:, :-1].sum(axis=0), len(means), float(means[:, -1].sum()))
+        heard = _Heard(means[:, :-1].sum(axis=0), len(means), float(means[:, -1].sum()))
+        num_places = [
+            len(np.unique(s.cells[kept])) for s, kept in zip(sides, heeded, strict=True)
+        ]
+        # A door that one camera knows well matches all doors of its kind.
+        one_sided = heard.ratio > 0.0 and min(num_places) < _FEWEST_PLACES
+        return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
     def trusted(self) -> Mask:
         """Pairs that are believed: the worst is left out until none is mistrusted."""
