@@ -40,10 +40,11 @@ _OF_COPIES = slice(1, 4)
 _OWN_SHARES = np.array([1.0, 0.6, 0.2])
 _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees may be hidden
 _TEMPER = 0.8  # cells are not quite independent
-_MOST_OWN = 8.0  # log-likelihood ratio that a pair's own surroundings can say
+# Least and largest log-likelihood ratio of what a pair itself shows: it may see past an edge.
+_OWN_LIMITS = (-3.0, 8.0)
 _MISTRUSTED = -1.0  # a pair with less than this is not asked about others
 # Pairs are right, at copies, elsewhere: what is thought before the folder is seen.
-_PRIOR = np.array([400.0, 0.2, 0.2])
+_PRIOR = np.array([400.0, 0.1, 0.1])
 _ACCEPTED = 0.975  # least probability
 # Pairs are heard once with all that are not mistrusted, then with those that are this probable.
 _BELIEVED, _NUM_HEARINGS = 0.97, 3
@@ -201,7 +202,7 @@ def _own_ratio(evidence: Evidence) -> float:
     for sightings in evidence.beside:
         values = _logs(sightings, _OWN_RATES, _OWN_SHARES)
         logs += _cell_means(sightings.cells, values).sum(axis=0)
-    return float(np.clip(logs[0] - logs[1:].max(), -_MOST_OWN, _MOST_OWN))
+    return float(np.clip(logs[0] - logs[1:].max(), *_OWN_LIMITS))
 
 
 def _probabilities(heard: Sequence[_Heard], own_ratios: Sequence[float]) -> Array:
