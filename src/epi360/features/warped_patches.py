@@ -31,7 +31,8 @@ _SIDE = 2 * _HALF + 1
 
 def _grid(half_x: int, half_y: int) -> Array:
     x, y = np.meshgrid(np.arange(-half_x, half_x + 1), np.arange(-half_y, half_y + 1))
-    return np.stack([x.ravel(), y.ravel()], axis=1) * np.tan(np.radians(_STEP))
+    grid: Array = np.stack([x.ravel(), y.ravel()], axis=1) * np.tan(np.radians(_STEP))
+    return grid
 
 
 _PATCH, _WINDOW = _grid(_HALF, _HALF), _grid(_HALF + _ALONG, _HALF + _ACROSS)

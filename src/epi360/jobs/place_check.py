@@ -51,6 +51,8 @@ _BELIEVED, _NUM_HEARINGS = 0.97, 3
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MOST_STEPS = 200
 
+ANOTHER_PLACE, COPY = "shows another place", "may show a copy of the place"
+
 
 @dataclass(frozen=True)
 class PlaceVerdict:
@@ -136,9 +138,7 @@ class _Court:
         )
         means = _cell_means(cells, np.column_stack([logs, found]))
         heard = _Heard(means[:, :-1].sum(axis=0), len(means), float(means[:, -1].sum()))
-        num_places = [
-            len(np.unique(s.cells[kept])) for s, kept in zip(sides, heeded, strict=True)
-        ]
+        num_places = [len(np.unique(s.cells[kept])) for s, kept in zip(sides, heeded, strict=True)]
         # A door that one camera knows well matches all doors of its kind.
         one_sided = heard.ratio > 0.0 and min(num_places) < _FEWEST_PLACES
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
@@ -232,14 +232,13 @@ def _verdict(heard: _Heard, probability: float) -> PlaceVerdict:
 
 
 def _refusal(heard: _Heard) -> str:
-    """Why a pair is not accepted."""
-    alike = int(heard.num_alike)
+    """Why a pair is not accepted; what stands before the comma is what summaries count."""
     if heard.ratio < 0.0:
         return (
-            f"shows another place, of {heard.num_places} parts of the views that both cameras "
-            f"must see only {alike} look the same"
+            f"{ANOTHER_PLACE}, for only {int(heard.num_alike)} of {heard.num_places} parts of the "
+            "views that both cameras must see look the same"
         )
     return (
-        "may show a copy of the place, which this folder has, and too little that both cameras "
-        "must see says otherwise"
+        f"{COPY}, as other pairs of this folder do, and too little of what both cameras must see "
+        "says otherwise"
     )

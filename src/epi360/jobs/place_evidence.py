@@ -114,7 +114,9 @@ class Surroundings:
     def evidence(self, row: int) -> Evidence:
         """Look for what is known of the views of a pair."""
         known = [self._known(row, side) for side in (0, 1)]
-        first, second = (self._sightings(row, side, known[side], known[1 - side]) for side in (0, 1))
+        first, second = (
+            self._sightings(row, side, known[side], known[1 - side]) for side in (0, 1)
+        )
         beside = [self._beside(row, side, known[side][OWN]) for side in (0, 1)]
         return Evidence((first, second), (beside[0], beside[1]))
 
@@ -234,7 +236,8 @@ def _beyond(seen: Array, cloud: Cloud) -> Array:
 
 def _some(rows: Indices, most: int) -> Indices:
     """As many rows, spread over all."""
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    some: Indices = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    return some
 
 
 def _normals(points: Array, rows: Indices) -> Array:

@@ -10,7 +10,7 @@ from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.level_folder import Level
 from epi360.jobs.match_job import MatchJob, on_threads
-from epi360.jobs.match_store import Keys, Verdict, VerifiedPair, read_parts
+from epi360.jobs.match_store import PAIRS, Keys, Verdict, VerifiedPair, read_parts
 from epi360.jobs.pair_selection import Pair
 from epi360.jobs.place_check import PlaceVerdict, judge_places
 from epi360.jobs.place_evidence import Evidence, Surroundings
@@ -80,19 +80,15 @@ def _posed(
     level: Level | None,
 ) -> Iterator[tuple[Keys, PosedPair]]:
     """Poses and inliers of the pairs, from the parts that hold the verdicts that count."""
-    for with_prior in (False, True) if level else (False,):
-        parts = read_parts(job.output, level.store) if with_prior else read_parts(job.output)
-        for verified in parts:
+    stores = {PAIRS: ""} if level is None else {PAIRS: "", level.store: level.prior}
+    for store, prior in stores.items():
+        for verified in read_parts(job.output, store):
             pair = usable.get(verified.keys)
-            of_level = level is not None and settled_prior(settled, verified) == level.prior
-            if pair is not None and of_level == with_prior:
+            if pair is None:
+                continue
+            has_prior = level is not None and settled[verified.keys].prior == level.prior
+            if has_prior == bool(prior):
                 yield verified.keys, _posed_pair(job, pair, verified)
-
-
-def settled_prior(settled: Mapping[Keys, Verdict], verified: VerifiedPair) -> str | None:
-    """What was known beforehand of the verdict that counts; None for a pair of another run."""
-    verdict = settled.get(verified.keys)
-    return None if verdict is None else verdict.prior
 
 
 def _posed_pair(job: MatchJob, pair: Pair, verified: VerifiedPair) -> PosedPair:

@@ -63,9 +63,7 @@ class Cloud:
 
     def scaled(self, scale: float, log_sigma: float) -> Cloud:
         """Return this cloud in other units, which are known as well as that."""
-        return Cloud(
-            scale * self.points, self.keypoints, np.hypot(self.log_sigmas, log_sigma)
-        )
+        return Cloud(scale * self.points, self.keypoints, np.hypot(self.log_sigmas, log_sigma))
 
 
 def cloud_of(pair: PosedPair, side: int, least_parallax_deg: float) -> Cloud:
