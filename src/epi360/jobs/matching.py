@@ -10,7 +10,7 @@ from pathlib import Path
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
-from epi360.jobs.graph_check import check_graph
+from epi360.jobs.graph_check import check_graph, closing
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_job import MatchJob
@@ -23,6 +23,7 @@ from epi360.jobs.pair_selection import (
     mostly_match,
     select_pairs,
 )
+from epi360.jobs.place_check import PLACE_CONFIRMED, PlaceVerdict
 from epi360.jobs.place_job import check_places
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
@@ -144,7 +145,7 @@ def match_images(
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None
     named = tuple(_named(pair, job, settled) for pair in pairs)
-    verdicts = _with_graph(_with_places(named, pairs, job, settled, level), is_level)
+    verdicts = _checked(named, _places(pairs, job, settled, level), is_level)
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
     confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
     write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
@@ -221,26 +222,44 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
     return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
 
 
-def _with_places(
-    verdicts: tuple[PairVerdict, ...],
+def _places(
     pairs: Sequence[Pair],
     job: MatchJob,
     settled: Mapping[Keys, Verdict],
     level: Level | None,
+) -> list[PlaceVerdict]:
+    """What the surroundings say about each pair."""
+    wanted = {job.keys_of(pair): pair for pair in pairs if job.is_readable(pair)}
+    found = check_places(job, wanted, settled, level)
+    nothing = PlaceVerdict()
+    return [
+        found.get(job.keys_of(pair), nothing) if job.is_readable(pair) else nothing
+        for pair in pairs
+    ]
+
+
+def _checked(
+    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
 ) -> tuple[PairVerdict, ...]:
-    """Verdicts with what the surroundings say."""
-    readable = [job.is_readable(pair) for pair in pairs]
-    wanted = {job.keys_of(pair): pair for pair, each in zip(pairs, readable, strict=True) if each}
-    places = check_places(job, wanted, settled, level)
-    judged = []
-    for verdict, pair, each in zip(verdicts, pairs, readable, strict=True):
-        place = places.get(job.keys_of(pair)) if each else None
-        refused = place.refused if place is not None else ""
-        judged.append(replace(verdict, refused=refused) if refused else verdict)
-    return tuple(judged)
+    """Verdicts with what the surroundings and the other pairs say."""
+    refused = [replace(v, refused=p.refused) for v, p in zip(verdicts, places, strict=True)]
+    judged = _with_graph(refused, is_level)
+    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
+    accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
+    doubted = {row: verdicts[row] for row, place in enumerate(places) if place.leaves_a_doubt}
+    confirmed = closing(names, judged, accepted, doubted)
+    if not confirmed:
+        return judged
+    cleared = [
+        replace(verdicts[row], warnings=(*verdicts[row].warnings, PLACE_CONFIRMED))
+        if row in confirmed
+        else verdict
+        for row, verdict in enumerate(refused)
+    ]
+    return _with_graph(cleared, is_level)
 
 
-def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[PairVerdict, ...]:
+def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
     """Verdicts with what the other pairs say."""
     names = [(verdict.image1, verdict.image2) for verdict in verdicts]
     judged = []

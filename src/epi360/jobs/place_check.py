@@ -46,11 +46,13 @@ _MISTRUSTED = -1.0  # a pair with less than this is not asked about others
 # Pairs are right, at copies, elsewhere: what is thought before the folder is seen.
 _PRIOR = np.array([400.0, 0.1, 0.1])
 _ACCEPTED = 0.975  # least probability
+_DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
 # Pairs are heard once with all that are not mistrusted, then with those that are this probable.
 _BELIEVED, _NUM_HEARINGS = 0.97, 3
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MOST_STEPS = 200
 
+PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
 ANOTHER_PLACE, COPY = "shows another place", "may show a copy of the place"
 
 
@@ -66,6 +68,11 @@ class PlaceVerdict:
     share: float = np.nan
     num_places: int = 0
     refused: str = ""
+
+    @property
+    def leaves_a_doubt(self) -> bool:
+        """Whether other pairs may confirm a pose that is refused."""
+        return bool(self.refused) and self.probability >= _DOUBTED
 
 
 def judge_places(
