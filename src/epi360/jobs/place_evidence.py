@@ -68,7 +68,7 @@ class Sightings:
     changes: Indices
     found: Mask
     sources: Indices
-    beyond: Array
+    beyond: NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +215,7 @@ def _looked_for(
         np.digitize(np.degrees(np.arccos(cosines[kept])), _VIEW_CHANGES_DEG),
         alike[kept] > _FOUND,
         sources,
-        np.array(beyond).reshape(len(sources), len(seen)).T,
+        np.array(beyond, np.float32).reshape(len(sources), len(seen)).T,
     )
 
 
