@@ -51,7 +51,7 @@ class MatchJob:
 
     ``output`` is a folder that `open_output` made. With ``upright_deg``, all images are panoramas
     that stand upright to so many degrees (one sigma). ``progress`` is told of the stages "images",
-    "features", "pairs" and "level pairs".
+    "features", "pairs", "level pairs" and "places".
     """
 
     def __init__(

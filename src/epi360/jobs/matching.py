@@ -60,7 +60,8 @@ class MatchOptions:
 class PairVerdict(Verdict):
     """What became of a pair of images.
 
-    The last six attributes are those of `GraphVerdict`.
+    The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
+    `PlaceVerdict`.
     """
 
     image1: str
@@ -106,8 +107,8 @@ def match_images(
 
     ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
     options are thrown away instead of refusing them; features that still fit are kept.
-    ``progress`` is told of the stages "images", "features", "pairs" and, in a level folder, "level
-    pairs".
+    ``progress`` is told of the stages "images", "features", "pairs", in a level folder "level
+    pairs", and "places" where accepted pairs of panoramas have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
@@ -117,8 +118,8 @@ def match_images(
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
     warning. If the poses say that the folder is level, see `find_level`, pairs without a pose, and
     those whose pose is tilted, are estimated again with that known. An image that cannot be read
-    costs its pairs, not the run. In the end the pairs are held against each other, see
-    `check_graph`.
+    costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
+    `judge_places`, and the pairs are held against each other, see `check_graph`.
 
     Raises
     ------
@@ -134,7 +135,8 @@ def match_images(
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = job.verify(few) if few else ({}, 0)
-    if few and len(finished) == len(few) and suffice(list(finished.values())):
+    is_sequence = bool(few) and len(finished) == len(few) and suffice(list(finished.values()))
+    if is_sequence:
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few
     else:
@@ -145,7 +147,9 @@ def match_images(
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None
     named = tuple(_named(pair, job, settled) for pair in pairs)
-    verdicts = _checked(named, _places(pairs, job, settled, level), is_level)
+    # Neighbours in a sequence, nearly all of which match, are of one place.
+    places = [] if is_sequence else _places(pairs, job, settled, level)
+    verdicts = _checked(named, places or [PlaceVerdict()] * len(pairs), is_level)
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
     confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
     write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
