@@ -102,7 +102,8 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
         (["nowhere"], "nowhere"),
         (
             ["tour", "--pairs", "exaustive"],
-            "exaustive does not exist; give a pairs file, or auto, sequential or exhaustive",
+            "exaustive does not exist; give a pairs file, or auto, exhaustive, sequential, "
+            "retrieval or near",
         ),
         (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
         (["tour", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),

@@ -33,7 +33,7 @@ from epi360.jobs.map_pairs import without_doubtful
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.match_result import Colors, descriptors_of, load_matches_and_colors
 from epi360.jobs.matching import MatchOptions, MatchRun, match_images, open_match_output
-from epi360.jobs.pair_selection import Pair, trajectory_pairs
+from epi360.jobs.pair_selection import Pair, trajectory_pairs, ways_of
 from epi360.jobs.sequence_start import has_one_camera, may_be_sequence, track_sequence
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
@@ -104,8 +104,8 @@ def map_images(
 
     A sequence starts from the poses that the odometry gives it, and with ``pairs="auto"`` it is
     matched in `trajectory_pairs`. The images are a sequence if they are frames of ``video``, whose
-    other frames are then followed as well, with ``mask``; with ``pairs="sequential"``; and with
-    ``"auto"`` if their names differ in a number only and most images can be tracked.
+    other frames are then followed as well, with ``mask``; with ``"sequential"`` among ``pairs``;
+    and with ``"auto"`` if their names differ in a number only and most images can be tracked.
 
     ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
     ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. Down
@@ -137,7 +137,7 @@ def map_images(
     output = Path(output)
     record = _read_record(output)
     # A folder that only looked like a sequence is mapped without a word, as it always was.
-    was_asked = video is not None or options.match.pairs == "sequential"
+    was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     given = None if initial is None else _poses_of(images, initial)
     tracked = None
     if given is None and _is_tried_as_sequence(images, options, video):
@@ -205,7 +205,9 @@ def _is_tried_as_sequence(images: ImageSet, options: MapOptions, video: Path | N
         return False
     pairs = options.match.pairs
     return (
-        video is not None or pairs == "sequential" or (pairs == "auto" and may_be_sequence(images))
+        video is not None
+        or "sequential" in ways_of(pairs)
+        or (pairs == "auto" and may_be_sequence(images))
     )
 
 

@@ -20,8 +20,9 @@ from epi360.cameras import Camera
 from epi360.cameras.upright import DOWN, gravity_of, is_full_panorama
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
 from epi360.estimation.verdict import noise_in_pixels
-from epi360.features import Features, match_features
+from epi360.features import Features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
+from epi360.features.matching import Look, look
 from epi360.jobs.feature_cache import FeatureCache, UnreadableImageError
 from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.jobs.level_folder import Level
@@ -81,6 +82,7 @@ class MatchJob:
         self.keys: dict[int, str] = {}
         self.unreadable: dict[str, str] = {}
         self._finding_again = Lock()
+        self._first_looks: dict[Pair, Look] = {}  # of the pairs in work
         self._features_of = lru_cache(_IMAGES_IN_MEMORY)(self._load_features)
 
     def find_features(self, wanted: Sequence[int]) -> None:
@@ -178,6 +180,7 @@ class MatchJob:
         for pair, each in self._look(unsettled, strong=False).items():
             if later_is_better(found[pair].verdict.status, each.verdict.status):
                 found[pair] = each
+        self._first_looks.clear()
         return [found[pair] for pair in pairs if pair in found and self.is_readable(pair)]
 
     def _look(self, pairs: Sequence[Pair], *, strong: bool) -> dict[Pair, VerifiedPair]:
@@ -238,7 +241,10 @@ class MatchJob:
         if sides[0] is None or sides[1] is None:
             return None
         features1, features2 = (side[1 if strong else 0] for side in sides if side is not None)
-        return self._matched_at(pair, features1, features2, match_features(features1, features2))
+        seen = look(features1, features2, None if strong else self._first_looks.get(pair))
+        if strong:
+            self._first_looks[pair] = seen
+        return self._matched_at(pair, features1, features2, seen.matches())
 
     def _placed(self, finished: tuple[Pair, VerifiedPair]) -> _Matched | None:
         """Matches of a finished pair; None where an image turns out to be unreadable."""
@@ -298,6 +304,11 @@ class MatchJob:
         except UnreadableImageError as error:
             self.unreadable[name] = str(error)
             return None
+
+    def descriptors(self, index: int) -> NDArray[np.float32]:
+        """Descriptors (N, 128) of an image, strongest first; none where it cannot be read."""
+        features = self._features_or_none(index) if index in self.keys else None
+        return np.zeros((0, 128), np.float32) if features is None else features[0].descriptors
 
     def _load_features(self, index: int) -> tuple[Features, Features]:
         """All features of an image and the stronger ones; found again if their file is damaged."""

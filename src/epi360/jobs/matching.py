@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
@@ -16,12 +18,15 @@ from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
+from epi360.jobs.more_pairs import more_pairs
 from epi360.jobs.pair_selection import (
+    NEIGHBORS,
     Pair,
     dense_pairs,
     is_dense,
     mostly_match,
     select_pairs,
+    ways_of,
 )
 from epi360.jobs.place_check import PLACE_CONFIRMED, PlaceVerdict
 from epi360.jobs.place_job import check_places
@@ -37,6 +42,9 @@ class MatchOptions:
 
     pairs: str | Path = "auto"  # see `select_pairs`
     overlap: int = 10  # in a sequence: neighbours that follow an image
+    neighbors: int = NEIGHBORS  # partners of an image by retrieval, and by position
+    positions: Path | None = None  # poses for pairs that are near; without them GPS of the images
+    radius: float | None = None  # of near pairs, in the unit of the positions; metres of GPS
     # Wider images are searched at this width; key points are in pixels of the originals. At 2048,
     # real pairs 2688 wide have errors as small as at their full width, in half the time.
     max_width: int = 2048
@@ -50,7 +58,13 @@ class MatchOptions:
         """Check all options."""
         check_options(self.max_width, self.mask_nadir_deg)
         check_upright(self.upright_deg)
-        for name in ("overlap", "max_features", "num_threads"):
+        ways = ways_of(self.pairs)
+        for name in ("positions", "radius"):
+            if getattr(self, name) is not None and "near" not in ways:
+                raise ValueError(f'{name} must come with pairs="near", got pairs="{self.pairs}"')
+        if self.radius is not None and not 0.0 < self.radius < np.inf:
+            raise ValueError(f"radius must be above 0, got {self.radius:g}")
+        for name in ("overlap", "neighbors", "max_features", "num_threads"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
@@ -107,8 +121,8 @@ def match_images(
 
     ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
     options are thrown away instead of refusing them; features that still fit are kept.
-    ``progress`` is told of the stages "images", "features", "pairs", in a level folder "level
-    pairs", and "places" where accepted pairs of panoramas have surroundings to look at.
+    ``progress`` is told of the stages "images", "features", "retrieval", "pairs", in a level folder
+    "level pairs", and "places" where accepted pairs of panoramas have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
@@ -124,24 +138,27 @@ def match_images(
     Raises
     ------
     ValueError
-        If the pairs file names an unknown image, images that are no panoramas shall be upright, or
-        the output was made with other options or by something else.
+        If the pairs file names an unknown image, there are no positions for pairs that are near,
+        images that are no panoramas shall be upright, or the output was made with other options or
+        by something else.
     OSError
         If the output cannot be written.
     """
-    how, pairs = select_pairs(images.images, options.pairs, options.overlap)
     job = _open_job(images, Path(output), options, restart, progress)
-    job.find_features(sorted({index for pair in pairs for index in pair}))
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
-    finished, num_found = job.verify(few) if few else ({}, 0)
+    finished, num_found = _verified(few, job) if few else ({}, 0)
     is_sequence = bool(few) and len(finished) == len(few) and suffice(list(finished.values()))
     if is_sequence:
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few
     else:
+        more = more_pairs(images, job, options.positions, options.radius, progress)
+        how, pairs = select_pairs(
+            images.images, options.pairs, options.overlap, options.neighbors, more
+        )
         num_seen = len(finished)
-        finished, num_there = job.verify(pairs)
+        finished, num_there = _verified(pairs, job)
         num_found += num_there - num_seen
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
     settled = finished if level is None else _with_level(level, pairs, job, finished)
@@ -192,6 +209,14 @@ def _open_job(
         progress=progress,
         upright_deg=options.upright_deg,
     )
+
+
+def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:
+    """Verdicts of pairs, and how many were there; the key points are found first."""
+    wanted = {index for pair in pairs for index in pair}
+    if not wanted <= job.keys.keys():
+        job.find_features(sorted(wanted))
+    return job.verify(pairs)
 
 
 def _of_full_panoramas(

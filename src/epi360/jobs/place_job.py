@@ -16,7 +16,8 @@ from epi360.jobs.place_check import PlaceVerdict, judge_places
 from epi360.jobs.place_evidence import Evidence, Surroundings
 from epi360.jobs.shared_points import PosedPair
 
-_FEWEST_PAIRS = 3  # fewer say nothing about each other
+# Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
+_FEWEST_PAIRS, _MOST_PAIRS = 3, 10_000
 _PANORAMAS_IN_MEMORY = 128  # of 2 MB
 
 
@@ -33,7 +34,7 @@ def check_places(
         for keys, pair in wanted.items()
         if settled[keys].accepted and job.sees_all_around(pair) and keys[0] != keys[1]
     }
-    if len(usable) < _FEWEST_PAIRS:
+    if not _FEWEST_PAIRS <= len(usable) <= _MOST_PAIRS:
         return {}
     posed = dict(_posed(job, usable, settled, level))
     keys = sorted(posed, key=lambda each: posed[each].images)

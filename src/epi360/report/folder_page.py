@@ -252,7 +252,7 @@ def _pair_records(
     run: MatchRun, graph: MatchGraph, images: ImageSet, names: Sequence[str]
 ) -> list[dict[str, Any]]:
     places = {name: index for index, name in enumerate(names)}
-    matched = {(pair.image1, pair.image2): pair for pair in graph.pairs}
+    rows = {(pair.image1, pair.image2): row for row, pair in enumerate(graph.pairs)}
     most = _MATCHES // max(len(run.verdicts), 1)
     most = min(max(most, _FEWEST_MATCHES), _MOST_MATCHES)
     records = []
@@ -271,9 +271,9 @@ def _pair_records(
                 _rounded(verdict.probability),
             ],
         }
-        pair = matched.get((verdict.image1, verdict.image2))
-        if pair is not None:
-            record |= _matches_record(pair, verdict, graph, images, most)
+        row = rows.get((verdict.image1, verdict.image2))
+        if row is not None:
+            record |= _matches_record(graph.pairs[row], verdict, graph, images, most)
         records.append(record)
     return records
 
