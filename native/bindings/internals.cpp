@@ -36,6 +36,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("rotation_support", &Evidence::rotation_support)
       .def_rw("rotation_log10_false_alarms", &Evidence::rotation_log10_false_alarms)
       .def_rw("rotation_rejection", &Evidence::rotation_rejection)
+      .def_rw("rotation_log_ratio", &Evidence::rotation_log_ratio)
       .def_rw("turn_sigma", &Evidence::turn_sigma)
       .def_rw("rotation_sigma", &Evidence::rotation_sigma)
       .def_rw("direction_sigma", &Evidence::direction_sigma)
@@ -55,6 +56,8 @@ void bind_verdict(nb::module_& m) {
       .def_rw("match_coverage", &Evidence::match_coverage)
       .def_rw("noise", &Evidence::noise)
       .def_rw("max_noise", &Evidence::max_noise);
+  m.def(
+      "explain", [](const Evidence& evidence) { return explain(evidence); }, "evidence"_a);
   m.def(
       "judge",
       [](const Evidence& evidence) {

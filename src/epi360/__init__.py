@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     )
     from epi360.epipolar import Stability, pose_from_essential, stability, triangulate
     from epi360.estimation import (
+        Explanations,
         ImagePairResult,
         RansacOptions,
         RefinementResult,
@@ -56,9 +57,9 @@ _HOMES = {
     ),
     "epi360.epipolar": ("Stability", "pose_from_essential", "stability", "triangulate"),
     "epi360.estimation": (
-        "ImagePairResult", "RansacOptions", "RefinementResult", "RelativePoseResult", "eight_point",
-        "estimate_relative_pose", "estimate_relative_poses", "paper_pose", "refine_pose",
-        "residual_weights",
+        "Explanations", "ImagePairResult", "RansacOptions", "RefinementResult",
+        "RelativePoseResult", "eight_point", "estimate_relative_pose", "estimate_relative_poses",
+        "paper_pose", "refine_pose", "residual_weights",
     ),
     "epi360.features": (
         "Features", "Tracks", "extract_features", "match_features", "read_image", "read_mask",
@@ -71,8 +72,8 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "Features", "FrameResult",
-    "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole", "Pose",
+    "Camera", "DoubleSphere", "Equirectangular", "Explanations", "ExtendedUnified", "Features",
+    "FrameResult", "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole", "Pose",
     "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability", "Tracks", "Trajectory",
     "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
     "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "match_features",

@@ -63,7 +63,7 @@ class Estimate {
     std::fill(std::begin(narrow.share), std::end(narrow.share), 0.0);
     narrow.share[0] = 0.3;
     for (const RelativePose& pose :
-         upright_poses(m_, prior_.gravity1, prior_.gravity2, kUprightPoses)) {
+         upright_poses(m_, prior_, kUprightPoses)) {
       candidates.polish(pose, kPolishings, kPolished);
       candidates.polish(candidates.annealed(pose, narrow.scale), kPolishings, kPolished, &narrow);
     }
@@ -142,8 +142,8 @@ class Estimate {
       Evidence evidence;
       listen(candidate.cam2_from_cam1, candidate.loss.scale, gate_of_mixture(candidate.loss),
              kTypicalDensity, evidence);
-      if (probability_of_pose(evidence) <= highest) continue;
-      highest = probability_of_pose(evidence);
+      if (probability_by_regions(evidence) <= highest) continue;
+      highest = probability_by_regions(evidence);
       best = k;
     }
     if (!candidates.empty()) candidates.prefer(best);
@@ -155,7 +155,7 @@ class Estimate {
 
   void listen(const RelativePose& pose, double scale, double gate, double density,
               Evidence& evidence) {
-    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, seed_);
+    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, prior_, seed_);
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
     evidence.num_regions = said.num_regions;
@@ -178,10 +178,10 @@ class Estimate {
     RotationFit rotation;
     const auto find_rotation = [&] {
       rotation = best_rotation(m_, gate, random_);
+      rotation.wrong = chance.rotation_share(rotation.R, gate);
       evidence.rotation_support = rotation.support;
-      evidence.rotation_log10_false_alarms =
-          log10_false_alarms(evidence.num_effective, rotation.support,
-                             chance.rotation_share(rotation.R, gate), kRotationSample);
+      evidence.rotation_log10_false_alarms = log10_false_alarms(
+          evidence.num_effective, rotation.support, rotation.wrong, kRotationSample);
     };
     if (candidates.empty() ||
         rotation_possible(m_, result_.inlier, evidence.support, gate, random_)) {
@@ -222,7 +222,7 @@ class Estimate {
     if (!rival.cam2_from_cam1) return;
     Evidence other;
     listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
-    evidence.rival_probability = probability_of_pose(other);
+    evidence.rival_probability = probability_by_regions(other);
     evidence.rival_evidence = rival.evidence;
     if (status() == Status::kPlanarAmbiguous) result_.alternatives = {*rival.cam2_from_cam1};
   }
@@ -257,6 +257,8 @@ class Estimate {
     const Uncertainty uncertainty = rotation_uncertainty(m_, r.inlier, r.residuals);
     r.scale = uncertainty.scale;
     r.covariance = uncertainty.covariance;
+    r.evidence.rotation_log_ratio =
+        rotation_log_ratio(m_, rotation.R, r.scale, r.threshold, rotation.wrong, seed_);
     r.evidence.turn_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
     r.parallax = median_parallax(m_, r.cam2_from_cam1, r.inlier.data());
     r.probability = RobustResult::kNaN;

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation import Explanations
 from epi360.extras import package_version
 from epi360.jobs.frame_source import FRAMES_RECORD
 from epi360.poses import Pose
@@ -55,6 +56,7 @@ class Verdict:
     translation_sigma_deg: float = np.nan
     probability: float = np.nan  # that a pose with translation is right; NaN where there is none
     floor_share: float = np.nan  # of the inliers that both images see below the horizon
+    explanations: Explanations = Explanations()  # of the matches of this pair alone
     prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
     doubted: Pose = dataclasses.field(
@@ -141,6 +143,7 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) 
         "warnings": np.array(["\n".join(verdict.warnings) for verdict in verdicts]),
         "prior": np.array([verdict.prior for verdict in verdicts]),
         "numbers": np.array([_numbers(verdict) for verdict in verdicts]),
+        "explanations": np.array([dataclasses.astuple(each.explanations) for each in verdicts]),
         "ends": np.cumsum([len(pair.matches) for pair in pairs]),
         "matches": matches.astype(np.min_scalar_type(matches.max(initial=0))),
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
@@ -182,6 +185,8 @@ def _numbers(verdict: Verdict) -> list[float]:
 
 def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]:
     starts = [0, *arrays["ends"]]
+    unknown = np.full((len(arrays["keys"]), 5), np.nan)  # older parts do not say
+    explanations = [Explanations(*p.tolist()) for p in arrays.get("explanations", unknown)]
     for row, (key1, key2) in enumerate(arrays["keys"]):
         matches, mask = (
             arrays[name][starts[row] : starts[row + 1]] for name in ("matches", "inlier_mask")
@@ -200,6 +205,7 @@ def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]
             translation_sigma_deg=float(translation_sigma),
             probability=float(probability),
             floor_share=float(floor_share),
+            explanations=explanations[row],
             prior=str(arrays["prior"][row]),
             cam2_from_cam1=Pose(pose[:9].reshape(3, 3), pose[9:]),
             doubted=Pose(doubted[:9].reshape(3, 3), doubted[9:]),
