@@ -47,6 +47,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("log_prior", &Evidence::log_prior)
       .def_rw("rival_probability", &Evidence::rival_probability)
       .def_rw("rival_evidence", &Evidence::rival_evidence)
+      .def_rw("plane_share", &Evidence::plane_share)
       .def_rw("has_twin", &Evidence::has_twin)
       .def_rw("num_distinct", &Evidence::num_distinct)
       .def_rw("min_num_inliers", &Evidence::min_num_inliers)

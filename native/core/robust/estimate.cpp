@@ -215,15 +215,18 @@ class Estimate {
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
     evidence.log_prior = log_prior_of(prior_);
-    result_.probability = probability_of_pose(evidence);
     const Rival rival = find_rival(m_, candidates, result_.cam2_from_cam1, uncertainty.covariance,
                                    result_.inlier, gate);
+    evidence.plane_share = rival.plane_share;
     evidence.has_twin = rival.has_twin;
+    if (rival.cam2_from_cam1) {
+      Evidence other;
+      listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+      evidence.rival_probability = probability_by_regions(other);
+      evidence.rival_evidence = rival.evidence;
+    }
+    result_.probability = probability_of_pose(evidence);
     if (!rival.cam2_from_cam1) return;
-    Evidence other;
-    listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
-    evidence.rival_probability = probability_by_regions(other);
-    evidence.rival_evidence = rival.evidence;
     if (status() == Status::kPlanarAmbiguous) result_.alternatives = {*rival.cam2_from_cam1};
   }
 

@@ -29,7 +29,7 @@ constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
 // Median parallax in units of the noise, under which a rotation is tried: a pure rotation
 // shows 1.7.
 constexpr double kSmallParallax = 4.0;
-constexpr double kPlaneShare = 0.9;  // of the inliers on one plane
+constexpr double kPlaneShare = 0.9;  // of the inliers on one plane, that make it a surface
 constexpr double kRivalProbability = 0.5;
 
 // Logistic regression of right poses against wrong ones of real pairs (benchmarks/trust.py), on the
@@ -48,8 +48,8 @@ constexpr double kPatchRelativeSpread = 0.2;  // of that of all matches
 constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
 
-// Log-odds that the limit of a test turns into the odds of what is accepted, from numbers of
-// standard deviations: those of the likelihoods of a Gaussian.
+// Log-odds from standard deviations: those of the likelihoods of a Gaussian, the odds of what is
+// accepted at the limit of a test.
 double log_odds_of_test(double deviations, double limit) {
   return 0.5 * (deviations * std::abs(deviations) - limit * limit) + kAcceptedLogOdds;
 }
@@ -90,17 +90,29 @@ double log_odds_of_rotation(const Evidence& e) {
   return bounded(std::min(by_regions, log_odds_by_chance(e.rotation_log10_false_alarms)));
 }
 
-// Of the pose that was found over a second one. On a plane both are right but for noise, whose
-// log-likelihoods differ by about the root of the number of matches.
+// Of the pose that was found over a second one; two that are equally likely are equally probable.
+// On a plane both are right but for noise, whose log-likelihoods differ by about the root of the
+// number of matches.
 double log_odds_over_rival(const Evidence& e) {
   if (e.has_twin) {
     const double lack = std::max(-e.rival_evidence - kRivalRejected, 0.0);
-    return log_odds_of_test(lack / std::sqrt(std::max(e.support, 1)), kPlaneRejected);
+    const double deviations = lack / std::sqrt(std::max(e.support, 1));
+    return bounded(kAcceptedLogOdds * std::pow(deviations / kPlaneRejected, 2.0));
   }
   // With gravity known, a pose that the regions do not believe in is no rival either.
   if (e.has_prior && !(e.rival_probability > kRivalProbability)) return kCertain;
   return bounded(-e.rival_evidence * kAcceptedLogOdds / kRivalRejected);
 }
+
+// Of one surface over a general scene: standard deviations by which the inliers off it are fewer or
+// more than a surface may have.
+double log_odds_of_surface(const Evidence& e) {
+  const double n = std::max(e.support, 1), off = (1.0 - kPlaneShare) * n;
+  const double excess = ((1.0 - e.plane_share) * n - off) / std::sqrt(kPlaneShare * off);
+  return bounded(-0.5 * excess * std::abs(excess));
+}
+
+double found(const Explanations& x) { return x.motion + x.surface; }
 
 // Whether the first of two explanations is probable enough beside the second.
 bool beats(double first, double second) { return first >= kAccepted * (first + second); }
@@ -109,7 +121,7 @@ bool is_rotation(const Evidence& e, const Explanations& x) {
   if (!rotation_explains(e)) return false;
   // Where it moved a little, but nobody can tell where to, the rotation is what can be said.
   const bool is_all = e.direction_sigma > kUnknownDirection && e.rotation_sigma < kKnownRotation;
-  return !beats(x.motion, x.rotation) || is_all;
+  return !beats(found(x), x.rotation) || is_all;
 }
 
 bool is_undetermined(const Evidence& e) {
@@ -135,9 +147,8 @@ Status status_of(const Evidence& e) {
     return e.turn_sigma > kUnknownRotation ? Status::kConcentratedInliers : Status::kPureRotation;
   }
   if (is_undetermined(e)) return Status::kConcentratedInliers;
-  if (!beats(x.motion, x.nothing)) return Status::kTooFewInliers;
-  return beats(x.motion, x.surface) && beats(x.motion, x.rival) ? Status::kOk
-                                                                : Status::kPlanarAmbiguous;
+  if (!beats(found(x), x.nothing)) return Status::kTooFewInliers;
+  return beats(found(x), x.rival) ? Status::kOk : Status::kPlanarAmbiguous;
 }
 
 }  // namespace
@@ -198,30 +209,31 @@ bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallPara
 
 Explanations explain(const Evidence& e) {
   if (e.num_usable < fewest_matches(e.sample_size)) return {};
-  double motion = log_odds_of_pose(e);
-  double rotation = -Evidence::kInfinity, surface = rotation, rival = rotation;
+  double pose = log_odds_of_pose(e), rotation = -Evidence::kInfinity;
   if (rotation_explains(e)) {
     const double over_rotation = bounded(log_odds_of_test(e.rotation_rejection, kRotationRejected));
     if (e.rotation_rejection < kRotationRejected) {  // it says what is to be said
       rotation = log_odds_of_rotation(e);
-      motion = std::min(motion, rotation + over_rotation);
+      pose = std::min(pose, rotation + over_rotation);
     } else {
-      rotation = motion - over_rotation;
+      rotation = pose - over_rotation;
     }
   }
-  (e.has_twin ? surface : rival) = motion - log_odds_over_rival(e);
-  const double highest = std::max({0.0, motion, rotation, surface, rival});
-  Explanations x{std::exp(-highest), std::exp(rotation - highest), std::exp(surface - highest),
-                 std::exp(motion - highest), std::exp(rival - highest)};
+  const double rival = pose - log_odds_over_rival(e);
+  const double highest = std::max({0.0, pose, rotation, rival});
+  const double surface_share = 1.0 / (1.0 + std::exp(-log_odds_of_surface(e)));
+  Explanations x;
+  x.nothing = std::exp(-highest);
+  x.rotation = std::exp(rotation - highest);
+  x.surface = surface_share * std::exp(pose - highest);
+  x.motion = (1.0 - surface_share) * std::exp(pose - highest);
+  x.rival = std::exp(rival - highest);
   const double sum = x.nothing + x.rotation + x.surface + x.motion + x.rival;
   for (double* each : {&x.nothing, &x.rotation, &x.surface, &x.motion, &x.rival}) *each /= sum;
   return x;
 }
 
-double probability_of_pose(const Evidence& e) {
-  const Explanations x = explain(e);
-  return x.motion + 0.5 * x.surface;
-}
+double probability_of_pose(const Evidence& e) { return found(explain(e)); }
 
 double probability_by_regions(const Evidence& e) {
   return 1.0 / (1.0 + std::exp(-log_odds_by_regions(e)));

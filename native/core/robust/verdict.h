@@ -75,9 +75,10 @@ struct Evidence {
   double rotation_log_ratio = kInfinity;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Whether
-  // the inliers lie on a plane, so that there is such a pose by geometry.
+  // probable the regions make it. Share of the
+  // inliers on one plane, and whether it is so large that there is such a pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0;
+  double plane_share = 0.0;
   bool has_twin = false;
 
   // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
@@ -95,9 +96,9 @@ struct Evidence {
 struct Explanations {
   double nothing = 1.0;   // background alone: the views have nothing in common
   double rotation = 0.0;  // the camera only turned
-  double surface = 0.0;   // one surface: the pose that was found or the other one of its homography
-  double motion = 0.0;    // a general motion: the pose that was found
-  double rival = 0.0;     // another general motion
+  double surface = 0.0;   // one surface, seen from the pose that was found
+  double motion = 0.0;    // a general scene, seen from that pose
+  double rival = 0.0;     // another pose
 };
 
 // The explanations compared on the evidence so far.
@@ -125,8 +126,7 @@ bool lacks_direction(const Evidence& evidence);
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
 
-// Probability that the pose is right: that of a general motion, and half that of a surface, which
-// has two poses.
+// Probability that the pose is right, be it of a surface or of a general scene.
 double probability_of_pose(const Evidence& evidence);
 
 // Probability of a pose against background alone, from what the regions say of it and its prior.

@@ -33,11 +33,11 @@ class Explanations:
     rotation : float
         The camera only turned.
     surface : float
-        One surface: the pose that was found, or the second one that its homography has.
+        One surface, nearly a plane, seen from the pose that was found.
     motion : float
-        A general motion: the pose that was found.
+        A general scene, seen from the pose that was found.
     rival : float
-        Another general motion.
+        Another pose; of a plane it may be the second one that its homography has.
     """
 
     nothing: float = math.nan
@@ -85,8 +85,7 @@ class RelativePoseResult:
         B: the two tangent directions at t.
     probability : float
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
-        status says of it: that of a general motion, and half that of a surface, which has two
-        poses. NaN after a pure rotation, 0 where no pose was found.
+        status says of it: the sum of ``surface`` and ``motion`` of the explanations. NaN after a pure rotation, 0 where no pose was found.
     explanations : Explanations
         Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose

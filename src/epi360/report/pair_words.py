@@ -153,7 +153,7 @@ def _probability(result: RelativePoseResult) -> list[Evidence]:
 def _explanations(result: RelativePoseResult) -> list[Evidence]:
     explained = describe_explanations(result.explanations)
     text = f"What may explain the matches: {explained}."
-    return [Evidence(result.explanations.motion >= SMALLEST_PROBABILITY, text)] if explained else []
+    return [Evidence(result.success, text)] if explained else []
 
 
 def _alternatives(result: RelativePoseResult) -> list[Evidence]:

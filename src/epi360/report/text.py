@@ -44,9 +44,9 @@ STATUS_SENTENCES: dict[Status, str] = {
 EXPLANATION_WORDS = {
     "nothing": "the images have nothing in common",
     "rotation": "the camera only turned",
-    "surface": "the matches lie on one surface, which leaves two poses",
-    "motion": "a general motion",
-    "rival": "another general motion",
+    "surface": "this pose, of matches on one surface",
+    "motion": "this pose",
+    "rival": "another pose",
 }
 _DOUBT = 0.001  # an explanation less probable than this is not worth a word
 

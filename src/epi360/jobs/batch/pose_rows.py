@@ -90,7 +90,9 @@ def estimate_rows(
         "seconds": seconds,
         "probability": [result.probability for result in results],
         **{
-            f"probability_{field.name}": [getattr(each.explanations, field.name) for each in results]
+            f"probability_{field.name}": [
+                getattr(each.explanations, field.name) for each in results
+            ]
             for field in fields(Explanations)
         },
         INLIERS: [np.packbits(result.inlier_mask).tobytes() for result in results],
