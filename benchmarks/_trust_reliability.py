@@ -13,6 +13,9 @@ from _trust_records import RIGHT_DEG, Judged
 from _trust_synthetic import Trial
 
 EDGES = (0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 1.0)
+# A pose is right if it is within 5 degrees of the truth, or as near as it says itself: three sigma,
+# or one in a hundred of chi^2 with five degrees of freedom.
+SIGMAS, LARGEST_SQUARE = 3.0, 15.09 / 5.0
 CLOSEST = 5e-4  # to 0 and 1, as far as the diagram shows them
 ONE_SIGMA = 1.0
 
@@ -40,16 +43,29 @@ class Held(NamedTuple):
 def stated_probabilities(judged: Iterable[Judged], trials: Iterable[Trial]) -> list[Stated]:
     """Every pose, accepted or refused, that comes with a probability."""
     pairs = [
-        Stated(_group_of(run), run.probability, run.is_right)
+        Stated(_group_of(run), run.probability, _is_right(run))
         for run in judged
         if run.has_pose and not math.isnan(run.probability)
     ]
     synthetic = [
-        Stated("cells", trial.probability, trial.error_deg < RIGHT_DEG)
+        Stated(
+            "cells",
+            trial.probability,
+            trial.error_deg < RIGHT_DEG or trial.squared_error < LARGEST_SQUARE,
+        )
         for trial in trials
         if not math.isnan(trial.probability + trial.error_deg)
     ]
     return pairs + synthetic
+
+
+def _is_right(run: Judged) -> bool:
+    errors = run.rotation_error_deg, run.translation_error_deg
+    sigmas = run.rotation_sigma_deg, run.translation_sigma_deg
+    return all(
+        error < RIGHT_DEG or error < SIGMAS * sigma  # NaN where none is stated
+        for error, sigma in zip(errors, sigmas, strict=True)
+    )
 
 
 def _group_of(run: Judged) -> str:

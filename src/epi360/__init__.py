@@ -73,9 +73,9 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "Camera", "DoubleSphere", "Equirectangular", "Explanations", "ExtendedUnified", "Features",
-    "FrameResult", "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole", "Pose",
-    "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability", "Tracks", "Trajectory",
-    "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
+    "FrameResult", "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole",
+    "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability", "Tracks",
+    "Trajectory", "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
     "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "match_features",
     "paper_pose", "pose_from_essential", "read_image", "read_mask", "refine_pose",
     "relative_pose_of_images", "residual_weights", "rotation_error_deg", "stability",

@@ -85,7 +85,8 @@ class RelativePoseResult:
         B: the two tangent directions at t.
     probability : float
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
-        status says of it: the sum of ``surface`` and ``motion`` of the explanations. NaN after a pure rotation, 0 where no pose was found.
+        status says of it: the sum of ``surface`` and ``motion`` of the explanations. NaN after a
+        pure rotation, 0 where no pose was found.
     explanations : Explanations
         Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose

@@ -26,8 +26,8 @@ _MAX_LISTED = 10
 def pairs_csv(run: MatchRun) -> bytes:
     """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
-    ``probability`` and those of the explanations are those of the matches of the pair alone, ``prior`` what was known beforehand:
-    "upright", or in a level folder "level" or "level, one height".
+    ``probability`` and those of the explanations are by the matches of the pair alone, ``prior`` is
+    what was known beforehand: "upright", or in a level folder "level" or "level, one height".
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
