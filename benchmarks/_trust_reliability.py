@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _trust_records import RIGHT_DEG, Judged
+from _trust_records import RIGHT_DEG, WRONG_DEG, Judged
 from _trust_synthetic import Trial
 
 EDGES = (0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 1.0)
 # A pose is right if it is within 5 degrees of the truth, or as near as it says itself: three sigma,
-# or one in a hundred of chi^2 with five degrees of freedom.
+# or one in a hundred of chi^2 with five degrees of freedom. Others count if they are over 10 degrees
+# off; what lies between may be an error of the reference.
 SIGMAS, LARGEST_SQUARE = 3.0, 15.09 / 5.0
 CLOSEST = 5e-4  # to 0 and 1, as far as the diagram shows them
 ONE_SIGMA = 1.0
@@ -41,20 +42,17 @@ class Held(NamedTuple):
 
 
 def stated_probabilities(judged: Iterable[Judged], trials: Iterable[Trial]) -> list[Stated]:
-    """Every pose, accepted or refused, that comes with a probability."""
+    """Every right or wrong pose, accepted or refused, that comes with a probability."""
     pairs = [
         Stated(_group_of(run), run.probability, _is_right(run))
         for run in judged
-        if run.has_pose and not math.isnan(run.probability)
+        if (_is_right(run) or run.is_wrong) and not math.isnan(run.probability)
     ]
     synthetic = [
-        Stated(
-            "cells",
-            trial.probability,
-            trial.error_deg < RIGHT_DEG or trial.squared_error < LARGEST_SQUARE,
-        )
+        Stated("cells", trial.probability, _is_right_trial(trial))
         for trial in trials
-        if not math.isnan(trial.probability + trial.error_deg)
+        if (_is_right_trial(trial) or trial.error_deg > WRONG_DEG)
+        and not math.isnan(trial.probability)
     ]
     return pairs + synthetic
 
@@ -66,6 +64,10 @@ def _is_right(run: Judged) -> bool:
         error < RIGHT_DEG or error < SIGMAS * sigma  # NaN where none is stated
         for error, sigma in zip(errors, sigmas, strict=True)
     )
+
+
+def _is_right_trial(trial: Trial) -> bool:
+    return trial.error_deg < RIGHT_DEG or trial.squared_error < LARGEST_SQUARE
 
 
 def _group_of(run: Judged) -> str:
@@ -127,12 +129,12 @@ def draw_reliability(found: Sequence[Held], path: Path) -> None:
         places = _shown([each.mean for each in own]) + 0.05 * index
         shares = _shown([each.right for each in own])
         bars = np.abs(_shown([each.bounds for each in own]).T - shares)
-        axes.errorbar(places, shares, bars, marker="o", markersize=4, capsize=2, label=group)
+        axes.errorbar(places, shares, bars, fmt="o:", markersize=5, capsize=2, label=group)
     ticks = (0.2, 0.5, 0.7, 0.85, 0.95, 0.99, 0.999)
     axes.set_xticks(_shown(ticks[1:]), [f"{tick:g}" for tick in ticks[1:]])
     axes.set_yticks(_shown(ticks), [f"{tick:g}" for tick in ticks])
     axes.set_xlabel("stated probability")
-    axes.set_ylabel("share of the poses that is right (both errors below 5°)")
+    axes.set_ylabel("share of the poses that is right")
     axes.grid(alpha=0.3)
     axes.legend()
     figure.savefig(path, dpi=130)

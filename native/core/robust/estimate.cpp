@@ -42,9 +42,15 @@ bool is_better(const RobustResult& later, const RobustResult& earlier) {
 // The estimate of one set of matches, from its search to its verdict.
 class Estimate {
  public:
+  // `known` says where down is, also to a search that gravity does not guide.
   Estimate(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
-           std::uint64_t seed)
-      : m_(m), options_(options), prior_(priors.pose), random_(seed), seed_(seed) {
+           const PosePrior& known, std::uint64_t seed)
+      : m_(m),
+        options_(options),
+        prior_(priors.pose),
+        known_(known),
+        random_(seed),
+        seed_(seed) {
     start_over();
     if (status() == Status::kTooFewMatches) return;
     SearchResult found = search_poses(m, options, priors, random_);
@@ -155,7 +161,7 @@ class Estimate {
 
   void listen(const RelativePose& pose, double scale, double gate, double density,
               Evidence& evidence) {
-    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, prior_, seed_);
+    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, known_, seed_);
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
     evidence.num_regions = said.num_regions;
@@ -269,7 +275,7 @@ class Estimate {
 
   const Matches& m_;
   const RobustOptions& options_;
-  const PosePrior prior_;
+  const PosePrior prior_, known_;
   Random random_;
   std::uint64_t seed_;
   std::vector<unsigned char> dropped_;
@@ -322,14 +328,14 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     std::size_t num_matches, double max_noise) {
-  Estimate estimate(m, options, priors, seed);
+  Estimate estimate(m, options, priors, priors.pose, seed);
   if (priors.pose.has_gravity) estimate.try_upright_poses();
   RobustResult result;
   if (priors.pose.has_gravity && !estimate.has_answer()) {
     MatchPriors free = priors;
     free.pose = PosePrior{};
     result = estimate.take();
-    Estimate again(m, options, free, seed);
+    Estimate again(m, options, free, priors.pose, seed);
     again.judge_by(priors.pose);
     const int num_iterations = result.num_iterations;
     RobustResult other = again.take();
