@@ -281,7 +281,7 @@ def _title(result: ImagePairResult) -> tuple[str, str]:
     elif not np.isfinite(pose.translation).all():
         title = "no pose"
     explained = describe_explanations(result.explanations)
-    why = STATUS_SENTENCES[result.status] + (f"; {explained}" if explained else "")
+    why = STATUS_SENTENCES[result.status] + (f"; explained by {explained}" if explained else "")
     reason = textwrap.fill(f"{detail}; {why}", TEXT_COLUMNS)
     return f"{result.status}: {title}", reason
 
