@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-# make demo, make test: everything from a clean clone (GNU make; on Debian and Ubuntu:
+# make demo, make test, make docs: everything from a clean clone (GNU make; on Debian and Ubuntu:
 # apt install g++ make python3-venv python3-dev). Another Python: make test PYTHON=python3.13.
 # More arguments for pytest or the demo: make test ARGS="-k pose -x". All tests in one process: make test WORKERS=0.
 
@@ -23,7 +23,7 @@ ifeq ($(strip $(EDITABLE)),)
 BUILD_SOURCES += $(shell find src -name '*.py' -o -name '*.pyi')
 endif
 
-.PHONY: demo test lint format clean
+.PHONY: demo test docs pictures lint format clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.stamp-install
@@ -31,6 +31,14 @@ demo: $(VENV)/.stamp-install
 
 test: $(VENV)/.stamp-test
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+
+# The documentation as a folder that a browser opens: site/index.html. It needs no build of epi360.
+docs: $(VENV)/.stamp-docs
+	$(BIN)/python docs/site/build_site.py site
+
+# The pictures of the documentation, which are in the repository; a few minutes.
+pictures: $(VENV)/.stamp-test
+	$(BIN)/python docs/images/make_pictures.py $(ARGS)
 
 lint: $(VENV)/.stamp-dev
 	$(BIN)/ruff check .
@@ -43,7 +51,7 @@ format: $(VENV)/.stamp-dev
 	find native -name '*.cpp' -o -name '*.hpp' -o -name '*.h' | xargs $(BIN)/clang-format -i
 
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist site .mypy_cache .pytest_cache .ruff_cache
 	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.stamp-venv:
@@ -64,8 +72,10 @@ $(VENV)/.stamp-install: $(VENV)/.stamp-venv $(BUILD_SOURCES)
 	$(PIP) install $(EDITABLE) .
 	@touch $@
 
+$(VENV)/.stamp-test $(VENV)/.stamp-dev: $(VENV)/.stamp-install
+
 # The requirements of an extra without building the package once more.
-$(VENV)/.stamp-test $(VENV)/.stamp-dev: $(VENV)/.stamp-%: $(VENV)/.stamp-install pyproject.toml
+$(VENV)/.stamp-test $(VENV)/.stamp-dev $(VENV)/.stamp-docs: $(VENV)/.stamp-%: $(VENV)/.stamp-venv pyproject.toml
 	@$(BIN)/python -c 'import tomllib; \
 	  extras = tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]; \
 	  print(*(line for line in extras["$*"] if not line.startswith("epi360")), sep="\n")' > $(VENV)/$*.txt

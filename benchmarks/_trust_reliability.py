@@ -14,8 +14,8 @@ from _trust_synthetic import Trial
 
 EDGES = (0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 1.0)
 # A pose is right if it is within 5 degrees of the truth, or as near as it says itself: three sigma,
-# or one in a hundred of chi^2 with five degrees of freedom. Others count if they are over 10 degrees
-# off; what lies between may be an error of the reference.
+# or one in a hundred of chi^2 with five degrees of freedom. Others count if they are over 10
+# degrees off; what lies between may be an error of the reference.
 SIGMAS, LARGEST_SQUARE = 3.0, 15.09 / 5.0
 CLOSEST = 5e-4  # to 0 and 1, as far as the diagram shows them
 ONE_SIGMA = 1.0

@@ -3,68 +3,54 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from _picture import Entry, panel_of, write_picture
 from _two_view_methods import METHODS, ORACLE
 from _two_view_summary import Summary
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-# Ours in the two strongest colours; the packages that see the front only are hollow.
-_STYLE: dict[str, dict[str, Any]] = {
-    "oracle": {"color": "black", "marker": "|", "s": 70},
-    "epi360 auto": {"color": "#d62728", "marker": "o", "s": 42, "zorder": 5},
-    "epi360 fixed": {"color": "#ff9896", "marker": "o", "s": 22, "zorder": 4},
-    "pycolmap essential": {"color": "#1f77b4", "marker": "s", "s": 28},
-    "pycolmap pose": {"color": "#aec7e8", "marker": "s", "s": 22},
-    "pycolmap two-view": {"color": "#17becf", "marker": "D", "s": 20},
-    "poselib front": {"facecolors": "none", "edgecolors": "#2ca02c", "marker": "^", "s": 28},
-    "opencv front": {"facecolors": "none", "edgecolors": "#9467bd", "marker": "v", "s": 28},
-    "panorai": {"color": "#8c564b", "marker": "P", "s": 32},
-    "paper": {"color": "#7f7f7f", "marker": "x", "s": 28},
-}
+_FRONT_ONLY = ("poselib front", "opencv front")  # drawn as rings
 _MAX_CELLS = 60  # a picture of the whole grid could not be read
 _WORST_RATIO = 100.0
 
 
-def write_overview(path: Path, summaries: Sequence[Summary]) -> None:
+def write_overview(path: Path, summaries: Sequence[Summary], facts: Mapping[str, Any]) -> None:
     """Three columns over the cells: error over the oracle's, failures, milliseconds."""
     names = list(dict.fromkeys(item.cell.name for item in summaries))[:_MAX_CELLS]
-    figure = Figure(figsize=(13, 1.6 + 0.3 * len(names)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, 3, sharey=True)
-    columns: list[tuple[str, Callable[[Summary], float]]] = [
-        ("median t error / oracle's", lambda item: min(item.translation_over_oracle, _WORST_RATIO)),
-        ("errors > 5 deg, %", lambda item: 100.0 * item.failure_rate),
-        ("median ms, one thread", lambda item: item.median_ms),
-    ]
-    for axis, (title, value) in zip(axes, columns, strict=True):
-        _scatter(axis, names, summaries, value)
-        axis.set_title(title)
-        axis.grid(True, color="0.9")
-        axis.set_axisbelow(True)
-    axes[0].set_xscale("log")
-    axes[2].set_xscale("log")
-    axes[0].set_yticks(range(len(names)), names, family="monospace", fontsize=8)
-    axes[0].set_ylim(len(names) - 0.5, -0.5)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    figure.savefig(path, dpi=110)
+    shown = [item for item in summaries if item.cell.name in names]
 
+    def entries(value: Callable[[Summary], float]) -> list[Entry]:
+        return [
+            (item.cell.name, item.method, value(item))
+            for name in names
+            for method in METHODS
+            for item in shown
+            if (item.cell.name, item.method) == (name, method)
+        ]
 
-def _scatter(
-    axis: Any, names: list[str], summaries: Sequence[Summary], value: Callable[[Summary], float]
-) -> None:
-    rows = {name: number for number, name in enumerate(names)}
-    for method in METHODS:
-        own = [s for s in summaries if s.method == method and s.cell.name in rows]
-        points = [(value(item), rows[item.cell.name]) for item in own]
-        points = [point for point in points if math.isfinite(point[0])]
-        if points and not (method == ORACLE and value(own[0]) == own[0].median_ms):
-            axis.scatter(*zip(*points, strict=True), label=method, **_STYLE[method])
+    timed = [entry for entry in entries(lambda item: item.median_ms) if entry[1] != ORACLE]
+    panels = [
+        panel_of(
+            "Median error of the direction", "times the oracle's",
+            entries(lambda item: min(item.translation_over_oracle, _WORST_RATIO)), powers=True,
+        ),
+        panel_of(
+            "Errors over 5°, and no pose", "%", entries(lambda item: 100.0 * item.failure_rate)
+        ),
+        panel_of("Median time, one thread", "ms", timed, powers=True),
+    ]  # fmt: skip
+    write_picture(
+        path,
+        "Two views: the robust estimator beside its peers",
+        panels,
+        facts,
+        hollow=_FRONT_ONLY,
+        remark="A cell is SCENE-MATCHES-OUTLIERS %-NOISE deg. Rings see the front half only.",
+    )
 
 
 def write_thresholds(

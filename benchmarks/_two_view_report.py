@@ -56,14 +56,19 @@ NOTES = f"""\
 
 
 def write_report(
-    out: Path, cells: Sequence[Cell], rows: Iterable[Row], facts: dict[str, Any]
+    out: Path,
+    cells: Sequence[Cell],
+    rows: Iterable[Row],
+    facts: dict[str, Any],
+    picture: Path | None = None,
 ) -> None:
     """Write ``report.md`` and ``overview.png``, and print the table of the aims."""
     rows = list(rows)
     summaries = {cell.name: summarise(cell, rows) for cell in cells}
     everything = [item for items in summaries.values() for item in items]
     aims, verdicts = aims_table(everything), verdict_table(everything)
-    write_overview(out / "overview.png", everything)
+    for path in filter(None, (out / "overview.png", picture)):
+        write_overview(path, everything, facts)
     blocks = [
         "# Two-view benchmark",
         "\n".join(f"- {line}" for line in fact_lines(facts)),

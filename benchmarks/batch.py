@@ -27,9 +27,11 @@ import numpy as np
 from _batch_pairs import PAIRS_PER_ROW_GROUP, write_database, write_parquet
 from _machine import fact_lines, load_average, machine_facts
 from _peers import CONFIDENCE, MIN_TRIALS, pycolmap_camera, pycolmap_essential
+from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import Rows, markdown_table, text_table
 from _two_view_problems import Problem, cell_from_name, make_problem
 
+from epi360.report.overview import Panel
 from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "pyarrow", "ray", "numpy")
@@ -72,15 +74,21 @@ def main() -> int:
     facts = {**machine_facts(PACKAGES), "seed": options.seed, "short": options.short}
     parts = ["\n".join(f"- {line}" for line in fact_lines(facts))]
     print("\n".join(fact_lines(facts)), flush=True)
+    panels: list[Panel] = []
     try:
+        check_picture(options.picture)
         with tempfile.TemporaryDirectory(prefix="epi360-batch-") as folder:
             for name in chosen:
                 title, remark, table = sections[name](Path(folder), options)
                 remark += f" Load at the end: {', '.join(map(str, load_average()))}."
                 parts += [f"## {title}", remark, markdown_table(table)]
+                panels += _PANELS[name](table)
                 print(f"\n{title}\n{remark}\n{text_table(table)}", flush=True)
         if options.markdown is not None:
             write_file(options.markdown, ("\n\n".join(parts) + "\n").encode())
+        facts["load_average_at_end"] = load_average()
+        title = "Many pairs: epi360 batch beside pycolmap"
+        write_picture(options.picture, title, panels, facts, columns=2)
     except (OSError, ValueError, ImportError) as error:
         print(f"batch.py: {error}", file=sys.stderr)
         return 2
@@ -95,6 +103,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--short", action="store_true", help="few pairs, one round: a quick look")
     parser.add_argument("--seed", type=int, default=0, help="of the problems (0)")
     parser.add_argument("--markdown", type=Path, help="write the tables to this file")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -255,6 +264,42 @@ def _best_of(rounds: int, runs: dict[Any, Callable[[], Run]]) -> dict[Any, Run]:
         key: Run(min(run.seconds for run in all_), min(run.cpu_seconds for run in all_))
         for key, all_ in taken.items()
     }
+
+
+def _speed_panels(table: Rows) -> list[Panel]:
+    def entries(column: int) -> list[Entry]:
+        return [(_row_name(row), _method_name(row[1]), float(row[column])) for row in table[1:]]
+
+    return [
+        panel_of("Speed", "pairs a second", entries(5), powers=True),
+        panel_of("Work", "pairs a second of processor time", entries(7), powers=True),
+    ]
+
+
+def _row_name(row: list[str]) -> str:
+    threads = "1 thread" if row[2] == "1" else f"{row[2]} threads"
+    return f"{row[0]} matches, {threads}"
+
+
+def _method_name(name: str) -> str:
+    return name if name.startswith("epi360") else f"pycolmap {name}"
+
+
+def _memory_panels(table: Rows) -> list[Panel]:
+    entries = [(f"{int(row[0]):,} pairs", "epi360 batch", float(row[2])) for row in table[1:]]
+    return [panel_of("Peak memory, 2 threads", "MB", entries)]
+
+
+def _ray_panels(table: Rows) -> list[Panel]:
+    entries = [
+        (f"{int(row[0]):,} pairs", engine, float(row[column]))
+        for row in table[1:]
+        for engine, column in (("epi360 batch", 2), ("epi360 batch --engine ray", 3))
+    ]
+    return [panel_of("Time on one machine", "s", entries)]
+
+
+_PANELS = {"speed": _speed_panels, "memory": _memory_panels, "ray": _ray_panels}
 
 
 def _problems(cell: str, seed: int) -> list[Problem]:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Measurements behind docs/estimator.md: last stages, the covariance, scores, gravity, verdicts.
 
-``python benchmarks/estimator_choices.py [PROBLEMS]`` prints four Markdown tables, by default from
-1,000 problems a cell (a quarter of that where NumPy does the work, 300 for verdicts, 100 where
-times are measured), in some ten minutes on one core.
+``python benchmarks/estimator_choices.py [PROBLEMS] [--picture FILE]`` prints four Markdown tables,
+by default from 1,000 problems a cell (a quarter of that where NumPy does the work, 300 for
+verdicts, 100 where times are measured), in some ten minutes on one core.
 """
 
 from __future__ import annotations
 
+import argparse
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -15,7 +17,9 @@ from typing import Any
 
 import _one_thread  # noqa: F401 - before NumPy
 import numpy as np
-from _summary import markdown_table
+from _machine import load_average, machine_facts
+from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
+from _summary import Rows, markdown_table
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -28,6 +32,7 @@ from epi360 import (
     rotation_error_deg,
     translation_error_deg,
 )
+from epi360.report.overview import Panel
 from epi360.synthetic import TwoViewScene, two_view_scene
 
 Array = NDArray[np.float64]
@@ -82,19 +87,66 @@ VERDICT_CELLS: list[tuple[str, dict[str, Any]]] = [
 WRONG_DEG = 10.0
 
 
-def main() -> None:
-    """Print the tables."""
-    if len(sys.argv) > 2 or not all(word.isdigit() and int(word) for word in sys.argv[1:]):
-        sys.exit(__doc__)
-    num_problems = int(sys.argv[1]) if len(sys.argv) == 2 else 1000
-    print("Median error over the oracle's: rotation / direction\n")
-    print(markdown_table(last_stages(num_problems)))
-    print("\nMean of error^2 over the covariance, divided by 5\n")
-    print(markdown_table(covariances(num_problems)))
-    print("\nSamples, milliseconds, median direction error, poses over 5 degrees or none\n")
-    print(markdown_table(priors(max(num_problems // 10, 1))))
-    print("\nVerdicts\n")
-    print(markdown_table(verdicts(max(3 * num_problems // 10, 1))))
+def main() -> int:
+    """Print the tables; exit code 2 for wrong use."""
+    parser = argparse.ArgumentParser(description="Measurements behind docs/estimator.md.")
+    parser.add_argument("problems", type=int, nargs="?", default=1000, help="of a cell (1000)")
+    add_picture_option(parser)
+    options = parser.parse_args()
+    num_problems = options.problems
+    try:
+        if num_problems < 1:
+            raise ValueError(f"PROBLEMS must be at least 1, got {num_problems}")
+        check_picture(options.picture)
+    except ValueError as error:
+        print(f"estimator_choices.py: {error}", file=sys.stderr)
+        return 2
+    facts = machine_facts(())
+    sections: tuple[tuple[str, Callable[[int], Rows], int], ...] = (
+        ("Median error over the oracle's: rotation / direction", last_stages, num_problems),
+        ("Mean of error^2 over the covariance, divided by 5", covariances, num_problems),
+        ("Samples, milliseconds, median direction error, poses over 5 degrees or none", priors,
+         max(num_problems // 10, 1)),
+        ("Verdicts", verdicts, max(3 * num_problems // 10, 1)),
+    )  # fmt: skip
+    tables = []
+    for title, make, count in sections:
+        tables.append(make(count))
+        print(f"\n{title}\n\n{markdown_table(tables[-1])}", flush=True)
+    facts["load_average_at_end"] = load_average()
+    title = "Choices of the robust estimator"
+    remark = "Colours and rows name matches, outliers in percent and noise in degrees."
+    write_picture(options.picture, title, _panels(*tables), facts, columns=2, remark=remark)
+    return 0
+
+
+def _panels(stages: Rows, covariance: Rows, prior: Rows, verdict: Rows) -> list[Panel]:
+    """The tables as dots; cells with several numbers give one panel a number."""
+
+    def entries(table: Rows, number: int = 0, columns: slice = slice(1, None)) -> list[Entry]:
+        return [
+            (row[0].replace("`", ""), name.replace("`", ""), _numbers(cell)[number])
+            for row in table[1:]
+            for name, cell in list(zip(table[0], row, strict=True))[columns]
+            if _numbers(cell)
+        ]
+
+    outcomes = entries(verdict, 0, slice(1, 7))
+    return [
+        panel_of("Last stages: rotation error", "times the oracle's", entries(stages), powers=True),
+        panel_of("Last stages: direction error", "times the oracle's", entries(stages, 1),
+                 powers=True),
+        panel_of("Squared error over the covariance", "1 is calibrated", entries(covariance),
+                 powers=True, aim=1.0),
+        panel_of("Verdicts on hard problems", "problems", outcomes),
+        panel_of("What scores and gravity save: samples", "samples drawn", entries(prior),
+                 powers=True),
+        panel_of("What scores and gravity save: poses over 5° or none", "%", entries(prior, 3)),
+    ]  # fmt: skip
+
+
+def _numbers(cell: str) -> list[float]:
+    return [float(word) for word in re.findall(r"\d+(?:\.\d+)?", cell)]
 
 
 def last_stages(num_problems: int) -> list[list[str]]:
@@ -283,4 +335,4 @@ def _measured(
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
+from _picture import add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 
 from epi360.cameras import Equirectangular
@@ -110,6 +111,7 @@ def main() -> int:
         for path, name in ((options.json, "--json"), (options.markdown, "--markdown")):
             if path is not None:
                 check_writable(path, name=name)
+        check_picture(options.picture)
         names = options.scenes.split(",")
         if unknown := set(names) - set(SCENES):
             raise ValueError(f"unknown scene {', '.join(sorted(unknown))}")
@@ -142,6 +144,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="runs of each; medians are shown")
     parser.add_argument("--json", type=Path, help="file for every figure")
     parser.add_argument("--markdown", type=Path, help="file for the table")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -319,6 +322,19 @@ def _report(
     if options.markdown is not None:
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
         write_file(options.markdown, f"{lines}\n\n{markdown_table(rows)}\n".encode())
+    fields = (
+        ("Images with a pose", "%", lambda run: 100.0 * run.num_registered / run.num_images, False),
+        ("Position error, rms", "% of the path", lambda run: run.position_rms_percent, True),
+        ("Rotation error, mean", "degrees", lambda run: run.rotation_mean_deg, True),
+        ("Processor time", "s, all threads", lambda run: run.cpu_s, False),
+        ("Wall time, matching and mapping", "s", lambda run: run.total_s, False),
+        ("Points of the model", "points", lambda run: float(run.num_points), False),
+    )
+    panels = [
+        panel_of(title, axis, [(run.scene, run.method, value(run)) for run in medians], powers=log)
+        for title, axis, value, log in fields
+    ]
+    write_picture(options.picture, "A folder of panoramas to a model", panels, facts)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
 from _odometry_data import CLIPS, EFFECTS, KNOWN, Clip, real_clip, rendered_clip
 from _odometry_methods import METHODS, Placed
+from _picture import add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 
 from epi360.jobs.evaluation import Evaluation, Statistics, evaluate
@@ -79,6 +80,7 @@ def main() -> int:
         for path, name in ((options.json, "--json"), (options.markdown, "--markdown")):
             if path is not None:
                 check_writable(path, name=name)
+        check_picture(options.picture)
         if unknown := set(options.methods.split(",")) - set(METHODS):
             raise ValueError(f"unknown method {', '.join(sorted(unknown))}")
         facts = machine_facts(PACKAGES)
@@ -126,6 +128,7 @@ def _parse_options() -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, help="file for every figure")
     parser.add_argument("--markdown", type=Path, help="file for the table")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -223,6 +226,17 @@ def _resident_mb() -> float:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
+_SERIES = {"track": "epi360 track", "map": "epi360 map"}  # as the picture names them
+
+
+def _frames_per_second(run: Run) -> float:
+    return run.num_frames / run.seconds
+
+
+def _cpu_ms(run: Run) -> float:
+    return 1e3 * run.cpu_s / run.num_frames
+
+
 def _report(runs: list[Run], facts: dict[str, Any], options: argparse.Namespace) -> None:
     rows = [list(HEADER), *(run.cells() for run in runs)]
     print(f"\n{text_table(rows)}")
@@ -232,6 +246,24 @@ def _report(runs: list[Run], facts: dict[str, Any], options: argparse.Namespace)
     if options.markdown is not None:
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
         write_file(options.markdown, f"{lines}\n\n{markdown_table(rows)}\n".encode())
+    fields = (
+        ("Frames with a pose", "%", lambda run: 100.0 * run.num_poses / run.num_frames, False),
+        ("ATE, rms", "% of the path", lambda run: run.ate_percent, True),
+        ("Rotation error, rms", "degrees", lambda run: run.rotation_deg, True),
+        ("Speed without reading the frames", "frames a second", _frames_per_second, True),
+        ("Processor time", "ms a frame, all threads", _cpu_ms, True),
+        ("RPE of a metre or a tenth of the path", "%", lambda run: run.rpe_metre_percent, True),
+    )
+    panels = [
+        panel_of(
+            title,
+            axis,
+            [(run.sequence, _SERIES.get(run.method, run.method), value(run)) for run in runs],
+            powers=log,
+        )
+        for title, axis, value, log in fields
+    ]
+    write_picture(options.picture, "Trajectories of sequences", panels, facts)
 
 
 if __name__ == "__main__":

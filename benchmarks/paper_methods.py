@@ -21,12 +21,19 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[variable] = "1"  # before NumPy is loaded: everything here runs on one thread
 
 from _machine import fact_lines, load_average, machine_facts  # noqa: E402
+from _picture import (  # noqa: E402
+    add_picture_option,
+    check_picture,
+    panel_of,
+    write_picture,
+)
 from _summary import markdown_table  # noqa: E402
 
 import epi360  # noqa: E402
 from epi360 import _core, epipolar  # noqa: E402
 from epi360.estimation import PAPER_METHODS, paper_pose_reference  # noqa: E402
 from epi360.report.files import check_writable  # noqa: E402
+from epi360.report.overview import Panel  # noqa: E402
 from epi360.runs.whole_files import write_file  # noqa: E402
 from epi360.synthetic import TwoViewScene, two_view_scene  # noqa: E402
 
@@ -76,6 +83,7 @@ def main() -> int:
     try:
         if options.markdown is not None:
             check_writable(options.markdown, name="--markdown")
+        check_picture(options.picture)
     except ValueError as error:
         print(f"paper_methods.py: {error}", file=sys.stderr)
         return 2
@@ -85,8 +93,10 @@ def main() -> int:
     facts["clock"] = "CPU time of the thread" if CLOCK else "wall time"
     blocks = ["\n".join(f"- {line}" for line in fact_lines(facts))]
     print(blocks[0], flush=True)
+    panels = []
     for num_points in options.points:
         times = _measure(num_points, options)
+        panels.append(_panel(num_points, times))
         blocks += [f"## {num_points} points", markdown_table(_table(times))]
         if num_points == AIM_POINTS:
             blocks.append(_aims(times))
@@ -94,6 +104,12 @@ def main() -> int:
     blocks.append(f"Load at the end: {load_average()}")
     if options.markdown is not None:
         write_file(options.markdown, ("\n\n".join(blocks) + "\n").encode())
+    facts["load_average_at_end"] = load_average()
+    remark = "(E): ends at the essential matrix. The paper's times are of some 200 tracks."
+    title = "Times of the paper's estimators"
+    write_picture(
+        options.picture, title, panels, facts, hollow=("paper",), columns=2, remark=remark
+    )
     return 0
 
 
@@ -103,6 +119,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--scenes", type=int, default=9, help="scenes of each size")
     parser.add_argument("--repeat", type=int, default=7, help="interleaved runs of each")
     parser.add_argument("--markdown", type=Path, help="file for the tables")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -189,6 +206,18 @@ def _table(times: dict[str, list[float | None]]) -> list[list[str]]:
         paper = f"{PAPER_MS[name]:g}" if name in PAPER_MS else "-"
         table.append([name, paper, *(_number(value) for value in (native, public, twin)), ratio])
     return table
+
+
+def _panel(num_points: int, times: dict[str, list[float | None]]) -> Panel:
+    names = ("native core", "public function", "NumPy twin")
+    entries = [
+        (name, "PoseLib" if name == PEER else form, value)
+        for name, forms in times.items()
+        for form, value in zip(names, forms, strict=True)
+        if value is not None
+    ]
+    entries += [(name, "paper", 1e3 * ms) for name, ms in PAPER_MS.items() if name in times]
+    return panel_of(f"{num_points} points", "microseconds a call", entries, powers=True)
 
 
 def _number(value: float | None) -> str:

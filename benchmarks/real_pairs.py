@@ -31,6 +31,7 @@ from _data import (
 )
 from _machine import fact_lines, load_average, machine_facts
 from _methods import Epi360, Estimate, Method, Pycolmap
+from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import (
     PairRun,
     markdown_table,
@@ -44,6 +45,7 @@ from _summary import (
 from epi360.cameras import Camera
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.report.files import check_writable
+from epi360.report.overview import Panel
 from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
@@ -87,6 +89,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of the first run")
     parser.add_argument("--json", type=Path, help="file for every figure")
     parser.add_argument("--markdown", type=Path, help="file for the tables")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -100,6 +103,7 @@ def _check_outputs(options: argparse.Namespace) -> None:
     for path, name in ((options.json, "--json"), (options.markdown, "--markdown")):
         if path is not None:
             check_writable(path, name=name)
+    check_picture(options.picture)
 
 
 def _load_sets(options: argparse.Namespace) -> list[PairSet]:
@@ -248,6 +252,55 @@ def _report(
             *(markdown_table(table) for table in [*tables, pair_rows(runs)]),
         ]
         write_file(options.markdown, ("\n\n".join(blocks) + "\n").encode())
+    write_picture(
+        options.picture,
+        "Real image pairs with known poses",
+        _panels(sets, runs, methods),
+        facts,
+        remark="Errors are medians over all pairs of a set, also of refused poses.",
+    )
+
+
+def _panels(
+    sets: Sequence[PairSet], runs: Sequence[PairRun], methods: Sequence[str]
+) -> list[Panel]:
+    """What is within the first bounds of each set, errors, gross errors, time."""
+    own = {
+        (pair_set.name, method): [
+            run for run in runs if (run.set, run.method) == (pair_set.name, method)
+        ]
+        for pair_set in sets
+        for method in methods
+    }
+
+    def entries(value: Callable[[list[PairRun], PairSet], float]) -> list[Entry]:
+        return [
+            (pair_set.name, method, value(own[pair_set.name, method], pair_set))
+            for pair_set in sets
+            for method in methods
+            if own[pair_set.name, method]
+        ]
+
+    def within(group: list[PairRun], pair_set: PairSet) -> float:
+        bounds = pair_set.requirements[0]
+        asked = [run for run in group if bounds.kind in ("", run.kind)]
+        return 100.0 * float(np.mean([run.is_within(bounds) for run in asked] or [np.nan]))
+
+    def median(name: str) -> Callable[[list[PairRun], PairSet], float]:
+        return lambda group, _: float(np.nanmedian([getattr(run, name) for run in group]))
+
+    wrong = entries(lambda group, _: 100.0 * float(np.mean([r.is_grossly_wrong for r in group])))
+    return [
+        panel_of("Poses within the bounds that are asked of the set", "%", entries(within)),
+        panel_of("Accepted, but more than 10° off", "%", wrong),
+        panel_of("Processor time", "s a pair, all threads", entries(median("cpu_seconds"))),
+        panel_of("Rotation error", "degrees", entries(median("rotation_error_deg")), powers=True),
+        panel_of(
+            "Error of the direction", "degrees", entries(median("translation_error_deg")),
+            powers=True,
+        ),
+        panel_of("Wall time", "s a pair", entries(median("seconds"))),
+    ]  # fmt: skip
 
 
 if __name__ == "__main__":

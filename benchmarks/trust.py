@@ -19,9 +19,11 @@ from typing import Any
 import _one_thread  # noqa: F401 - before NumPy
 from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
+from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 from _trust_pairs import OURS, Plan, learned_verdicts, tour_verdicts, zind_verdicts
 from _trust_records import (
+    PRECISIONS,
     Judged,
     count_rows,
     precision_rows,
@@ -32,6 +34,7 @@ from _trust_reliability import draw_reliability, held, held_rows, stated_probabi
 from _trust_synthetic import Trial, cell_trials, degenerate_trials, trial_rows
 
 from epi360.report.files import check_writable
+from epi360.report.overview import Panel
 from epi360.runs.whole_files import write_file
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
@@ -55,6 +58,7 @@ def main() -> int:
         ):
             if path is not None:
                 check_writable(path, name=name)
+        check_picture(options.picture)
         sets = _chosen_sets(options.sets)
         plan = _plan(options, sets)
     except ValueError as error:
@@ -85,6 +89,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--reliability", type=Path, help="PNG file for the reliability diagram")
     parser.add_argument("--json", type=Path, help="file for every verdict")
     parser.add_argument("--markdown", type=Path, help="file for the tables")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -177,6 +182,38 @@ def _write(
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
         blocks = [lines, *(markdown_table(table) for table in _tables(judged, trials))]
         write_file(options.markdown, ("\n\n".join(blocks) + "\n").encode())
+    write_picture(
+        options.picture,
+        "Whether an accepted pose holds",
+        _panels(judged, trials),
+        facts,
+        remark="Right: both errors below 5°. Wrong: one above 10°.",
+    )
+
+
+def _panels(judged: list[Judged], trials: list[Trial]) -> list[Panel]:
+    """Counts and shares of the tables as dots."""
+    counts, held = count_rows(judged)[1:], precision_rows(judged)[1:]
+    found = [row for row in counts if "=" in row[8]]
+    synthetic = trial_rows(trials)[1:]
+
+    def shares(rows: list[list[str]], column: int, whole: int) -> list[Entry]:
+        return [
+            (row[0], row[1], 100.0 * int(row[column]) / max(int(row[whole]), 1)) for row in rows
+        ]
+
+    recall = [(row[0], row[1], float(row[8].partition("= ")[2].rstrip("%"))) for row in found]
+    at_level = [(row[0], row[1], float(row[4 + PRECISIONS.index(0.99)])) for row in held]
+    return [
+        panel_of("Accepted poses that are wrong", "% of the accepted", shares(counts, 6, 3)),
+        panel_of("Recall: pairs that can be asked for", "%, accepted and right", recall),
+        panel_of("Right poses kept where 99 % are not wrong", "poses", at_level),
+        panel_of("Synthetic: accepted and right", "% of the trials", shares(synthetic, 4, 2)),
+        panel_of("Synthetic: accepted and wrong", "% of the trials", shares(synthetic, 5, 2)),
+        panel_of(
+            "Synthetic: said to be a pure rotation", "% of the trials", shares(synthetic, 6, 2)
+        ),
+    ]
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import Any
 
 import _one_thread  # noqa: F401 - before NumPy
 from _machine import fact_lines, load_average, machine_facts
+from _picture import add_picture_option, check_picture
 from _two_view_kernels import kernel_report
 from _two_view_methods import METHODS, usable_methods
 from _two_view_problems import chosen_cells
@@ -42,6 +43,7 @@ def main() -> int:
     }
     print("\n".join(fact_lines(facts)), flush=True)
     try:
+        check_picture(options.picture)
         options.out.mkdir(parents=True, exist_ok=True)
         for is_wanted, run_section in sections.values():
             if is_wanted:
@@ -66,6 +68,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--threads", action="store_true", help="pairs a second on two threads")
     parser.add_argument("--thresholds", action="store_true", help="auto against the best gate")
     parser.add_argument("--everything", action="store_true", help="cells and all other sections")
+    add_picture_option(parser)
     return parser.parse_args()
 
 
@@ -102,7 +105,7 @@ def _run_cells(options: argparse.Namespace, facts: dict[str, Any]) -> None:
         "seconds of this run": round(time.perf_counter() - start),
         "left out": missing or "nothing",
     }
-    write_report(options.out, cells, table.rows.values(), facts)
+    write_report(options.out, cells, table.rows.values(), facts, options.picture)
 
 
 def _method_names(text: str | None) -> list[str]:

@@ -12,19 +12,23 @@ from pathlib import Path
 import pytest
 
 import epi360
+import epi360_demo
 import epi360_paper
 import epi360_scenes
 
 PACKAGE = Path(epi360.__file__).parent
-OTHERS = {"epi360_scenes", "epi360_paper"}
-FOLDERS = [Path(module.__file__).parent for module in (epi360, epi360_scenes, epi360_paper)]
+OTHERS = {"epi360_scenes", "epi360_paper", "epi360_demo"}
+PACKAGES = (epi360, epi360_scenes, epi360_paper, epi360_demo)
+FOLDERS = [Path(module.__file__).parent for module in PACKAGES]
 LAYERS = [
     "_core", "image_folders", "extras", "progress", "runs", "poses", "cameras", "features",
     "epipolar", "estimation", "second_look", "two_view", "odometry", "synthetic", "interop",
-    "epi360_scenes", "epi360_paper", "jobs", "report", "cli",
+    "epi360_scenes", "epi360_paper", "jobs", "report", "epi360_demo", "cli",
 ]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
-COMMANDS_OF_OTHERS = {"epi360/cli/pair.py", "epi360/cli/render.py", "epi360/cli/reproduce.py"}
+COMMANDS_OF_OTHERS = {
+    "epi360/cli/demo.py", "epi360/cli/pair.py", "epi360/cli/render.py", "epi360/cli/reproduce.py",
+}  # fmt: skip
 
 
 def source_files() -> list[Path]:
@@ -96,7 +100,7 @@ def statements_run_by_an_import(statements: list[ast.stmt]) -> Iterator[ast.stmt
 
 
 def import_graph() -> dict[str, set[str]]:
-    """Modules of the three packages, each with those that it imports, lazily or not."""
+    """Modules of all packages, each with those that it imports, lazily or not."""
     modules = {module_of(path): path for path in source_files()}
     graph = {}
     for module, path in modules.items():
@@ -165,7 +169,7 @@ def test_a_lazy_import_back_is_an_import_cycle(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=name_in_package)
-def test_only_three_commands_load_the_other_packages_and_only_when_they_run(path):
+def test_only_four_commands_load_the_other_packages_and_only_when_they_run(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     if name_in_package(path) in COMMANDS_OF_OTHERS:
         nodes = list(statements_run_by_an_import(tree.body))

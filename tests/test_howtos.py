@@ -22,6 +22,7 @@ HOWTOS = (
     "fisheye_rig",
     "batch",
     "odometry",
+    "localize",
 )
 WALK = ("--scene", "living_room", "--num-frames", "6", "--step-m", "0.2",
         "--max-turn-deg", "6", "--width", "512")  # fmt: skip
@@ -58,6 +59,18 @@ def test_odometry(walk, folder):
     shutil.copytree(walk, "walk")
     run_document(DOCS / "odometry.md")
     assert Path("tracked/trajectory.txt").is_file()
+
+
+def test_new_images_in_a_map(walk, folder):
+    for library in ("pycolmap", "h5py"):
+        pytest.importorskip(library)
+    Path("images").mkdir()
+    for number in (1, 2, 3, 5, 6):
+        shutil.copy(walk / "rgb" / f"{number}.png", "images")
+    shutil.copy(walk / "rgb" / "4.png", "new.png")
+    assert cli.main(["map", "images", "--output", "map"]) == 0
+    run_document(DOCS / "localize.md")
+    assert len(Path("trajectory.txt").read_text(encoding="utf-8").splitlines()) == 2
 
 
 def test_an_existing_project(walk, folder):

@@ -1,32 +1,25 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Make the pictures of the documentation from the package's own rooms: run it in any folder.
 
-``make_pictures.py pair`` or ``make_pictures.py map`` makes one of them.
+``make_pictures.py pair fig3`` makes two of them; without names it makes all.
 """
 
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-import numpy as np
-from matplotlib.axes import Axes
+from map_picture import draw_map
 from PIL import Image
+from verdict_pictures import PAIRS
 
 from epi360 import cli
-from epi360.interop import read_colmap_model
-from epi360.interop.reconstruction import Reconstruction
-from epi360.jobs.cube_faces import face_from_cam
-from epi360_paper.datasets import load_mp3d_vo
 
 FOLDER = Path(__file__).resolve().parent
-WIDTH_PX = 1200  # sharp on a page
-FACES = ("left", "front", "right", "back", "up")
-ALL_FACES = (*FACES, "down")
-COLOURS = ("#56B4E9", "#F0E442", "#E69F00", "#CC79A7", "#00C08B")
-FRAME = 12  # the panorama that is shown
-TAIL = 2  # frames before and after it in which a point is followed
-WALK = ("--num-frames", "24", "--step-m", "0.2", "--max-turn-deg", "10", "--width", "1024")
+WIDTH_PX = 1100  # sharp on a page
+FIGURES = ("fig1", "fig2", "fig3", "fig4a", "fig4b", "fig4c")
+NUM_TRIALS = 1000  # scenes a cell; the tables of the page come from the paper's 15,000
 
 
 def draw_pair(drawn: Path) -> None:
@@ -34,115 +27,49 @@ def draw_pair(drawn: Path) -> None:
     cli.main(["pair", "--demo", "--figure", str(drawn)])
 
 
-def draw_map(drawn: Path, walk: Path) -> None:
-    """Draw a panorama with the points of the map, its cube faces, and the path from above."""
-    cli.main(["render", str(walk), *WALK])
-    cli.main(["map", str(walk / "rgb"), "--output", str(walk / "map"),
-              "--cubemap", "--faces", *FACES])  # fmt: skip
-    model = read_colmap_model(walk / "map" / "sparse" / "0")
-    figure = plt.figure(figsize=(12, 7.0), dpi=100)
-    rows = figure.add_gridspec(2, 1, height_ratios=(4.2, 2.3), hspace=0.1,
-                               left=0.008, right=0.992, bottom=0.008, top=0.955)  # fmt: skip
-    above = rows[0].subgridspec(1, 2, width_ratios=(8.0, 3.7), wspace=0.03)
-    _draw_panorama(figure.add_subplot(above[0]), model, walk / "rgb")
-    _draw_path(figure.add_subplot(above[1]), model, walk)
-    below = rows[1].subgridspec(1, len(FACES), wspace=0.03)
-    cube = read_colmap_model(walk / "map" / "cubemap" / "sparse" / "0")
-    for cell, face, colour in zip(below, FACES, COLOURS, strict=True):
-        _draw_face(figure.add_subplot(cell), cube, walk / "map" / "cubemap", face, colour)
-    figure.savefig(drawn)
+def draw_figure(name: str, drawn: Path) -> None:
+    """Draw a figure of the paper from a small run."""
+    folder = drawn.parent / "reproduced"
+    cli.main(["reproduce", name, "--trials", str(NUM_TRIALS), "--out", str(folder)])
+    (folder / name / "figure.png").rename(drawn)
 
 
-def _draw_panorama(axes: Axes, model: Reconstruction, folder: Path) -> None:
-    """Points of the map, coloured by the face they are on, and where neighbours see them."""
-    place = {image.name: index for index, image in enumerate(model.images)}
-    name = f"{FRAME}.png"
-    camera = model.cameras[str(model.images[place[name]].camera)]
-    _show(axes, folder / name, f"frame {FRAME} of 24: points of the map and their tracks")
-    tracks = np.full((len(model.points), 2 * TAIL + 1, 2), np.nan)
-    for column in range(2 * TAIL + 1):
-        rows = model.observations.images == place[f"{FRAME + column - TAIL}.png"]
-        tracks[model.observations.points[rows], column] = model.observations.pixels[rows]
-    tracks = tracks[np.isfinite(tracks[:, TAIL, 0])]
-    rays = camera.bearings_from_pixels(tracks[:, TAIL])
-    nearest = np.argmax([rays @ face_from_cam(face).rotation[2] for face in ALL_FACES], axis=0)
-    tracks, nearest = tracks[nearest < len(FACES)], nearest[nearest < len(FACES)]
-    for track, face in zip(tracks, nearest, strict=True):
-        seen = track[np.isfinite(track[:, 0])]
-        if np.abs(np.diff(seen[:, 0])).max(initial=0) < camera.width / 2:  # not across the seam
-            axes.plot(*seen.T, color=COLOURS[face], linewidth=0.8)
-    points = tracks[:, TAIL]
-    axes.scatter(*points.T, s=9, c=np.array(COLOURS)[nearest], edgecolors="k", linewidths=0.4)
+def pictures() -> dict[str, Callable[[Path], None]]:
+    """How each picture is drawn, by its file name without the extension."""
+    return {
+        "pair": draw_pair,
+        "map": draw_map,
+        **{f"reproduction/{name}": partial(draw_figure, name) for name in FIGURES},
+        **{f"verdicts/{name}": partial(draw_verdict, name) for name in PAIRS},
+    }
 
 
-def _draw_face(axes: Axes, cube: Reconstruction, folder: Path, face: str, colour: str) -> None:
-    name = f"{FRAME}_{face}.jpg"
-    index = [image.name for image in cube.images].index(name)
-    _show(axes, folder / "images" / name, face)
-    pixels = cube.observations.pixels[cube.observations.images == index]
-    axes.scatter(*pixels.T, s=9, c=colour, edgecolors="k", linewidths=0.4)
-    for side in axes.spines.values():
-        side.set(visible=True, color=colour, linewidth=3)
+def draw_verdict(name: str, drawn: Path) -> None:
+    """Draw one of the pairs that show what a verdict means."""
+    PAIRS[name]().draw(drawn)
 
 
-def _show(axes: Axes, picture: Path, title: str) -> None:
-    with Image.open(picture) as image:
-        axes.imshow(image, extent=(0, image.width, image.height, 0), interpolation="lanczos")
-        axes.set(xlim=(0, image.width), ylim=(image.height, 0), xticks=[], yticks=[])
-    axes.set_title(title, fontsize=15, pad=5)
-
-
-def _draw_path(axes: Axes, model: Reconstruction, walk: Path) -> None:
-    """Room from above, true path and cameras of the map; one similarity for all of it."""
-    poses = load_mp3d_vo(walk).world_from_cam
-    true = np.array([poses[int(Path(image.name).stem) - 1].translation for image in model.images])
-    found = np.array([image.cam_from_world.inverse().translation for image in model.images])
-    moved, points = _aligned(found, true, found), _aligned(found, true, model.points)
-    error_mm = 1000 * np.linalg.norm(moved - true, axis=1)
-    below_ceiling = points[:, 1] > np.quantile(points[:, 1], 0.02) + 0.15  # y is down
-    points, colours = points[below_ceiling], model.colors[below_ceiling]
-    axes.scatter(points[:, 0], points[:, 2], s=2.5, c=colours / 255)
-    order = np.argsort([int(Path(image.name).stem) for image in model.images])
-    axes.plot(true[order, 0], true[order, 2], "-", color="k", linewidth=1.5, label="true path")
-    axes.plot(
-        moved[:, 0], moved[:, 2], "o", color="#E00000", markersize=3.5, label="cameras of the map"
-    )
-    low, high = (np.quantile(points[:, [0, 2]], q, axis=0) for q in (0.005, 0.995))
-    axes.set(xlim=(low[0] - 0.3, high[0] + 0.3), ylim=(low[1] - 0.3, high[1] + 0.3))
-    axes.set(aspect="equal", anchor="C", xticks=[], yticks=[])
-    axes.set_title(f"from above: {np.median(error_mm):.1f} mm off (median)", fontsize=15, pad=5)
-    axes.legend(fontsize=12, loc="lower left", framealpha=0.9)
-
-
-def _aligned(source, target, points):
-    """Points after the similarity that takes source to target, all (N, 3) (Umeyama 1991)."""
-    from_middle, to_middle = source.mean(axis=0), target.mean(axis=0)
-    left, sizes, right = np.linalg.svd((target - to_middle).T @ (source - from_middle))
-    signs = np.array([1.0, 1.0, np.linalg.det(left @ right)])
-    scale = (sizes * signs).sum() / ((source - from_middle) ** 2).sum()
-    return scale * (points - from_middle) @ (left * signs @ right).T + to_middle
-
-
-def _shrink(drawn: Path, target: Path) -> None:
-    with Image.open(drawn) as picture:
-        size = (WIDTH_PX, round(picture.height * WIDTH_PX / picture.width))
-        small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    # The default palette follows the grey areas; this one keeps the colours of the curves apart.
-    palette = small.quantize(method=Image.Quantize.MAXCOVERAGE, kmeans=5)
-    small.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(target, optimize=True)
+def make(name: str) -> None:
+    """Draw a picture and write it, made smaller, into this folder."""
+    with tempfile.TemporaryDirectory() as scratch:
+        drawn = Path(scratch) / "drawn.png"
+        pictures()[name](drawn)
+        with Image.open(drawn) as picture:
+            size = (WIDTH_PX, round(picture.height * WIDTH_PX / picture.width))
+            small = picture.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    target = FOLDER / f"{name}.webp"
+    target.parent.mkdir(exist_ok=True)
+    small.save(target, quality=75, method=6)
 
 
 def main() -> None:
-    """Draw what is asked for, by default everything, and shrink the files."""
-    wanted = sys.argv[1:] or ["pair", "map"]
-    with tempfile.TemporaryDirectory() as scratch:
-        drawn = Path(scratch) / "drawn.png"
-        if "pair" in wanted:
-            draw_pair(drawn)
-            _shrink(drawn, FOLDER / "pair.png")
-        if "map" in wanted:
-            draw_map(drawn, Path(scratch) / "walk")
-            _shrink(drawn, FOLDER / "map.png")
+    """Make the pictures whose names are given, by default all."""
+    names = [full for full in pictures() if not sys.argv[1:] or Path(full).name in sys.argv[1:]]
+    if not names:
+        sys.exit(f"no such picture; there are {', '.join(Path(name).name for name in pictures())}")
+    for name in names:
+        make(name)
+        print(FOLDER / f"{name}.webp")
 
 
 if __name__ == "__main__":

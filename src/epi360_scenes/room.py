@@ -251,14 +251,14 @@ def demo_pair(width: int = 1024, seed: int = 0) -> RenderedPair:
         raise ValueError(f"width must be a positive even number, got {width}")
     room = furnished_room(seed)
     camera = Equirectangular(width=width, height=width // 2)
-    world_from_cam1, world_from_cam2 = _demo_poses(room, seed)
+    world_from_cam1, world_from_cam2 = demo_poses(room, seed)
     view1 = room.render(camera, world_from_cam1)
     view2 = room.render(camera, world_from_cam2)
     cam2_from_cam1 = world_from_cam2.inverse() @ world_from_cam1
     return RenderedPair(view1.image, view2.image, view1.depth, view2.depth, cam2_from_cam1, camera)
 
 
-def _demo_poses(room: Room, seed: int) -> tuple[Pose, Pose]:
+def demo_poses(room: Room, seed: int) -> tuple[Pose, Pose]:
     """Pose of camera 1 near the middle of the room, and of camera 2 after a step and a turn."""
     rng = np.random.Generator(np.random.PCG64([seed, 1]))
     while True:

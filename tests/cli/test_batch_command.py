@@ -40,6 +40,21 @@ def test_the_summary_says_what_was_done_and_what_came_out(words, capsys):
     ]  # fmt: skip
 
 
+def test_the_report_counts_the_pairs_also_of_an_output_that_was_there(words, tmp_path, capsys):
+    report = tmp_path / "report.html"
+    for _ in range(2):
+        assert cli.main([*words, "--report", str(report)]) == 0
+        assert capsys.readouterr().out.splitlines()[-1] == f"wrote {report}"
+        assert "5 of 6 (83.3%) pairs have a pose" in report.read_text(encoding="utf-8")
+        report.unlink()
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_the_work(words, tmp_path, capsys):
+    assert cli.main([*words, "--report", str(tmp_path / "nowhere" / "report.html")]) == 2
+    assert "--report: folder" in capsys.readouterr().err
+    assert not (tmp_path / "out.parquet").exists()
+
+
 def test_no_pair_that_is_ok_is_exit_1_and_still_written(tmp_path, capsys):
     columns = columns_of(2)
     columns["bearings1"][0] = [math.nan] * 300

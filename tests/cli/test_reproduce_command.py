@@ -47,6 +47,9 @@ def calls(monkeypatch):
         (["fig4a", "--into", "doc.md"], "--into"),
         (["fig4a", "--nope"], "--nope"),
         (["report", "--out", "nowhere"], "nowhere"),
+        (["fig1", "--report", "page.pdf"], "--report must end in .html"),
+        (["fig1", "--picture", "page.html"], "--picture must end in"),
+        (["fig1", "--picture", "nowhere/a.png"], "--picture: folder nowhere"),
     ],
 )
 def test_wrong_words_are_one_line_and_exit_2(capsys, tmp_path, monkeypatch, words, fragment):
@@ -145,3 +148,20 @@ def test_help_names_every_option(capsys):
 
 def test_empty_trials_have_no_rows():
     assert len(Trials()) == 0
+
+
+def test_page_and_picture_show_what_a_run_has_made(tmp_path, capsys):
+    out = tmp_path / "out"
+    words = ["--trials", "20", "--jobs", "1", "--out", str(out)]
+    page, picture = tmp_path / "page.html", tmp_path / "all.png"
+    shown = ["--report", str(page), "--picture", str(picture)]
+    assert cli.main(["reproduce", "table4", *words, *shown]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "<h2>Table 4: RANSAC at two thresholds</h2>" in text
+    assert "Look at the outliers that are left" in text
+    assert "Fig. 1" not in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert capsys.readouterr().out.splitlines()[-2:] == [f"wrote {picture}", f"wrote {page}"]
+    page.unlink()
+    assert cli.main(["reproduce", "report", "--out", str(out), "--report", str(page)]) == 0
+    assert "Table 4" in page.read_text(encoding="utf-8")

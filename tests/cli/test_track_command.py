@@ -36,7 +36,8 @@ def walk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walk") / "frames"
     write_frames(folder, 12)
     output = folder.parent / "out"
-    code = main(["track", str(folder), "--out", str(output), "--refine"])
+    report = ["--report", str(folder.parent / "way.html")]
+    code = main(["track", str(folder), "--out", str(output), "--refine", *report])
     return folder, output, code
 
 
@@ -54,6 +55,23 @@ def test_track_writes_all_files(walk):
     assert any("COLMAP's bundle adjustment" in message for message in log["messages"])
 
 
+def test_the_report_shows_every_key_frame(walk):
+    folder, output, _ = walk
+    page = (folder.parent / "way.html").read_text(encoding="utf-8")
+    data = json.loads(page.partition('id="data">')[2].partition("</script>")[0])
+    assert len(data["keys"]) == len(data["cameras"]) == log_of(output)["num_key_frames"]
+    assert [each["frame"] for each in data["pictures"]] == data["keys"]
+    assert "The camera was followed through 12 of 12 frames" in page
+
+
+def test_a_report_that_no_browser_opens_is_refused_before_the_work(walk, tmp_path, capsys):
+    folder, _, _ = walk
+    words = ["--out", str(tmp_path / "out"), "--report", str(tmp_path / "way.pdf")]
+    assert main(["track", str(folder), *words]) == 2
+    assert "--report must end in .html" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_tracked_rows_are_those_of_the_trajectory_in_order(walk):
     _, output, _ = walk
     rows = rows_of(output)
@@ -62,6 +80,22 @@ def test_tracked_rows_are_those_of_the_trajectory_in_order(walk):
     tracked = [float(row["timestamp_s"]) for row in rows if row["status"] == "tracked"]
     assert stamps_of(output) == tracked
     assert all(int(row["num_inliers"]) > 20 for row in rows)
+
+
+def test_down_is_plus_y_in_every_file(walk):
+    """The mean of the tracked cameras' y axes; all files have one world."""
+    _, output, _ = walk
+    rows = read_tum_trajectory(output / "trajectory.txt").images
+    mean = np.mean([row.cam_from_world.rotation[1] for row in rows], axis=0)
+    np.testing.assert_allclose(mean / np.linalg.norm(mean), [0, 1, 0], atol=1e-12)
+    by_time = {row.timestamp_s: row.cam_from_world.matrix() for row in rows}
+    times = {row["image"]: float(row["timestamp_s"]) for row in rows_of(output)}
+    model = read_colmap_model(output / "sparse" / "0")
+    for image in model.images:
+        expected = by_time[times[image.name]]
+        np.testing.assert_allclose(image.cam_from_world.matrix(), expected, atol=1e-9)
+    points, _ = read_ply_points(output / "points.ply")
+    np.testing.assert_allclose(points, model.points, atol=1e-12)
 
 
 def test_transforms_name_the_images_of_the_folder(walk):

@@ -66,6 +66,22 @@ def test_uneven_time_stamps_are_kept(tmp_path):
     assert [round(1000 * frame.timestamp_s) for frame in open_video(path)] == times
 
 
+def test_a_title_that_is_no_utf_8_is_no_reason_to_refuse_a_video(tmp_path):
+    path = tmp_path / "title.mkv"
+    with av.open(str(path), "w") as container:
+        container.metadata["title"] = "Maerz in Wien"
+        stream = container.add_stream("libx264", rate=25)
+        stream.height, stream.width = 128, 256
+        stream.pix_fmt = "yuv420p"
+        for picture in noise_frames(5):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
+    data = path.read_bytes()
+    assert data.count(b"Maerz in Wien") == 1
+    path.write_bytes(data.replace(b"Maerz in Wien", b"M\xe4rz in Wien."))  # Latin-1
+    assert len(list(open_video(path))) == 5
+
+
 def test_a_last_frame_that_is_shown_for_long_is_no_early_end(tmp_path):
     times = [0, 40, 80, 120, 160, 200, 240, 3000]
     video = open_video(write_video(tmp_path / "slides.mp4", noise_frames(8), times=times))

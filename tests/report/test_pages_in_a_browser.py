@@ -114,6 +114,40 @@ def test_points_and_cameras_are_drawn_in_3d(browser, make_result, tmp_path):
     assert errors(browser) == []
 
 
+@needs_webgl
+def test_the_cost_over_s_and_k_is_a_surface_that_turns(browser, make_result, tmp_path):
+    from selenium.webdriver import ActionChains
+    from selenium.webdriver.common.by import By
+
+    show(browser, write_report(tmp_path / "report.html", make_result("ok", PANORAMA)))
+    wait_for(browser, "return document.querySelector('.surface').dataset.drawn == 'yes'")
+    canvas = browser.find_element(By.CSS_SELECTOR, ".surface canvas")
+    image = "return document.querySelector('.surface canvas').toDataURL()"
+    browser.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
+    time.sleep(0.3)
+    before = browser.execute_script(image)
+    ActionChains(browser).drag_and_drop_by_offset(canvas, 60, 10).perform()
+    time.sleep(0.3)
+    assert browser.execute_script(image) != before
+    assert errors(browser) == []
+
+
+def test_without_webgl_the_flat_map_of_the_cost_stays(browser, make_result, tmp_path):
+    path = write_report(tmp_path / "report.html", make_result("ok", PANORAMA))
+    text = path.read_text(encoding="utf-8")
+    # As in a browser that has it switched off.
+    off = "<script>HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype"
+    off += ".getContext, {apply: (f, canvas, [kind, ...rest]) => kind.includes('webgl') ? null"
+    off += " : f.call(canvas, kind, ...rest)});</script>"
+    path.write_text(text.replace("<body>", f"<body>{off}"), encoding="utf-8")
+    show(browser, path)
+    said = "return document.querySelector('.scene')?.textContent.includes('no WebGL') ?? true"
+    wait_for(browser, said)
+    time.sleep(0.3)
+    assert browser.execute_script("return document.querySelector('.surface .found') !== null")
+    assert not browser.execute_script("return document.querySelector('.surface').dataset.drawn")
+
+
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", [390, 1440])
 def test_the_page_fits_the_screen_and_follows_its_colours(

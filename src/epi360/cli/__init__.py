@@ -19,9 +19,12 @@ try:
 
     # Importing the module of a command registers it.
     from epi360.cli import batch as _batch  # noqa: F401
+    from epi360.cli import completion as _completion  # noqa: F401
     from epi360.cli import convert as _convert  # noqa: F401
+    from epi360.cli import demo as _demo  # noqa: F401
     from epi360.cli import evaluate as _evaluate  # noqa: F401
     from epi360.cli import frames as _frames  # noqa: F401
+    from epi360.cli import localize as _localize  # noqa: F401
     from epi360.cli import map as _map  # noqa: F401
     from epi360.cli import match as _match  # noqa: F401
     from epi360.cli import pair as _pair  # noqa: F401

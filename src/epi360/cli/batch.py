@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.jobs.batch import BatchSummary, MatchSource
@@ -60,6 +62,7 @@ def batch(
     write_database: str | None = None,
     given: BatchInput = NO_MORE_INPUT,
     options: BatchOptions = DEFAULT_OPTIONS,
+    report: Path | None = None,
 ) -> int:
     """Relative poses of many pairs of images, from their matches.
 
@@ -76,6 +79,9 @@ def batch(
         Parquet file of the poses, one row a pair; may be a URL.
     write_database
         Write a copy of the COLMAP database with the two-view geometries.
+    report
+        Write a page that a browser opens offline: how many pairs are ok, how certain they are, and
+        a table that sorts and filters; .html.
 
     Returns
     -------
@@ -84,6 +90,8 @@ def batch(
     """
     from epi360.jobs.batch import BatchJob, run_batch
 
+    if report is not None:
+        check_report(report)
     if options.address is not None and options.engine != "ray":
         raise ValueError("--address goes with --engine ray")
     if options.num_threads is not None and options.engine != "local":
@@ -101,6 +109,11 @@ def batch(
             progress=progress,
         )
     _print_summary(summary, output)
+    if report is not None:
+        from epi360.report.batch_page import write_batch_report
+
+        write_batch_report(report, output)
+        print(f"wrote {report}", flush=True)
     return SUCCESS if summary.statuses.get("ok") else FAILURE
 
 

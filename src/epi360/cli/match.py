@@ -12,6 +12,7 @@ from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
 from epi360.cli.frames import folder_of
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.jobs.image_set import ImageSet
@@ -116,14 +117,6 @@ def match(
     if report is not None:
         write_report(report, run, images)
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
-
-
-def check_report(report: Path) -> None:
-    """Raise before the work where the page could not be written."""
-    from epi360.report.files import check_report_name, check_writable
-
-    check_report_name(report, name="--report")
-    check_writable(report, name="--report")
 
 
 def write_report(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360_paper.options import Outcome, ReproduceOptions
@@ -48,11 +49,21 @@ class ReproduceChoice:
 
 
 DEFAULTS = ReproduceChoice()
+_NOTE = (
+    "R: rotation, T: direction of the translation; errors are medians. The scenes are not those of "
+    "the paper: compare the order of the methods."
+)
 
 
 @app.command
 def reproduce(
-    name: Name, /, *, choice: ReproduceChoice = DEFAULTS, into: Path | None = None
+    name: Name,
+    /,
+    *,
+    choice: ReproduceChoice = DEFAULTS,
+    into: Path | None = None,
+    report: Path | None = None,
+    picture: Path | None = None,
 ) -> int:
     """Make a figure or a table of Robust 360-8PA (2021) again: paper's number | ours.
 
@@ -67,34 +78,90 @@ def reproduce(
         there.
     into
         With "report": the document whose part between the marks is replaced, instead of printing.
+    report
+        Write figures and tables with their captions as a page that a browser opens offline; .html.
+    picture
+        Write one picture of all errors that the paper prints beside ours; .png, .svg or .pdf.
     """
     # Read by NumPy's libraries when they load: one worker process is one thread.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     if into is not None and name != "report":
         raise ValueError("--into needs the name report: it says where the collected tables go")
+    _check_outputs(report, picture)
     from epi360_paper import EXPERIMENTS
     from epi360_paper.options import ReproduceOptions
 
     options = ReproduceOptions(**asdict(choice))
     if name == "report":
-        return _report(options.out, into)
-    options.out.mkdir(parents=True, exist_ok=True)
-    if name == "all":
-        codes = [_attempt(each, options) for each in EXPERIMENTS]
-        return max(codes)
-    try:
-        _show(_run(name, options))
-    except ChildProcessError as error:
-        return _failed(name, error)
-    return SUCCESS
+        code, folders = _report(options.out, into), None
+    else:
+        options.out.mkdir(parents=True, exist_ok=True)
+        codes, folders = [], []
+        for each in EXPERIMENTS if name == "all" else (name,):
+            try:
+                outcome = _run(each, options)
+            except Exception as error:
+                if name != "all" and not isinstance(error, ChildProcessError):
+                    raise
+                codes.append(_failed(each, error))
+            else:
+                _show(outcome)
+                codes.append(SUCCESS)
+                folders.append(options.folder(outcome.name))
+        code = max(codes)
+    if (report is not None or picture is not None) and folders != []:
+        _write_pictures(options.out, folders, report, picture)
+    return code
 
 
-def _attempt(name: str, options: ReproduceOptions) -> int:
-    try:
-        _show(_run(name, options))
-    except Exception as error:
-        return _failed(name, error)
-    return SUCCESS
+def _check_outputs(report: Path | None, picture: Path | None) -> None:
+    from epi360.report.files import check_figure_name, check_writable
+
+    if report is not None:
+        check_report(report)
+    if picture is not None:
+        check_figure_name(picture, name="--picture")
+        check_writable(picture, name="--picture")
+
+
+def _write_pictures(
+    out: Path, folders: list[Path] | None, report: Path | None, picture: Path | None
+) -> None:
+    """Write page and picture of the results in these folders, or of all there are."""
+    from epi360.report.overview import Overview, Panel, overview_bytes, write_overview
+    from epi360.report.reproduction_page import ExperimentShown, write_reproduction_report
+    from epi360_paper.captions import CAPTIONS
+    from epi360_paper.compared import GAINS, compared_errors, read_page, read_pages
+
+    pages = read_pages(out) if folders is None else [read_page(folder) for folder in folders]
+    panels = [
+        Panel(each.title, each.axis, each.rows, each.series, powers=each.axis != GAINS)
+        for each in compared_errors(pages)
+    ]
+    rings = frozenset(("paper R", "paper T"))
+    overview = Overview("Robust 360-8PA: the paper's errors and ours", panels, _NOTE, rings)
+    if picture is not None:
+        if not panels:
+            raise ValueError("--picture: there is no number of the paper in these results")
+        write_overview(picture, overview)
+        print(f"wrote {picture}")
+    if report is None:
+        return
+    shown = [
+        ExperimentShown(
+            page.name,
+            page.title,
+            CAPTIONS[page.name].shows,
+            CAPTIONS[page.name].verdict,
+            page.text,
+            page.figure.read_bytes() if page.figure else None,
+            CAPTIONS[page.name].is_diagram,
+        )
+        for page in pages
+    ]
+    first = overview_bytes(overview, "png") if len(panels) > 1 else None
+    write_reproduction_report(report, "Robust 360-8PA, made again", shown, first)
+    print(f"wrote {report}", flush=True)
 
 
 def _failed(name: str, error: Exception) -> int:

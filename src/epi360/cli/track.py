@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
-    from epi360.jobs.track_job import TrackOptions, TrackRun
+    from epi360.jobs.track_job import TrackOptions, TrackRun, Watcher
 
 NAMED = 20  # messages that are printed one by one; the log has all of them
 
@@ -71,6 +72,7 @@ def track(
     out: Annotated[Path | None, OUTPUT] = None,
     view: Annotated[Flag, OUTPUT] = False,
     recording: Annotated[Path | None, OUTPUT] = None,
+    report: Annotated[Path | None, OUTPUT] = None,
 ) -> int:
     """Follow the camera through a video or a folder of frames: trajectory and sparse map.
 
@@ -88,6 +90,9 @@ def track(
         Show the trajectory and the map while they grow, in Rerun.
     recording
         Write what --view shows into this file (.rrd), with or without a window.
+    report
+        Write a page that a browser opens offline: the way and the map in 3D, what is known of each
+        frame, pictures of the key frames; .html.
 
     Returns
     -------
@@ -96,16 +101,29 @@ def track(
     """
     from epi360.jobs.track_job import track_frames
 
+    if report is not None:
+        check_report(report)
     options = _options(given, work)
     out = _default_output(source) if out is None else out
-    watcher = None
+    watchers: list[Watcher] = []
     if view or recording is not None:
         from epi360.jobs.track_view import TrackView
 
-        watcher = TrackView(window=view, recording=recording)
+        watchers.append(TrackView(window=view, recording=recording))
+    pictures = None
+    if report is not None:
+        from epi360.report.track_pictures import TrackPictures
+
+        pictures = TrackPictures()
+        watchers.append(pictures)
     with show_bars() as progress:
-        run = track_frames(source, out, options, progress=progress, watcher=watcher)
+        run = track_frames(source, out, options, progress=progress, watchers=watchers)
     print(_describe(run), flush=True)
+    if report is not None and pictures is not None:
+        from epi360.report.track_page import write_track_report
+
+        write_track_report(report, source.resolve().name, run, pictures)
+        print(f"wrote {report}", flush=True)
     tracked = run.counts["tracked"]
     return SUCCESS if tracked and not run.written.failed else FAILURE
 
@@ -145,6 +163,8 @@ def _default_output(source: Path) -> Path:
 
 def _describe(run: TrackRun) -> str:
     """Lines for people: how many frames have a pose, from which one on, and what was odd."""
+    from epi360.report.track_words import why_no_trajectory
+
     counts, results = run.counts, run.results
     tracked = [result for result in results if result.status == "tracked"]
     lines = [f"tracked      {len(tracked)} of {len(results)} frames"]
@@ -154,7 +174,7 @@ def _describe(run: TrackRun) -> str:
     if tracked:
         lines.append(f"map          {run.num_key_frames} key frames, {run.num_points} points")
     else:
-        lines.append(f"no trajectory: {_why_none(run)}")
+        lines.append(f"no trajectory: {why_no_trajectory(run)}")
     if run.num_maps > 1:
         lines.append(f"parts        {run.num_maps}; the results are of the one with most frames")
     lines.append(
@@ -166,12 +186,3 @@ def _describe(run: TrackRun) -> str:
         lines.append(f"note         and {len(run.messages) - NAMED} more in track.json")
     lines += [f"note         {remark}" for remark in run.written.remarks]
     return "\n".join([*lines, f"wrote {run.output}"])
-
-
-def _why_none(run: TrackRun) -> str:
-    counts = run.counts
-    if counts["static"] + counts["turning"] > 0.5 * len(run.results):
-        return "the camera does not move" + (", it only turns" if counts["turning"] else "")
-    if counts["lost"] > 0.5 * len(run.results):
-        return "most frames cannot be used"
-    return "the camera moves too little"

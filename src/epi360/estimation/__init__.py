@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Bearings to pose: refinement, the robust estimator and its verdict."""
 
+from epi360.estimation.absolute_pose import estimate_absolute_pose
+from epi360.estimation.absolute_result import AbsolutePoseResult
 from epi360.estimation.linear import eight_point
 from epi360.estimation.options import RansacOptions
 from epi360.estimation.paper import paper_pose
@@ -12,6 +14,7 @@ from epi360.estimation.weights import residual_weights
 
 __all__ = [
     "PAPER_METHODS",
+    "AbsolutePoseResult",
     "Explanations",
     "ImagePairResult",
     "RansacOptions",
@@ -19,6 +22,7 @@ __all__ = [
     "RelativePoseResult",
     "Status",
     "eight_point",
+    "estimate_absolute_pose",
     "estimate_relative_pose",
     "estimate_relative_poses",
     "paper_pose",

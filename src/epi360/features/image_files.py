@@ -47,8 +47,11 @@ def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     return pixels
 
 
-def _read_bytes(path: Path, name: str) -> bytes:
-    """Content of a file that may be a picture; OpenCV's own reader fails on non-ASCII paths."""
+def check_image_start(path: Path, name: str) -> None:
+    """Raise for a file that is raw, or whose first bytes are those of no picture.
+
+    The errors are those of `read_image`.
+    """
     if not path.exists():
         raise FileNotFoundError(f"{name} {path} does not exist")
     if path.is_dir():
@@ -59,12 +62,20 @@ def _read_bytes(path: Path, name: str) -> bytes:
     try:
         with path.open("rb") as file:
             start = file.read(16)
-            if not start:
-                raise ValueError(f"{name} {path} is empty, expected an image file")
-            is_video = start.startswith(b"RIFF") and start[8:12] != b"WEBP"
-            if is_video or not start.startswith(_SIGNATURES):  # before its gigabytes are read
-                raise ValueError(f"{name} {path} is not a JPEG, PNG, TIFF, WebP or BMP image")
-            return start + file.read()
+    except OSError as error:
+        raise ValueError(f"{name} {path} cannot be read: {error.strerror}") from None
+    if not start:
+        raise ValueError(f"{name} {path} is empty, expected an image file")
+    is_video = start.startswith(b"RIFF") and start[8:12] != b"WEBP"
+    if is_video or not start.startswith(_SIGNATURES):
+        raise ValueError(f"{name} {path} is not a JPEG, PNG, TIFF, WebP or BMP image")
+
+
+def _read_bytes(path: Path, name: str) -> bytes:
+    """Content of a file that may be a picture; OpenCV's own reader fails on non-ASCII paths."""
+    check_image_start(path, name)  # before its gigabytes are read
+    try:
+        return path.read_bytes()
     except OSError as error:
         raise ValueError(f"{name} {path} cannot be read: {error.strerror}") from None
 

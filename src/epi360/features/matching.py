@@ -45,7 +45,7 @@ def match_features(
     """
     if not 0.0 < ratio <= 1.0:
         raise ValueError(f"ratio must be in (0, 1], got {ratio}")
-    d1, d2 = _rounded(features1.descriptors), _rounded(features2.descriptors)
+    d1, d2 = rounded_descriptors(features1.descriptors), rounded_descriptors(features2.descriptors)
     if len(d1) < 2 or len(d2) < 2:
         return np.zeros((0, 2), dtype=np.int64)
     nearest, best, second, others = _two_nearest(d1, d2)
@@ -57,7 +57,8 @@ def match_features(
     return np.stack([first, nearest[first]], axis=1)
 
 
-def _rounded(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+def rounded_descriptors(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit descriptors as they are matched; half precision holds them exactly."""
     return np.asarray(np.round(descriptors * np.float32(_STEPS)) / np.float32(_STEPS))
 
 

@@ -102,7 +102,7 @@ class Video:
     def _decoded(self, start_s: float | None) -> Iterator[tuple[int, float, Any]]:
         """Index, time and decoded frame, which is None if it is damaged, from before a time on."""
         av = extra_library("av", extra="video", purpose="videos")
-        with av.open(str(self.path), metadata_errors="replace") as container:
+        with _opened(av, self.path) as container:
             stream = container.streams[self._stream]
             stream.thread_type = "AUTO"
             times, key = self._seek(av, container, stream, start_s)
@@ -151,7 +151,7 @@ class Video:
         """Sorted times of the packets up to a time, and of the last key frame before it."""
         # Packets are not decoded for this: that takes a hundredth of the time.
         times, key = [], None
-        with av.open(str(self.path), metadata_errors="replace") as container:
+        with _opened(av, self.path) as container:
             for packet in _packets(av, container, container.streams[self._stream]):
                 if packet is None or packet.pts is None or packet.is_discard:
                     continue
@@ -244,7 +244,7 @@ def open_video(path: PathLike) -> Video:
         raise ValueError(f"video {error}: it is read more than once") from None
     try:
         boxes = read_sphere_boxes(path)
-        container = av.open(str(path), metadata_errors="replace")
+        container = _opened(av, path)
     except av.error.FFmpegError as error:
         raise ValueError(_unreadable(path, boxes, error)) from None
     except OSError as error:
@@ -263,6 +263,13 @@ def open_video(path: PathLike) -> Video:
         _check_sphere(path, image, sphere)
         info = VideoInfo(width, height, *_times(container, stream), sphere)
         return Video(path, info, stream.index)
+
+
+def _opened(av: Any, path: Path) -> Any:
+    """The file's container; a title that is no UTF-8 is no reason to refuse a video."""
+    if int(av.__version__.partition(".")[0]) < 19:  # from then on such bytes are never an error
+        return av.open(str(path), metadata_errors="replace")
+    return av.open(str(path))
 
 
 def _unreadable(path: Path, boxes: SphereBoxes, error: Exception | None) -> str:

@@ -5,13 +5,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import load_cameras
+from epi360.features.detection import root_sift
+from epi360.features.matching import rounded_descriptors
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.feature_cache import COLORS
 from epi360.jobs.image_set import ImageSet
@@ -27,7 +30,7 @@ from epi360.jobs.match_store import (
 from epi360.poses import Pose
 from epi360.runs.arrays import Arrays, read_arrays
 from epi360.runs.inside import inside
-from epi360.runs.made_from import write_record
+from epi360.runs.made_from import read_record, write_record
 
 Colors = dict[str, NDArray[np.uint8]]
 
@@ -79,6 +82,24 @@ def load_matches(folder: Path) -> MatchGraph:
         If a file is damaged.
     """
     return load_matches_and_colors(folder)[0]
+
+
+def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
+    """Return what reads the descriptors of an image of `load_matches`: RootSIFT as it is matched.
+
+    They are read when they are asked for, because those of a thousand images take 5 GB.
+    """
+    folder = Path(folder)
+
+    @cache
+    def keys() -> dict[str, str]:
+        index = read_record(folder / IMAGES, remedy=_AGAIN) or {}
+        return {image["name"]: image["key"] for image in index["images"]}
+
+    def descriptors(name: str) -> NDArray[np.float32]:
+        return rounded_descriptors(root_sift(_arrays_of(folder, name, keys()[name])["descriptors"]))
+
+    return descriptors
 
 
 def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:

@@ -8,6 +8,7 @@ import re
 import shutil
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,6 +20,7 @@ from epi360.cameras import Camera
 from epi360.cameras.upright import DOWN, check_upright, gravity_of
 from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
+from epi360.interop.upright_world import moved
 from epi360.interop.video import is_video
 from epi360.jobs import track_files as files
 from epi360.jobs.frame_source import FrameSource, SourceFrame, check_times, open_frames
@@ -95,7 +97,7 @@ def track_frames(
     options: TrackOptions | None = None,
     *,
     progress: Progress = no_progress,
-    watcher: Watcher | None = None,
+    watchers: Sequence[Watcher] = (),
 ) -> TrackRun:
     """Track the frames of a video or folder, and write trajectory, map and log into ``output``.
 
@@ -125,7 +127,7 @@ def track_frames(
     if options.upright_deg is not None:
         gravity_of(camera, None, path.name)  # refuses what is no panorama
     _prepare(output)
-    run = _Run(source, camera, output, options, watcher)
+    run = _Run(source, camera, output, options, watchers)
     try:
         run.track(progress)
     except KeyboardInterrupt:
@@ -161,10 +163,10 @@ class _Run:
         camera: Camera,
         output: Path,
         options: TrackOptions,
-        watcher: Watcher | None,
+        watchers: Sequence[Watcher],
     ) -> None:
         self._source, self._camera, self._output = source, camera, output
-        self._options, self._watcher = options, watcher
+        self._options, self._watchers = options, watchers
         self._masks = MaskSource(options.mask)
         one_mask = options.mask if options.mask is not None and options.mask.is_file() else None
         usable = nadir_mask(camera, options.mask_nadir_deg)
@@ -246,8 +248,8 @@ class _Run:
             tuple(self._messages),
             written,
         )
-        if self._watcher is not None:
-            self._watcher.close(self.odometry)
+        for watcher in self._watchers:
+            watcher.close(self.odometry)
         log = json.dumps(_log(run, self._options, interrupted), indent=1).encode()
         written.attempt(files.LOG, lambda: write_file(self._output / files.LOG, log))
         return run
@@ -271,8 +273,8 @@ class _Run:
         if result.message and is_new:
             self._messages.append(f"{result.message} ({frame.name})")
         self._status = result.status
-        if self._watcher is not None:
-            self._watcher(self.odometry, result, image)
+        for watcher in self._watchers:
+            watcher(self.odometry, result, image)
         return result
 
     def _name_gap(self, name: str, index: int) -> None:
@@ -323,6 +325,7 @@ class _Run:
     def _write_map(self, written: files.Written, progress: Progress) -> None:
         key_frames = self.odometry.key_frames()
         model = files.key_frame_model(self._camera, self._names, key_frames, self.odometry.points())
+        model = moved(model, files.upright_world(self.odometry.results()))
         images = self._source.path
         if is_video(images) or images.is_file():
             images = self._output / files.IMAGES

@@ -38,6 +38,9 @@ class FrameResult:
         Points of the map that agree with the pose.
     is_keyframe : bool
         Whether the frame became a key frame of the map.
+    loop_frame : int, optional
+        Number of an earlier frame whose place the camera has come back to, where that corrected the
+        trajectory.
     message : str
         Sentence for a person, empty when there is nothing to say.
     """
@@ -50,6 +53,7 @@ class FrameResult:
     num_inliers: int = 0
     is_keyframe: bool = False
     message: str = ""
+    loop_frame: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
+from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
-from epi360.odometry.absolute_pose import AbsolutePoseResult
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -299,10 +299,11 @@ class Odometry:
         if is_key_frame:
             pose = segment.add_key_frame(tracks, pose)
             segment.color(segment.last_key_frame, image, self._full_from_working)
-            said = segment.recognise(gray, tracks)
-            if said:
+            old = segment.recognise(gray, tracks)
+            if old is not None:
                 pose = segment.last_key_frame.cam_from_world
-                frame = replace(frame, message=_joined(frame.message, said))
+                said = _joined(frame.message, f"closes a loop with frame {old}")
+                frame = replace(frame, message=said, loop_frame=old)
         segment.add_frame(tracks.index, pose, count)
         self._recent = [*self._recent[-1:], tracks.index]
         return replace(
@@ -374,7 +375,7 @@ class Odometry:
 
     def _found_again(
         self, active: Segment, tracks: FrameTracks, gray: NDArray[np.uint8]
-    ) -> tuple[Segment, AbsolutePoseResult | None]:
+    ) -> tuple[Segment, AbsolutePoseFit | None]:
         """The map, of all there are, whose key frames show what a lost frame shows."""
         self._num_lost += 1
         if self._num_lost > _TRIES and self._num_lost % _TRIES:

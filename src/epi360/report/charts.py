@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Small charts of a pair as SVG that takes its colours from the page."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.report.svg_axes import Axes, chart
+
 Array = NDArray[np.float64]
 
-_WIDTH, _HEIGHT = 560.0, 260.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 74.0, 14.0, 14.0, 44.0
 _BINS = 40
 _GATES_SHOWN = 3.0  # the histogram ends at so many times the gate
 _BANDS = np.arange(-90.0, 91.0, 15.0)
 _MAX_DOTS = 1500
-_SURFACE_STEPS = 21
 
 
 def residual_histogram(
@@ -29,14 +26,14 @@ def residual_histogram(
     edges = np.linspace(0.0, max(top, 1e-6), _BINS + 1)
     agree = np.histogram(size[known & inlier_mask], edges)[0]
     others = np.histogram(size[known & ~inlier_mask], edges)[0]
-    axes = _Axes(edges[-1], 1.08 * max(int((agree + others).max()), 1))
+    axes = Axes(edges[-1], 1.08 * max(int((agree + others).max()), 1))
     parts = [axes.frame("residual (degrees)", "matches")]
     for i, (below, above) in enumerate(zip(agree, others, strict=True)):
         parts.append(axes.bar(edges[i], edges[i + 1], 0, int(below), "good"))
         parts.append(axes.bar(edges[i], edges[i + 1], int(below), int(below + above), "poor"))
     if np.isfinite(gate_deg):
         parts.append(axes.vertical(gate_deg, "gate"))
-    return _svg(parts, "Histogram of the residuals")
+    return chart(parts, "Histogram of the residuals")
 
 
 def residuals_by_latitude(latitudes_deg: Array, residuals_deg: Array) -> str:
@@ -46,7 +43,7 @@ def residuals_by_latitude(latitudes_deg: Array, residuals_deg: Array) -> str:
     if not known.any():
         return ""
     latitudes, size = latitudes_deg[known], size[known]
-    axes = _Axes(90.0, 1.08 * float(size.max()) or 1.0, x_min=-90.0)
+    axes = Axes(90.0, 1.08 * float(size.max()) or 1.0, x_min=-90.0)
     parts = [axes.frame("latitude in view 1 (degrees, up is positive)", "residual (degrees)")]
     step = -(-len(size) // _MAX_DOTS)
     dots = "".join(
@@ -66,106 +63,4 @@ def residuals_by_latitude(latitudes_deg: Array, residuals_deg: Array) -> str:
                 f'<path class="median" d="M{axes.x(low):.1f} {y:.1f}H{axes.x(high):.1f}">'
                 f"<title>{title}</title></path>"
             )
-    return _svg(parts, "Residuals by latitude")
-
-
-def sk_surface(ratios: Array, costs: Array, S: float, K: float) -> str:
-    """Return the paper's eq. 14 over S and K; ``costs`` are those at the logarithms of K / S."""
-    reach = float(ratios[-1]) / 2.0  # of ln S and of ln K
-    grid = np.linspace(-reach, reach, _SURFACE_STEPS)
-    half = (grid[1] - grid[0]) / 2.0
-    axes = _Axes(reach + half, reach + half, x_min=-reach - half, y_min=-reach - half)
-    # Colours go by rank: next to the highest costs, all others would look the same.
-    heights = np.argsort(np.argsort(costs)) / (len(costs) - 1.0)
-    parts = [axes.frame("ln S", "ln K")]
-    for x in grid:
-        for y in grid:
-            height = float(np.interp(y - x, ratios, heights))
-            left, top = axes.x(x - half), axes.y(y + half)
-            right, bottom = axes.x(x + half), axes.y(y - half)
-            parts.append(
-                f'<rect x="{left:.1f}" y="{top:.1f}" width="{right - left + 0.6:.1f}" '
-                f'height="{bottom - top + 0.6:.1f}" fill="{_heat(height)}"/>'
-            )
-    found = float(np.clip(np.log(K / S), -2 * reach, 2 * reach))
-    x, y = axes.x(-found / 2.0), axes.y(found / 2.0)
-    parts.append(f'<circle class="found" cx="{x:.1f}" cy="{y:.1f}" r="6"/>')
-    return _svg(parts, "The paper's cost over S and K")
-
-
-def _heat(height: float) -> str:
-    """Return a colour from dark blue (low) to pale yellow (high) that also a grey print orders."""
-    stops = np.array([[38, 34, 98], [30, 110, 140], [90, 180, 120], [250, 240, 170]], float)
-    place = float(np.clip(height, 0.0, 1.0)) * (len(stops) - 1)
-    i = min(int(place), len(stops) - 2)
-    red, green, blue = stops[i] + (place - i) * (stops[i + 1] - stops[i])
-    return f"#{round(red):02x}{round(green):02x}{round(blue):02x}"
-
-
-class _Axes:
-    """Linear axes of one chart."""
-
-    def __init__(self, x_max: float, y_max: float, x_min: float = 0.0, y_min: float = 0.0) -> None:
-        self._x, self._y = (x_min, x_max), (y_min, y_max)
-
-    def x(self, value: float) -> float:
-        low, high = self._x
-        return float(_LEFT + (value - low) / (high - low) * (_WIDTH - _LEFT - _RIGHT))
-
-    def y(self, value: float) -> float:
-        low, high = self._y
-        room = _HEIGHT - _TOP - _BOTTOM
-        return float(_HEIGHT - _BOTTOM - (value - low) / (high - low) * room)
-
-    def bar(self, left: float, right: float, low: float, high: float, kind: str) -> str:
-        if high <= low:
-            return ""
-        x, y = self.x(left) + 0.5, self.y(high)
-        return (
-            f'<rect class="{kind}" x="{x:.1f}" y="{y:.1f}" width="{self.x(right) - x:.1f}" '
-            f'height="{self.y(low) - y:.1f}"/>'
-        )
-
-    def vertical(self, value: float, label: str) -> str:
-        x = self.x(value)
-        return (
-            f'<path class="mark" d="M{x:.1f} {_TOP}V{_HEIGHT - _BOTTOM}"/>'
-            f'<text x="{x + 5:.1f}" y="{_TOP + 11}">{label}</text>'
-        )
-
-    def frame(self, x_label: str, y_label: str) -> str:
-        floor, middle = _HEIGHT - _BOTTOM, (_TOP + _HEIGHT - _BOTTOM) / 2
-        parts = [f'<path class="axis" d="M{_LEFT} {_TOP}V{floor}H{_WIDTH - _RIGHT}"/>']
-        for value, text in _ticks(*self._x):
-            parts.append(
-                f'<text x="{self.x(value):.1f}" y="{floor + 16}" text-anchor="middle">{text}</text>'
-            )
-        for value, text in _ticks(*self._y):
-            y = self.y(value)
-            parts.append(f'<path class="grid" d="M{_LEFT} {y:.1f}H{_WIDTH - _RIGHT}"/>')
-            parts.append(f'<text x="{_LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{text}</text>')
-        parts.append(
-            f'<text x="{(_LEFT + _WIDTH - _RIGHT) / 2}" y="{_HEIGHT - 8}" '
-            f'text-anchor="middle">{x_label}</text>'
-            f'<text transform="translate(17 {middle}) rotate(-90)" text-anchor="middle">'
-            f"{y_label}</text>"
-        )
-        return "".join(parts)
-
-
-def _ticks(low: float, high: float) -> list[tuple[float, str]]:
-    """Return about five round numbers and how they are written."""
-    rough = (high - low) / 5.0
-    power = 10.0 ** np.floor(np.log10(rough))
-    steps = power * np.array([1.0, 2.0, 3.0, 5.0, 10.0])
-    step = float(steps[np.searchsorted(steps, rough * 0.999)])
-    first = int(np.ceil(low / step - 1e-9))
-    last = int(np.floor(high / step + 1e-9))
-    return [(i * step, f"{i * step + 0.0:g}") for i in range(first, last + 1)]
-
-
-def _svg(parts: Sequence[str], label: str) -> str:
-    return (
-        f'<svg class="chart" viewBox="0 0 {_WIDTH:.0f} {_HEIGHT:.0f}" role="img" '
-        f'aria-label="{label}">{"".join(parts)}</svg>'
-    )
+    return chart(parts, "Residuals by latitude")

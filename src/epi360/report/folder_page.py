@@ -28,7 +28,7 @@ from epi360.runs.whole_files import PathLike, write_file
 
 Array = NDArray[np.float64]
 
-SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "scene.js", "folder.js")
+SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "scene.js", "table.js", "folder.js")
 # The pictures of all images together, and the matches of all pairs, stay below these.
 _PICTURE_BYTES = 18_000_000
 _PICTURE_SIZES = ((1600, 80), (1280, 78), (1024, 75), (768, 72), (512, 68), (384, 62), (256, 60))
@@ -127,12 +127,13 @@ its matches have a pose <i class="none"></i> no pose</p>
 <p>Click an image to see its pairs.</p>
 <div class="thumbnails"></div></section></div>
 <h2>The pairs</h2>
-<div class="filters"><label>Name or reason contains <input type="search" name="text"></label>
+<div class="table"><div class="filters">
+<label>Name or reason contains <input type="search" name="text"></label>
 <label>Verdict <select name="verdict"><option value="">all</option><option>accepted</option>
 <option>refused</option><option>no pose</option></select></label></div>
 <p class="count" aria-live="polite"></p>
 <div class="wide"><table class="pairs"><thead></thead><tbody></tbody></table></div>
-<p><button name="more">Show more pairs</button></p>
+<p><button name="more">Show more pairs</button></p></div>
 <dialog><div class="bar"><strong class="pair-title"></strong>
 <span><button name="earlier">Previous</button> <button name="later">Next</button>
 <button name="close">Close</button></span></div>

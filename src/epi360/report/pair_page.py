@@ -8,25 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.epipolar import SkCost, search_sk, triangulate
+from epi360.epipolar import triangulate
 from epi360.estimation.result import ImagePairResult
-from epi360.report.charts import residual_histogram, residuals_by_latitude, sk_surface
+from epi360.report.charts import residual_histogram, residuals_by_latitude
 from epi360.report.curves import match_residuals_deg
 from epi360.report.html_page import Page, camera_record, escaped, packed, picture_address
 from epi360.report.pair_words import evidence_of, verdict_headline, verdict_sentences
+from epi360.report.sk_section import search_of_pair
 from epi360.report.webgl import MISSING, WebGLLibrary, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 from epi360.two_view import smallest_pixel_deg
 
 Array = NDArray[np.float64]
 
-PAIR_SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "ball.js", "scene.js", "pair.js")
+PAIR_SCRIPTS = (
+    "geometry.js", "sphere.js", "pair_view.js", "ball.js", "scene.js", "surface.js", "pair.js",
+)  # fmt: skip
 # Both pictures together stay below this, so that the page stays below 3 MB.
 _PICTURE_BYTES = 1_500_000
 _PICTURE_SIZES = ((2048, 82), (1800, 80), (1600, 78), (1400, 74), (1200, 70), (1000, 60))
 _MAX_MATCHES = 6000  # more only cover each other on the screen
 _MAX_BALL_RAYS = 1500
-_SK_RATIOS = np.linspace(-3.0, 3.0, 49)  # ln(K / S)
 _FARTHEST = 30.0  # points farther than this many distances between the cameras are left out
 
 
@@ -69,17 +71,23 @@ def pair_page(
     webgl = find_webgl_library()
     points = _triangulated(shown)
     rays = [packed(_thin(each[_usable(shown)], _MAX_BALL_RAYS)) for each in bearings]
-    data = {"pair": _pair_record(shown), "inlier_rays": rays, "scene": points and points.record}
+    search = search_of_pair(*(each[_usable(shown)] for each in bearings))
+    data = {
+        "pair": _pair_record(shown),
+        "inlier_rays": rays,
+        "scene": points and points.record,
+        "surface": search and search.record(),
+    }
     sections = [
         _verdict(shown),
         _pictures(shown),
         _charts(shown),
         _balls(shown),
         _scene(points, webgl),
-        _normalisation(shown),
+        search.html() if search else "",
     ]
     title = f"Relative pose of {names[0]} and {names[1]}"
-    webgl = webgl if points else None
+    webgl = webgl if points or search else None
     return Page(title, "\n".join(filter(None, sections)), data, PAIR_SCRIPTS, webgl)
 
 
@@ -272,35 +280,6 @@ def _scene(points: _Points | None, webgl: WebGLLibrary | None) -> str:
         f"{heading}<p>Drag to turn, scroll to zoom. The {points.num_shown} points are matches that "
         f"agree, triangulated.{far} Each camera has its axes: x in red, y in green, z in blue.</p>"
         '<div class="scene"></div>'
-    )
-
-
-def _normalisation(shown: _Shown) -> str:
-    chosen = _usable(shown)
-    if chosen.sum() < 8:
-        return ""
-    bearings1, bearings2 = (each[chosen] for each in shown.bearings)
-    try:
-        S, K, _, _ = search_sk(bearings1, bearings2)
-    except ValueError:  # the matches do not determine the eight-point solution
-        return ""
-    cost = SkCost(bearings1, bearings2)
-    costs = np.array([cost.at(float(u)) for u in _SK_RATIOS])
-    largest = max(S, K)
-    scales = f"{S / largest:.5f},{S / largest:.5f},{K / largest:.5f}"
-    return (
-        "<h2>The paper's normalisation</h2><p>Robust 360-8PA stretches the sphere to an ovoid by "
-        "N = diag(S, S, K) before the eight-point solution. The essential matrix depends on K / S "
-        f"alone; for these matches the best value is {K / S:.3g}.</p>"
-        '<div class="columns three"><figure>'
-        '<canvas class="ball ovoid" data-scales="1,1,1"></canvas>'
-        "<figcaption>Before: the matches that agree on the unit sphere of view 1.</figcaption>"
-        f'</figure><figure><canvas class="ball ovoid" data-scales="{scales}"></canvas>'
-        "<figcaption>After: the same directions times N, at the same largest extent.</figcaption>"
-        f"</figure><figure>{sk_surface(_SK_RATIOS, costs, S, K)}<figcaption>The paper's cost (eq. "
-        "14, the sum of the residuals) over S and K, coloured by rank. Dark is low; the "
-        "ring marks the minimum that was found. Along the diagonals K / S is constant."
-        "</figcaption></figure></div>"
     )
 
 

@@ -141,7 +141,11 @@ def _table(columns: Mapping[str, Any]) -> Any:
             ends = np.cumsum([0, *map(len, values)], dtype=np.int32)
             buffers = [ends, b"".join(values)]
         else:
-            buffers = [np.asarray(values, kind.to_pandas_dtype())]
+            # Not kind.to_pandas_dtype(), for which pyarrow up to 21 needs pandas.
+            letter = (
+                "f" if types.is_floating(kind) else "u" if types.is_unsigned_integer(kind) else "i"
+            )
+            buffers = [np.asarray(values, f"{letter}{kind.bit_width // 8}")]
         pieces = [None, *map(arrow.py_buffer, buffers)]  # no nulls
         return arrow.Array.from_buffers(kind, len(values), pieces)
 

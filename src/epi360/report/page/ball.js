@@ -5,6 +5,7 @@
 class Ball {
   constructor(canvas, rays, scales = [1, 1, 1]) {
     Object.assign(this, { canvas, rays, scales, yaw: -0.65, pitch: -0.3 });
+    this.wrong = null; // for each ray whether it is that of a wrong match, where that is known
     this.reach = 1.18 * Math.max(...scales);
     onDrag(canvas, (dx, dy) => {
       this.yaw -= 0.01 * dx;
@@ -29,6 +30,7 @@ class Ball {
     if (!width) return;
     const context = sharpContext(this.canvas, width, height), scale = Math.min(width, height) / 2 / this.reach;
     const place = (x, y) => [width / 2 + scale * x, height / 2 + scale * y];
+    const colours = ["--accent", "--poor"].map(pageColour);
     for (const front of [false, true]) {
       context.globalAlpha = front ? 1 : 0.25;
       context.strokeStyle = pageColour("--line");
@@ -42,9 +44,9 @@ class Ball {
         }
         context.stroke();
       }
-      context.fillStyle = pageColour("--accent");
       for (let i = 0; i < this.rays.length; i += 3) {
         const [x, y, faces] = this._seen(Array.from(this.rays.subarray(i, i + 3)));
+        context.fillStyle = colours[this.wrong && this.wrong[i / 3] ? 1 : 0];
         if (faces === front) context.fillRect(...place(x, y).map((value) => value - 1.3), 2.6, 2.6);
       }
       this._drawAxes(context, place, front);

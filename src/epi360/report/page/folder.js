@@ -3,7 +3,6 @@
 // The report of a folder: graph, table, thumbnails, and one pair at a time in a dialog.
 
 const COLUMNS = ["images", "verdict", "matches", "inliers", "noise (°)", "parallax (°)", "probability", "reason"];
-const ROWS = 100; // at first, and with each "Show more pairs"
 const SVG = "http://www.w3.org/2000/svg";
 
 function shares(text) {
@@ -11,26 +10,21 @@ function shares(text) {
   return Float32Array.from(new Uint16Array(bytes.buffer), (value) => value / 65535);
 }
 
-function made(tag, text, properties = {}) {
-  const element = Object.assign(document.createElement(tag), properties);
-  if (text !== undefined) element.textContent = text;
-  return element;
-}
-
 class Folder {
   constructor(data) {
-    Object.assign(this, { data, order: 0, rising: true, listed: [], opened: -1, shown: ROWS });
+    Object.assign(this, { data, opened: -1 });
     this.text = document.querySelector("input[name=text]");
     this.verdict = document.querySelector("select[name=verdict]");
     this.dialog = document.querySelector("dialog");
-    for (const field of [this.text, this.verdict]) field.addEventListener("input", () => this.list());
-    this.more = document.querySelector("button[name=more]");
-    this.more.addEventListener("click", () => this.list(this.shown + ROWS));
-    this._head();
+    this.table = new SortedTable(document.querySelector(".table"), {
+      titles: COLUMNS, rows: data.pairs, noun: "pairs",
+      values: (pair) => this.values(pair),
+      passes: (pair, values) => this._passes(pair, values),
+      built: (pair, values, index) => this._row(pair, values, index),
+    });
     this._graph();
     this._thumbnails();
     this._buttons();
-    this.list();
   }
 
   name(index) {
@@ -41,49 +35,12 @@ class Folder {
     return [`${this.name(pair.i)} ${this.name(pair.j)}`, pair.kind, ...pair.numbers, pair.reason];
   }
 
-  _head() {
-    const row = made("tr");
-    for (const [k, title] of COLUMNS.entries()) {
-      const cell = made("th", undefined, { className: `c${k}` }), button = made("button", title);
-      button.addEventListener("click", () => {
-        this.rising = this.order === k ? !this.rising : true;
-        this.order = k;
-        this.list();
-      });
-      cell.append(button);
-      row.append(cell);
-    }
-    document.querySelector(".pairs thead").append(row);
+  _passes(pair, values) {
+    const wanted = this.text.value.toLowerCase(), kind = this.verdict.value;
+    return (!kind || pair.kind === kind) && `${values[0]} ${pair.reason}`.toLowerCase().includes(wanted);
   }
 
-  // Show the pairs that pass the filters, in the order of the chosen column.
-  list(shown = ROWS) {
-    this.shown = shown;
-    const wanted = this.text.value.toLowerCase(), kind = this.verdict.value, k = this.order;
-    const rows = this.data.pairs.map((pair, index) => ({ index, pair, values: this.values(pair) }))
-      .filter(({ pair, values }) => (!kind || pair.kind === kind) &&
-        `${values[0]} ${pair.reason}`.toLowerCase().includes(wanted));
-    const sign = this.rising ? 1 : -1;
-    rows.sort((a, b) => Folder.compared(a.values[k], b.values[k], sign) || a.index - b.index);
-    this.listed = rows.map(({ index }) => index);
-    const body = rows.slice(0, shown).map((row) => this._row(row));
-    document.querySelector(".pairs tbody").replaceChildren(...body);
-    for (const [i, cell] of document.querySelectorAll(".pairs th").entries())
-      cell.setAttribute("aria-sort", i !== k ? "none" : this.rising ? "ascending" : "descending");
-    this.more.hidden = rows.length <= shown;
-    const part = this.more.hidden ? "" : ` The first ${shown} are shown.`;
-    const count = `${rows.length} of ${this.data.pairs.length} pairs.${part}`;
-    document.querySelector(".count").textContent = count;
-  }
-
-  // Numbers by size, others by name; what is not known comes last in either direction.
-  static compared(a, b, sign) {
-    if (a === null || b === null) return (a === null) - (b === null);
-    if (typeof a === "number") return sign * (a - b);
-    return sign * a.localeCompare(b, undefined, { numeric: true });
-  }
-
-  _row({ index, pair, values }) {
+  _row(pair, values, index) {
     const row = made("tr", undefined, { className: pair.kind.replace(" ", "-") });
     const names = made("td", undefined, { className: "c0" });
     const open = made("button", undefined, { className: "open" });
@@ -155,7 +112,7 @@ class Folder {
 
   filter(name) {
     this.text.value = name;
-    this.list();
+    this.table.list();
     this.text.scrollIntoView({ block: "center" });
   }
 
@@ -171,8 +128,8 @@ class Folder {
   }
 
   _step(by) {
-    const place = this.listed.indexOf(this.opened) + by;
-    if (place >= 0 && place < this.listed.length) this.open(this.listed[place]);
+    const { listed } = this.table, place = listed.indexOf(this.opened) + by;
+    if (place >= 0 && place < listed.length) this.open(listed[place]);
   }
 
   open(index) {

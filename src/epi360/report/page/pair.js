@@ -10,4 +10,5 @@
   for (const canvas of document.querySelectorAll("canvas.ovoid"))
     new Ball(canvas, floats(data.inlier_rays[0]), canvas.dataset.scales.split(",").map(Number)).draw();
   showSceneIn(document.querySelector(".scene"), data.scene);
+  showSurfaceIn(document.querySelector(".surface"), data.surface);
 }

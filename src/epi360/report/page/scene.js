@@ -15,41 +15,107 @@ function loadWebGL() {
 }
 
 // record: points and colours (packed), cameras [{name, rotation (9, camera from world), centre (3)}],
-// the middle of the first look, reach: how far it looks, mark: the length of a camera's axes.
-function showSceneIn(element, record) {
-  if (!element || !record) return;
-  showScene(element, record).catch(() => {
+// the middle of the first look, reach: how far it looks, mark: the length of a camera's axes; where
+// there is a way: path (packed, NaN between its parts), loops [[from, to]]. Returns a promise of
+// {select}, or of null where nothing can be drawn; onPick gets the number of a camera that is clicked.
+function showSceneIn(element, record, onPick) {
+  if (!element || !record) return Promise.resolve(null);
+  return showScene(element, record, onPick).catch(() => {
     element.textContent = "This browser has no WebGL, which the 3D view needs.";
+    return null;
   });
 }
 
-async function showScene(element, record) {
+async function showScene(element, record, onPick) {
   const { THREE, OrbitControls } = await loadWebGL();
-  const scene = new THREE.Scene(), reach = record.reach;
+  const reach = record.reach, world = new THREE.Group();
+  world.scale.set(1, -1, -1); // our y points down and z forward, those of WebGL up and backward
+  world.add(pointCloud(THREE, record));
+  const marks = record.cameras.map((each) => cameraMark(THREE, each, record.mark));
+  world.add(...marks);
+  if (record.path) world.add(pathLine(THREE, floats(record.path)));
+  for (const ends of record.loops || []) world.add(lineOf(THREE, ends, pageColour("--poor")));
+  const view = openView(THREE, OrbitControls, element, world, reach);
+  const middle = new THREE.Vector3(record.middle[0], -record.middle[1], -record.middle[2]);
+  view.look(middle, new THREE.Vector3(0.5, 0.9, 1.1).multiplyScalar(reach));
+  if (onPick) onCameraClick(THREE, view, marks, onPick);
+  element.dataset.drawn = "yes";
+  return { select: (number) => selectMark(view, marks, number) };
+}
+
+// A canvas with a camera that the pointer turns around a target; look() places it.
+function openView(THREE, OrbitControls, element, world, reach) {
+  const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(50, 2, reach / 1000, reach * 100);
   const renderer = new THREE.WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
   element.replaceChildren(renderer.domElement);
-  const world = new THREE.Group();
-  world.scale.set(1, -1, -1); // our y points down and z forward, those of WebGL up and backward
   scene.add(world);
-  world.add(pointCloud(THREE, record));
-  for (const each of record.cameras) world.add(cameraMark(THREE, each, record.mark));
-  const middle = new THREE.Vector3(record.middle[0], -record.middle[1], -record.middle[2]);
-  camera.position.copy(middle).add(new THREE.Vector3(0.5, 0.9, 1.1).multiplyScalar(reach));
   const controls = new OrbitControls(camera, renderer.domElement);
-  controls.target.copy(middle);
   const draw = () => renderer.render(scene, camera);
   controls.addEventListener("change", draw);
   new ResizeObserver(() => {
     const { clientWidth: width, clientHeight: height } = element;
+    if (!width || !height) return;
     renderer.setPixelRatio(window.devicePixelRatio || 1);
     renderer.setSize(width, height, false);
     camera.aspect = width / height;
     camera.updateProjectionMatrix();
     draw();
   }).observe(element);
-  controls.update();
-  element.dataset.drawn = "yes";
+  const look = (target, from) => {
+    camera.position.copy(target).add(from);
+    controls.target.copy(target);
+    controls.update();
+  };
+  return { camera, canvas: renderer.domElement, draw, look };
+}
+
+// A click is a press without a drag; it picks the nearest camera within a finger's width.
+function onCameraClick(THREE, view, marks, onPick) {
+  let pressed = null;
+  view.canvas.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+  view.canvas.addEventListener("pointerup", (event) => {
+    if (!pressed || Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 5) return;
+    const box = view.canvas.getBoundingClientRect();
+    let best = -1, nearest = 18;
+    for (const [k, mark] of marks.entries()) {
+      const place = mark.getWorldPosition(new THREE.Vector3()).project(view.camera);
+      if (place.z > 1) continue;
+      const x = box.left + ((place.x + 1) / 2) * box.width, y = box.top + ((1 - place.y) / 2) * box.height;
+      const away = Math.hypot(event.clientX - x, event.clientY - y);
+      if (away < nearest) [best, nearest] = [k, away];
+    }
+    if (best >= 0) onPick(best);
+  });
+}
+
+function selectMark(view, marks, number) {
+  for (const [k, mark] of marks.entries()) {
+    const chosen = k === number;
+    mark.children[0].scale.setScalar(chosen ? 3 : 1);
+    mark.children[0].material.color.set(chosen ? 0xff3b6b : 0xffb000);
+  }
+  view.draw();
+}
+
+function pathLine(THREE, places) {
+  const group = new THREE.Group();
+  let part = [];
+  const end = () => {
+    if (part.length > 1) group.add(lineOf(THREE, part, pageColour("--soft")));
+    part = [];
+  };
+  for (let i = 0; i < places.length; i += 3) {
+    if (Number.isFinite(places[i])) part.push(Array.from(places.subarray(i, i + 3)));
+    else end();
+  }
+  end();
+  return group;
+}
+
+function lineOf(THREE, places, colour) {
+  const geometry = new THREE.BufferGeometry().setFromPoints(places.map((each) => new THREE.Vector3(...each)));
+  return new THREE.Line(geometry, new THREE.LineBasicMaterial({ color: colour }));
 }
 
 function pointCloud(THREE, record) {
@@ -83,10 +149,11 @@ function nameMark(THREE, name) {
   Object.assign(canvas, { width: 256, height: 64 });
   const context = canvas.getContext("2d");
   context.font = "bold 34px sans-serif";
-  Object.assign(context, { lineWidth: 6, strokeStyle: "#000", fillStyle: "#fff", textAlign: "center" });
+  Object.assign(context, { lineWidth: 6, strokeStyle: pageColour("--panel"), fillStyle: pageColour("--text"), textAlign: "center" });
   context.strokeText(name, 128, 44, 250);
   context.fillText(name, 128, 44, 250);
-  const material = new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false, sizeAttenuation: false });
+  const texture = Object.assign(new THREE.CanvasTexture(canvas), { colorSpace: "srgb" });
+  const material = new THREE.SpriteMaterial({ map: texture, depthTest: false, sizeAttenuation: false });
   const sprite = new THREE.Sprite(material);
   sprite.scale.set(0.2, 0.05, 1);
   sprite.center.set(0.5, -0.3);
