@@ -57,8 +57,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("match_coverage", &Evidence::match_coverage)
       .def_rw("noise", &Evidence::noise)
       .def_rw("max_noise", &Evidence::max_noise);
-  m.def(
-      "explain", [](const Evidence& evidence) { return explain(evidence); }, "evidence"_a);
+  m.def("explain", [](const Evidence& evidence) { return explain(evidence); }, "evidence"_a);
   m.def(
       "judge",
       [](const Evidence& evidence) {

@@ -91,10 +91,11 @@ __all__ = [
     "LocalizationMap", "LocalizationOptions", "LocalizationResult", "Odometry", "OdometryOptions",
     "Pinhole", "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability",
     "Tracks", "Trajectory", "UnifiedCamera", "eight_point", "epipolar", "estimate_absolute_pose",
-    "estimate_relative_pose", "estimate_relative_poses", "extract_features",
-    "load_camera", "load_cameras", "load_map", "localize_image", "match_features", "paper_pose", "pose_from_essential", "read_image",
-    "read_mask", "refine_pose", "relative_pose_of_images", "residual_weights", "rotation_error_deg",
-    "stability", "track_features", "translation_error_deg", "triangulate",
+    "estimate_relative_pose", "estimate_relative_poses", "extract_features", "load_camera",
+    "load_cameras", "load_map", "localize_image", "match_features", "paper_pose",
+    "pose_from_essential", "read_image", "read_mask", "refine_pose", "relative_pose_of_images",
+    "residual_weights", "rotation_error_deg", "stability", "track_features",
+    "translation_error_deg", "triangulate",
 ]  # fmt: skip
 
 

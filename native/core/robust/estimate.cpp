@@ -45,12 +45,7 @@ class Estimate {
   // `known` says where down is, also to a search that gravity does not guide.
   Estimate(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
            const PosePrior& known, std::uint64_t seed)
-      : m_(m),
-        options_(options),
-        prior_(priors.pose),
-        known_(known),
-        random_(seed),
-        seed_(seed) {
+      : m_(m), options_(options), prior_(priors.pose), known_(known), random_(seed), seed_(seed) {
     start_over();
     if (status() == Status::kTooFewMatches) return;
     SearchResult found = search_poses(m, options, priors, random_);
@@ -68,8 +63,7 @@ class Estimate {
     narrow.scale = kNarrow;
     std::fill(std::begin(narrow.share), std::end(narrow.share), 0.0);
     narrow.share[0] = 0.3;
-    for (const RelativePose& pose :
-         upright_poses(m_, prior_, kUprightPoses)) {
+    for (const RelativePose& pose : upright_poses(m_, prior_, kUprightPoses)) {
       candidates.polish(pose, kPolishings, kPolished);
       candidates.polish(candidates.annealed(pose, narrow.scale), kPolishings, kPolished, &narrow);
     }
@@ -161,7 +155,8 @@ class Estimate {
 
   void listen(const RelativePose& pose, double scale, double gate, double density,
               Evidence& evidence) {
-    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, known_, seed_);
+    const Testimony said =
+        testimony(m_, options_.residual, pose, scale, gate, density, known_, seed_);
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
     evidence.num_regions = said.num_regions;

@@ -75,8 +75,8 @@ struct Evidence {
   double rotation_log_ratio = kInfinity;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Share of the
-  // inliers on one plane, and whether it is so large that there is such a pose by geometry.
+  // probable the regions make it. Share of the inliers on one plane, and whether it is so large that
+  // there is such a pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0;
   double plane_share = 0.0;
   bool has_twin = false;
