@@ -49,7 +49,7 @@ def stated_probabilities(judged: Iterable[Judged], trials: Iterable[Trial]) -> l
         if (_is_right(run) or run.is_wrong) and not math.isnan(run.probability)
     ]
     synthetic = [
-        Stated("cells", trial.probability, _is_right_trial(trial))
+        Stated("synthetic", trial.probability, _is_right_trial(trial))
         for trial in trials
         if (_is_right_trial(trial) or trial.error_deg > WRONG_DEG)
         and not math.isnan(trial.probability)
@@ -109,7 +109,8 @@ def held_rows(found: Iterable[Held]) -> list[list[str]]:
     for each in found:
         low, high = each.bounds
         stated = f"{each.low:g} to {each.high:g}"
-        over = "over-confident" if each.right + 2.0 * (high - each.right) < each.mean else ""
+        is_over = each.right < 1.0 and each.right + 2.0 * (high - each.right) < each.mean
+        over = "over-confident" if is_over else ""
         shares = f"{each.right:.1%}", f"{low:.1%} to {high:.1%}"
         rows.append([each.group, stated, str(each.count), f"{each.mean:.4f}", *shares, over])
     return rows
