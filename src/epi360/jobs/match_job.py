@@ -52,7 +52,7 @@ class MatchJob:
 
     ``output`` is a folder that `open_output` made. With ``upright_deg``, all images are panoramas
     that stand upright to so many degrees (one sigma). ``progress`` is told of the stages "images",
-    "features", "pairs" and "level pairs".
+    "features", "pairs", "level pairs" and "places".
     """
 
     def __init__(
@@ -159,6 +159,10 @@ class MatchJob:
     def sees_all_around(self, pair: Pair) -> bool:
         """Whether both images are full panoramas."""
         return all(is_full_panorama(self.cameras[index]) for index in pair)
+
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look, the strongest first."""
+        return self.cameras[index].bearings_from_pixels(self._features_of(index)[0].keypoints)
 
     def readable_keys(self) -> dict[str, str]:
         """Key of the key points of each image that has some, by its name."""
@@ -284,6 +288,7 @@ class MatchJob:
             rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
             translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
             probability=result.probability,
+            explanations=result.explanations,
             floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
             prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,
