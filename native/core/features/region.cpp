@@ -79,6 +79,45 @@ struct RowOfRegion {
   int cells[kRowLength];
 };
 
+// The turned grid of a descriptor's histograms; cosine and sine are in cells a pixel.
+struct Frame {
+  float cosine, sine, zero;
+  int radius;
+  float weights[kRowLength] = {};
+
+  Frame(float sigma, float angle) {
+    const float cell = 3.0f * sigma, radians = angle * 0.017453292519943295f;
+    cosine = std::cos(radians) / cell;
+    sine = std::sin(radians) / cell;
+    zero = angle / 360.0f;
+    radius = std::min(kLargestRadius, static_cast<int>(std::lround(cell * 1.4142135f * 2.5f)));
+    for (int i = 0; i <= radius; ++i) {
+      weights[radius + i] = weights[radius - i] = std::exp(-0.125f * i * i / (cell * cell));
+    }
+  }
+};
+
+// Where the gradients of row i from column first on fall.
+EPI360_INLINE void locate_row(const Frame& frame, int i, int first, int count,
+                              const float* magnitudes, const float* turned, RowOfRegion& row) {
+  const float cosine = frame.cosine, sine = frame.sine, zero = frame.zero;
+  const float* weights = frame.weights + frame.radius;
+  for (int k = 0; k < count; ++k) {
+    const float j = static_cast<float>(first + k);
+    // One more than in Lowe's numbering, so that all are positive: 0 to 5.
+    const float r = std::min(std::max(j * sine + i * cosine + 2.5f, 0.0f), 4.9999f);
+    const float c = std::min(std::max(j * cosine - i * sine + 2.5f, 0.0f), 4.9999f);
+    float o = turned[k] - zero;
+    o = (o < 0.0f ? o + 1.0f : o) * kBins;
+    const int r0 = static_cast<int>(r), c0 = static_cast<int>(c);
+    row.rows[k] = r - r0;
+    row.columns[k] = c - c0;
+    row.bins[k] = o;
+    row.weights[k] = magnitudes[k] * weights[first + k] * weights[i];
+    row.cells[k] = (r0 * (kSide + 2) + c0) * kBins;
+  }
+}
+
 // Shares of each gradient among its nearest bins. All eight directions of a histogram are added to
 // at once: adding to two of them would wait for the last pixel's to be stored.
 EPI360_INLINE void add_row(const RowOfRegion& row, int count, float* histograms) {
@@ -151,15 +190,8 @@ int orientations(const Octave& octave, const Place& place, float* angles) {
 
 EPI360_MULTIVERSION
 void describe(const Octave& octave, const Place& place, float angle, unsigned char* descriptor) {
-  const float cell = 3.0f * place.sigma, radians = angle * 0.017453292519943295f;
-  const float cosine = std::cos(radians) / cell, sine = std::sin(radians) / cell;
-  const float zero = angle / 360.0f;
-  const int radius =
-      std::min(kLargestRadius, static_cast<int>(std::lround(cell * 1.4142135f * 2.5f)));
-  float weights[kRowLength] = {};
-  for (int i = 0; i <= radius; ++i) {
-    weights[radius + i] = weights[radius - i] = std::exp(-0.125f * i * i / (cell * cell));
-  }
+  const Frame frame(place.sigma, angle);
+  const int radius = frame.radius;
   alignas(32) float histograms[kCells * kBins] = {};
   RowOfRegion row;
   float magnitudes[kRowLength], turned[kRowLength];
@@ -168,27 +200,14 @@ void describe(const Octave& octave, const Place& place, float angle, unsigned ch
     if (y < 1 || y > octave.height() - 2) continue;
     int first = std::max(-radius, 1 - place.x);
     int last = std::min(radius, octave.width() - 2 - place.x);
-    narrow(cosine, -i * sine, -2.5f, 2.5f, first, last);
-    narrow(sine, i * cosine, -2.5f, 2.5f, first, last);
+    narrow(frame.cosine, -i * frame.sine, -2.5f, 2.5f, first, last);
+    narrow(frame.sine, i * frame.cosine, -2.5f, 2.5f, first, last);
     const int count = last - first + 1;
     if (count <= 0) continue;
     const int whole = whole_vectors(count);
     gradients(octave.row(place.level, y - 1), octave.row(place.level, y),
               octave.row(place.level, y + 1), place.x + first, whole, magnitudes, turned);
-    for (int k = 0; k < whole; ++k) {
-      const float j = static_cast<float>(first + k);
-      // One more than in Lowe's numbering, so that all are positive: 0 to 5.
-      const float r = std::min(std::max(j * sine + i * cosine + 2.5f, 0.0f), 4.9999f);
-      const float c = std::min(std::max(j * cosine - i * sine + 2.5f, 0.0f), 4.9999f);
-      float o = turned[k] - zero;
-      o = (o < 0.0f ? o + 1.0f : o) * kBins;
-      const int r0 = static_cast<int>(r), c0 = static_cast<int>(c);
-      row.rows[k] = r - r0;
-      row.columns[k] = c - c0;
-      row.bins[k] = o;
-      row.weights[k] = magnitudes[k] * weights[first + k + radius] * weights[i + radius];
-      row.cells[k] = (r0 * (kSide + 2) + c0) * kBins;
-    }
+    locate_row(frame, i, first, whole, magnitudes, turned, row);
     add_row(row, count, histograms);
   }
   finish(histograms, descriptor);
