@@ -46,6 +46,33 @@ def test_points_are_seen_where_they_are():
     assert np.median(np.degrees(errors)) < 0.2  # 0.3 pixels
 
 
+def seen_errors_rad(key_frames, positions):
+    """Angle between each bearing of the key frames and the landmark that it shows."""
+    errors = []
+    for each in key_frames:
+        rays = positions(each.ids) @ each.rotation.T + each.translation
+        across = np.linalg.norm(np.cross(each.bearings, rays), axis=1)
+        errors.append(np.arctan2(across, np.einsum("ni,ni->n", each.bearings, rays)))
+    return errors
+
+
+def test_adjusting_the_whole_map_never_raises_its_own_cost():
+    odometry = Odometry(CAMERA)
+    for image in frames():
+        odometry.add_frame(image)
+    segment = odometry._segments[0]
+    scale_rad = 2.0 * segment.noise.sigma_rad  # of Cauchy's loss
+    used = [each.is_used.copy() for each in odometry.key_frames()]
+    before = seen_errors_rad(odometry.key_frames(), segment.map.positions_of)
+    odometry.finish()
+    after = seen_errors_rad(odometry.key_frames(), segment.map.positions_of)
+    costs = np.zeros(2)
+    for rows, *pair in zip(used, before, after, strict=True):
+        known = rows & np.isfinite(pair).all(axis=0)
+        costs += [np.log1p((errors[known] / scale_rad) ** 2).sum() for errors in pair]
+    assert costs[1] < costs[0]
+
+
 def test_frames_that_waited_have_their_poses_afterwards():
     odometry = Odometry(CAMERA)
     first = [odometry.add_frame(image) for image in frames()]
