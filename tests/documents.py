@@ -30,6 +30,16 @@ DURATION = re.compile(r"[\d.,]+ ?(?=s\b|/s|pairs/s)")
 LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 
 
+# Options of other programs that the documents name, as their sources have them.
+OTHERS = {
+    "../gsplat/examples/simple_trainer.py": {"--data_dir", "--data_factor", "--result_dir"},
+    "../gaussian-splatting/train.py": {"-s", "-m", "-r"},
+    "ns-train": {
+        "--data", "--colmap-path", "--masks-path", "--downscale-factor", "--orientation-method",
+    },
+}  # fmt: skip
+
+
 def text_of(document):
     return document.read_text(encoding="utf-8")
 
@@ -55,9 +65,12 @@ def run_bash(body):
 
 def check_command(words):
     """That a line can be typed, for lines that are not run: programs, targets, extras, options."""
+    program = words[1] if words[0] == "python" else words[0]
     if words[0] == "epi360" or words[0].endswith("/epi360"):
         options = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert options <= options_of(words[1]), words
+    elif program in OTHERS:
+        assert {word for word in words if word.startswith("-")} <= OTHERS[program], words
     elif words[0] == "make":
         assert f"\n{words[1]}: " in text_of(ROOT / "Makefile"), words
     elif words[:2] == ["pip", "install"] or words[1:4] == ["-m", "pip", "install"]:

@@ -22,6 +22,8 @@ HOWTOS = (
     "fisheye_rig",
     "batch",
     "odometry",
+    "large_folders",
+    "localize",
 )
 WALK = ("--scene", "living_room", "--num-frames", "6", "--step-m", "0.2",
         "--max-turn-deg", "6", "--width", "512")  # fmt: skip
@@ -60,6 +62,18 @@ def test_odometry(walk, folder):
     assert Path("tracked/trajectory.txt").is_file()
 
 
+def test_new_images_in_a_map(walk, folder):
+    for library in ("pycolmap", "h5py"):
+        pytest.importorskip(library)
+    Path("images").mkdir()
+    for number in (1, 2, 3, 5, 6):
+        shutil.copy(walk / "rgb" / f"{number}.png", "images")
+    shutil.copy(walk / "rgb" / "4.png", "new.png")
+    assert cli.main(["map", "images", "--output", "map"]) == 0
+    run_document(DOCS / "localize.md")
+    assert len(Path("trajectory.txt").read_text(encoding="utf-8").splitlines()) == 2
+
+
 def test_an_existing_project(walk, folder):
     for library in ("pycolmap", "h5py", "pyarrow"):
         pytest.importorskip(library)
@@ -73,12 +87,22 @@ def test_an_existing_project(walk, folder):
 
 
 def test_a_virtual_tour(walk, folder):
-    Path("tour").mkdir()
-    for name, frame in (("sofa", 1), ("middle", 3), ("window", 6)):
-        shutil.copy(walk / "rgb" / f"{frame}.png", f"tour/{name}.png")
-    next_door = scene("studio").render(Equirectangular(512, 256), pose_at(0.5, 0.3))
-    write_picture("tour/next door.png", next_door.image)
+    write_tour(walk, Path("tour"))
     run_document(DOCS / "virtual_tour.md")
+
+
+def test_thousands_of_images(walk, folder):
+    write_tour(walk, Path("city"))
+    run_document(DOCS / "large_folders.md")
+
+
+def write_tour(walk, folder):
+    """Three pictures of one room and one of another."""
+    folder.mkdir()
+    for name, frame in (("sofa", 1), ("middle", 3), ("window", 6)):
+        shutil.copy(walk / "rgb" / f"{frame}.png", folder / f"{name}.png")
+    next_door = scene("studio").render(Equirectangular(512, 256), pose_at(0.5, 0.3))
+    write_picture(str(folder / "next door.png"), next_door.image)
 
 
 def test_a_fisheye_rig(folder):

@@ -23,11 +23,14 @@ if TYPE_CHECKING:
     )
     from epi360.epipolar import Stability, pose_from_essential, stability, triangulate
     from epi360.estimation import (
+        AbsolutePoseResult,
+        Explanations,
         ImagePairResult,
         RansacOptions,
         RefinementResult,
         RelativePoseResult,
         eight_point,
+        estimate_absolute_pose,
         estimate_relative_pose,
         estimate_relative_poses,
         paper_pose,
@@ -43,6 +46,13 @@ if TYPE_CHECKING:
         read_mask,
         track_features,
     )
+    from epi360.jobs.localization import (
+        LocalizationMap,
+        LocalizationOptions,
+        LocalizationResult,
+        load_map,
+        localize_image,
+    )
     from epi360.odometry import FrameResult, Odometry, OdometryOptions, Trajectory
     from epi360.poses import Pose, rotation_error_deg, translation_error_deg
     from epi360.two_view import relative_pose_of_images
@@ -56,13 +66,18 @@ _HOMES = {
     ),
     "epi360.epipolar": ("Stability", "pose_from_essential", "stability", "triangulate"),
     "epi360.estimation": (
-        "ImagePairResult", "RansacOptions", "RefinementResult", "RelativePoseResult", "eight_point",
+        "AbsolutePoseResult", "Explanations", "ImagePairResult", "RansacOptions",
+        "RefinementResult", "RelativePoseResult", "eight_point", "estimate_absolute_pose",
         "estimate_relative_pose", "estimate_relative_poses", "paper_pose", "refine_pose",
         "residual_weights",
     ),
     "epi360.features": (
         "Features", "Tracks", "extract_features", "match_features", "read_image", "read_mask",
         "track_features",
+    ),
+    "epi360.jobs.localization": (
+        "LocalizationMap", "LocalizationOptions", "LocalizationResult", "load_map",
+        "localize_image",
     ),
     "epi360.odometry": ("FrameResult", "Odometry", "OdometryOptions", "Trajectory"),
     "epi360.poses": ("Pose", "rotation_error_deg", "translation_error_deg"),
@@ -71,14 +86,16 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Camera", "DoubleSphere", "Equirectangular", "ExtendedUnified", "Features", "FrameResult",
-    "ImagePairResult", "KannalaBrandt", "Odometry", "OdometryOptions", "Pinhole", "Pose",
-    "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability", "Tracks", "Trajectory",
-    "UnifiedCamera", "eight_point", "epipolar", "estimate_relative_pose",
-    "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "match_features",
-    "paper_pose", "pose_from_essential", "read_image", "read_mask", "refine_pose",
-    "relative_pose_of_images", "residual_weights", "rotation_error_deg", "stability",
-    "track_features", "translation_error_deg", "triangulate",
+    "AbsolutePoseResult", "Camera", "DoubleSphere", "Equirectangular", "Explanations",
+    "ExtendedUnified", "Features", "FrameResult", "ImagePairResult", "KannalaBrandt",
+    "LocalizationMap", "LocalizationOptions", "LocalizationResult", "Odometry", "OdometryOptions",
+    "Pinhole", "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability",
+    "Tracks", "Trajectory", "UnifiedCamera", "eight_point", "epipolar", "estimate_absolute_pose",
+    "estimate_relative_pose", "estimate_relative_poses", "extract_features", "load_camera",
+    "load_cameras", "load_map", "localize_image", "match_features", "paper_pose",
+    "pose_from_essential", "read_image", "read_mask", "refine_pose", "relative_pose_of_images",
+    "residual_weights", "rotation_error_deg", "stability", "track_features",
+    "translation_error_deg", "triangulate",
 ]  # fmt: skip
 
 

@@ -31,7 +31,9 @@ DARK_STROKE = [withStroke(linewidth=2.5, foreground="black")]
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """White figure on the Agg canvas, independent of pyplot."""
-    figure = Figure(figsize=(width_in, height_in), dpi=DPI, facecolor="white")
+    # Older versions of matplotlib cut 100 times 10.2 inches to 1,019 pixels.
+    size = (width_in + 1e-9, height_in + 1e-9)
+    figure = Figure(figsize=size, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from command_line import assert_help_names
+from convert_scene import CAMERA, assert_same_poses, refused, scene
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cli import main
@@ -13,44 +14,18 @@ from epi360.interop import (
     MatchedImage,
     MatchedPair,
     MatchGraph,
-    Observations,
     PosedImage,
     Reconstruction,
     TwoViewGeometry,
 )
+from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.formats import FORMATS, format_of_file
 from epi360.interop.nerfstudio import read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
-CAMERA = Equirectangular(360, 180)
 COLMAP = "colmap", "colmap-text"
-
-
-def scene():
-    """Three panoramas, five points around them, each seen by all."""
-    rng = np.random.default_rng(0)
-    images = tuple(
-        PosedImage(
-            f"hall/{index}.jpg",
-            "1",
-            Pose(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)),
-        )
-        for index in range(3)
-    )
-    points = 5 * rng.normal(size=(5, 3))
-    colors = rng.integers(0, 256, (5, 3)).astype(np.uint8)
-    rows, columns = np.repeat(np.arange(5), 3), np.tile(np.arange(3), 5)
-    pixels = [
-        CAMERA.pixels_from_bearings(
-            [images[image].cam_from_world.rotation @ points[point]
-             + images[image].cam_from_world.translation]
-        )[0]
-        for point, image in zip(rows, columns, strict=True)
-    ]  # fmt: skip
-    observations = Observations(rows, columns, np.array(pixels))
-    return Reconstruction({"1": CAMERA}, images, points, colors, observations)
 
 
 @pytest.fixture
@@ -63,21 +38,6 @@ def run(capsys, monkeypatch, tmp_path):
         return code, out.strip(), err.strip()
 
     return run
-
-
-def refused(answer, *parts):
-    code, out, err = answer
-    assert (code, out) == (2, "")
-    assert err.startswith("epi360: error: ") and "\n" not in err
-    for part in parts:
-        assert part in err
-
-
-def assert_same_poses(before, after):
-    for one, other in zip(before.images, after.images, strict=True):
-        np.testing.assert_allclose(
-            one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-9
-        )
 
 
 def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):
@@ -217,7 +177,6 @@ def test_a_camera_that_the_target_lacks_is_refused_before_anything_is_written(ru
 @pytest.mark.parametrize("name", COLMAP)
 def test_a_colmap_model_comes_back_with_its_observations(run, tmp_path, name):
     pytest.importorskip("pycolmap")
-    from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 
     write_colmap_model("sparse", scene())
     code, out, _ = run("sparse", "copy", "--format", name)
@@ -295,6 +254,8 @@ def test_what_epi360_match_wrote_becomes_a_database(run, tmp_path, monkeypatch):
 
     (tmp_path / "matched").mkdir()
     monkeypatch.setattr("epi360.jobs.matching.load_matches", lambda folder: graph())
+    of_all = np.full((6, 128), 128.0**-0.5, np.float32)
+    monkeypatch.setattr("epi360.jobs.match_result.descriptors_of", lambda _: lambda name: of_all)
     code, out, _ = run("matched", "a.db")
     assert (code, out) == (0, "wrote a.db (COLMAP database): 3 images, 2 pairs, 1 camera")
     pair = read_colmap_database("a.db").pairs[0]
@@ -303,6 +264,11 @@ def test_what_epi360_match_wrote_becomes_a_database(run, tmp_path, monkeypatch):
         rotation_error_deg(pair.geometry.cam2_from_cam1, graph().pairs[0].geometry.cam2_from_cam1)
         < 1e-6
     )
+    stored = read_colmap_database("a.db", with_descriptors=True).images["hall/b.jpg"]
+    np.testing.assert_array_equal(stored.descriptors, np.round(512 * of_all))
+    assert run("matched", "b.db", "--no-descriptors")[0] == 0
+    without = read_colmap_database("b.db", with_descriptors=True).images["hall/b.jpg"]
+    assert without.descriptors is None
     refused(run("matched", "transforms.json"), "matched holds no COLMAP model", "epi360 map")
 
 
@@ -335,9 +301,9 @@ def test_a_pairs_file_says_which_images_hloc_matched(run, ambiguous, tmp_path):
     refused(run("a.db", "b.db", "--pairs", "pairs.txt"), "--pairs is for hloc")
 
 
-def test_descriptors_are_read_only_where_the_target_keeps_them(run, ambiguous, monkeypatch):
+def test_descriptors_are_kept_unless_they_are_not_wanted(run, ambiguous, monkeypatch):
     pycolmap = pytest.importorskip("pycolmap")
-    from epi360.interop import hloc, read_hloc, write_colmap_database
+    from epi360.interop import hloc, read_colmap_database, read_hloc, write_colmap_database
 
     write_colmap_database("a.db", graph())
     with pycolmap.Database.open("a.db") as database:
@@ -348,9 +314,15 @@ def test_descriptors_are_read_only_where_the_target_keeps_them(run, ambiguous, m
             database.write_descriptors(image.image_id, sift)
     assert run("a.db", "m.h5", "--features", "f.h5")[0] == 0
     images = read_hloc("f.h5", "m.h5", with_descriptors=True).images
-    np.testing.assert_array_equal(images["hall/a.jpg"].descriptors, np.full((6, 128), 7))
-    monkeypatch.setattr(hloc.HlocPairs, "descriptors", None)  # not to be called
+    # hloc's descriptors have unit length, up to its half precision.
+    np.testing.assert_allclose(
+        images["hall/a.jpg"].descriptors, np.full((6, 128), 128**-0.5), atol=2.0**-12
+    )
     assert run("m.h5", "b.db", "--features", "f.h5")[0] == 0
+    stored = read_colmap_database("b.db", with_descriptors=True).images["hall/a.jpg"]
+    np.testing.assert_array_equal(stored.descriptors, np.full((6, 128), 45))  # 512 / sqrt(128)
+    monkeypatch.setattr(hloc.HlocPairs, "descriptors", None)  # not to be called
+    assert run("m.h5", "c.db", "--features", "f.h5", "--no-descriptors")[0] == 0
 
 
 def test_a_source_without_images_is_refused(run, tmp_path):
@@ -361,5 +333,29 @@ def test_a_source_without_images_is_refused(run, tmp_path):
 
 def test_help_names_every_option(capsys):
     assert_help_names(
-        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs"
-    )
+        capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs",
+        "--fps", "--verify", "--no-descriptors",
+    )  # fmt: skip
+
+
+def test_matches_of_hloc_say_that_they_need_verification_or_get_it(run, tmp_path):
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("h5py")
+    from epi360.interop import read_colmap_database, write_hloc
+
+    rng = np.random.default_rng(0)
+    points = 5 * rng.normal(size=(60, 3))
+    pixels = [CAMERA.pixels_from_bearings(points - [0.8 * k, 0, 0]) for k in range(2)]
+    names = "a.jpg", "b.jpg"
+    images = {n: MatchedImage(n, "1", p) for n, p in zip(names, pixels, strict=True)}
+    matches = np.column_stack([np.arange(60)] * 2)
+    unverified = MatchGraph({"1": CAMERA}, images, (MatchedPair(*names, matches),))
+    write_hloc("f.h5", "m.h5", unverified)
+    code, _, err = run("m.h5", "a.db", "--features", "f.h5")
+    assert code == 0 and "1 pair is not verified" in err and "--verify" in err
+    assert read_colmap_database("a.db").pairs[0].geometry is None
+    code, _, err = run("m.h5", "b.db", "--features", "f.h5", "--verify")
+    assert code == 0 and "not verified" not in err
+    geometry = read_colmap_database("b.db").pairs[0].geometry
+    assert geometry.status == "ok" and len(geometry.inliers) > 50
+    refused(run("a.db", "n.h5", "--features", "g.h5", "--verify"), "--verify is for a COLMAP")

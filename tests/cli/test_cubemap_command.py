@@ -22,6 +22,19 @@ def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp
     assert {camera.width for camera in again.cameras.values()} == {32}
 
 
+def test_native_flat_and_alpha_faces(room_folder, room_run, tmp_path, capsys):
+    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
+    words = ["cubemap", model, images, str(tmp_path / "out"), "--face-size", "native", "--flat"]
+    more = ["--alpha", "--image-format", "png", "--mask-nadir-deg", "20", "--faces", "down"]
+    assert cli.main([*words, *more]) == 0
+    again = read_colmap_model(tmp_path / "out" / "sparse" / "0")
+    assert {camera.width for camera in again.cameras.values()} == {162}  # 512 / pi = 162.97, even
+    files = {path.name for path in (tmp_path / "out" / "images").iterdir()}
+    assert files == {image.name for image in again.images} and len(files) == 6
+    face = cv2.imread(str(tmp_path / "out" / "images" / min(files)), cv2.IMREAD_UNCHANGED)
+    assert face.shape == (162, 162, 4) and not face[81, 81, 3] and face[0, 0, 3]
+
+
 def test_an_image_that_is_not_in_the_folder_is_named(room_folder, room_run, tmp_path, capsys):
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -37,7 +50,7 @@ def test_faces_show_no_pixel_that_is_masked_out(room_folder, room_run, tmp_path,
     words = ["cubemap", model, images, str(tmp_path / "out"), "--mask", str(tmp_path / "mask.png")]
     assert cli.main([*words, "--faces", "down", "front", "--face-size", "32"]) == 0
     shares = {"down": [], "front": []}
-    for path in (tmp_path / "out" / "masks").rglob("*.png"):
+    for path in (tmp_path / "out" / "masks").rglob("*.jpg.png"):
         face = path.name.removesuffix(".png").rpartition(".")[0].rpartition("_")[2]
         shares[face].append((cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0).mean())
     assert len(shares["down"]) == len(shares["front"]) == 6
@@ -52,6 +65,8 @@ def test_faces_show_no_pixel_that_is_masked_out(room_folder, room_run, tmp_path,
         (["MODEL", "IMAGES", "IMAGES"], "cannot be written into"),
         (["MODEL", "IMAGES", "OUT", "--fov-deg", "180"], " --fov-deg must be"),
         (["MODEL", "IMAGES", "OUT", "--mask-nadir-deg=-5"], " --mask-nadir-deg must"),
+        (["MODEL", "IMAGES", "OUT", "--alpha"], " --image-format must be png"),
+        (["MODEL", "IMAGES", "OUT", "--face-size", "3"], " --face-size must be 8"),
         (["NOWHERE", "IMAGES", "OUT"], "does not exist"),
     ],
 )
@@ -70,5 +85,5 @@ def test_wrong_use_is_one_line_and_exit_code_2(
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "cubemap", "--mask", "--mask-nadir-deg", "--face-size", "--fov-deg", "--faces",
-        "--image-format", "--jpeg-quality",
+        "--image-format", "--jpeg-quality", "--flat", "--alpha",
     )  # fmt: skip

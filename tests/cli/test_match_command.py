@@ -72,6 +72,8 @@ def test_upright_panoramas_are_said_to_be_in_the_table(here):
         (row,) = csv.DictReader(file)
     assert row["prior"] == "upright"
     assert float(row["probability"]) > 0.85
+    explanations = [float(row[name]) for name in COLUMNS if name.startswith("probability_")]
+    assert len(explanations) == 5 and sum(explanations) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_no_pose_at_all_is_an_honest_failure(here, capsys):
@@ -102,7 +104,8 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
         (["nowhere"], "nowhere"),
         (
             ["tour", "--pairs", "exaustive"],
-            "exaustive does not exist; give a pairs file, or auto, sequential or exhaustive",
+            "exaustive does not exist; give a pairs file, or auto, exhaustive, sequential, "
+            "retrieval or near",
         ),
         (["tour", "--max-width", "1"], " --max-width must be at least 64 pixels, got 1"),
         (["tour", "--num-threads", "0"], " --num-threads must be at least 1, got 0"),

@@ -11,8 +11,8 @@ from epi360 import cli
 from epi360.cli.command import app
 
 COMMANDS = (
-    "pair", "frames", "match", "map", "track", "evaluate", "batch", "convert", "cubemap", "render",
-    "reproduce", "demo", "completion",
+    "pair", "frames", "match", "map", "localize", "track", "evaluate", "batch", "convert",
+    "cubemap", "render", "reproduce", "demo", "completion",
 )  # fmt: skip
 COMPLETE = ("demo",)  # does its work without another word
 

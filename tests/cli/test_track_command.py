@@ -82,6 +82,22 @@ def test_tracked_rows_are_those_of_the_trajectory_in_order(walk):
     assert all(int(row["num_inliers"]) > 20 for row in rows)
 
 
+def test_down_is_plus_y_in_every_file(walk):
+    """The mean of the tracked cameras' y axes; all files have one world."""
+    _, output, _ = walk
+    rows = read_tum_trajectory(output / "trajectory.txt").images
+    mean = np.mean([row.cam_from_world.rotation[1] for row in rows], axis=0)
+    np.testing.assert_allclose(mean / np.linalg.norm(mean), [0, 1, 0], atol=1e-12)
+    by_time = {row.timestamp_s: row.cam_from_world.matrix() for row in rows}
+    times = {row["image"]: float(row["timestamp_s"]) for row in rows_of(output)}
+    model = read_colmap_model(output / "sparse" / "0")
+    for image in model.images:
+        expected = by_time[times[image.name]]
+        np.testing.assert_allclose(image.cam_from_world.matrix(), expected, atol=1e-9)
+    points, _ = read_ply_points(output / "points.ply")
+    np.testing.assert_allclose(points, model.points, atol=1e-12)
+
+
 def test_transforms_name_the_images_of_the_folder(walk):
     folder, output, _ = walk
     document = json.loads((output / "transforms.json").read_text())

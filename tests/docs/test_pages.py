@@ -54,6 +54,7 @@ def test_each_howto_has_a_test_that_runs_it(name):
         ["pip", "install", ".[nothing]"],
         ["python", "benchmarks/nothing.py"],
         ["rm", "-r", "out"],
+        ["ns-train", "splatfacto", "--orientation", "none"],
     ],
     ids=" ".join,
 )

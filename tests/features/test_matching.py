@@ -116,7 +116,7 @@ def test_every_mutual_pair_is_a_match_without_a_ratio():
 
 
 def test_products_of_descriptors_are_exact_in_any_order():
-    first, second = (matching._rounded(each.descriptors) for each in random_pair(11))
+    first, second = (matching.rounded_descriptors(each.descriptors) for each in random_pair(11))
     exact = first.astype(np.float64) @ second.astype(np.float64).T
     np.testing.assert_array_equal(first @ second.T, exact)
     order = np.random.default_rng(12).permutation(128)
@@ -188,3 +188,41 @@ def test_without_a_second_candidate_there_are_no_matches(sizes):
 def test_a_ratio_out_of_range_is_refused(ratio):
     with pytest.raises(ValueError, match="ratio must be in"):
         match_features(*random_pair(num_common=2, num_other=1), ratio=ratio)
+
+
+@pytest.mark.parametrize(
+    ("num1", "num2"), [(200, 150), (450, 150), (200, 600), (450, 600), (0, 0), (1, 1), (0, 300)]
+)
+def test_a_closer_look_is_the_same_as_looking_at_all_at_once(num1, num2):
+    first, second = random_pair(4)
+    num1, num2 = min(num1, len(first)), min(num2, len(second))
+    at_once = matching.look(first, second)
+    before = matching.look(first.first(num1), second.first(num2))
+    closer = matching.look(first, second, before)
+    for name in ("nearest", "best", "second", "others"):
+        np.testing.assert_array_equal(getattr(closer, name), getattr(at_once, name))
+
+
+def test_of_equal_descriptors_a_closer_look_takes_the_same_as_looking_at_all_at_once():
+    first, second = random_pair(5)
+    twice = features_of(np.concatenate([second.descriptors, second.descriptors[::-1]]))
+    doubled = features_of(np.concatenate([first.descriptors, first.descriptors]))
+    before = matching.look(doubled.first(len(first)), twice.first(len(second)))
+    closer, at_once = matching.look(doubled, twice, before), matching.look(doubled, twice)
+    for name in ("nearest", "best", "second", "others"):
+        np.testing.assert_array_equal(getattr(closer, name), getattr(at_once, name))
+
+
+def test_a_closer_look_multiplies_only_what_is_new(monkeypatch):
+    first, second = random_pair(6)
+    before = matching.look(first.first(100), second.first(80))
+    sizes = []
+    two_nearest = matching._two_nearest
+
+    def counted(queries, targets):
+        sizes.append(len(queries) * len(targets))
+        return two_nearest(queries, targets)
+
+    monkeypatch.setattr(matching, "_two_nearest", counted)
+    matching.look(first, second, before)
+    assert sum(sizes) == len(first) * len(second) - 100 * 80

@@ -20,6 +20,8 @@ def test_the_command_line_knows_every_format():
         (b"\x89HDF\r\n\x1a\nrest", "hloc"),
         (b'\n [{"cameras"', "opensfm"),
         (b'\xef\xbb\xbf{"frames"', "nerfstudio"),
+        (b'{ "cameras": {}, "shots"', "opensfm"),
+        (b'{"camera_model": "PINHOLE"', "nerfstudio"),
         (b"# timestamp\n\n0.5 1 2 3 0 0 0 1\n", "tum"),
     ],
 )
@@ -34,7 +36,7 @@ def test_the_format_is_found_from_the_content(tmp_path, content, name):
     [
         ("a.DB", "colmap-database"), ("m.h5", "hloc"), ("t.tum", "tum"), ("t.txt", "tum"),
         ("transforms_train.json", "nerfstudio"), ("reconstruction.meshed.json", "opensfm"),
-        ("sparse/0", "colmap"),
+        ("sparse/0", "colmap"), ("my_reconstruction.json", "opensfm"),
     ],
 )  # fmt: skip
 def test_the_format_is_found_from_the_name(file, name):
@@ -52,6 +54,11 @@ def test_other_text_is_no_trajectory(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ValueError, match=r"table.txt is no file that can be converted"):
         format_of_file(path)
+
+
+def test_a_folder_with_a_reconstruction_is_a_project_of_opensfm(tmp_path):
+    (tmp_path / "reconstruction.json").write_text("[]")
+    assert format_of_file(tmp_path) == "opensfm-folder"
 
 
 def test_a_folder_without_a_model_is_no_reconstruction(tmp_path):

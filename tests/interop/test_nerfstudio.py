@@ -81,8 +81,11 @@ def test_a_pixel_has_the_ray_that_nerfstudio_gives_it(tmp_path, camera):
     pixels = rng.uniform([0, 0], [camera.width, camera.height], (200, 2))
     in_opengl = nerfstudio_directions(document, pixels)
     matrix = np.array(document["frames"][0]["transform_matrix"])
+    saved_from_world = np.array(document["applied_transform"])[:, :3]
     np.testing.assert_allclose(
-        in_opengl @ matrix[:3, :3].T, camera.bearings_from_pixels(pixels), atol=1e-12
+        in_opengl @ matrix[:3, :3].T @ saved_from_world,
+        camera.bearings_from_pixels(pixels),
+        atol=1e-12,
     )
 
 
@@ -189,7 +192,7 @@ def test_what_is_written_reads_back(tmp_path, group):
         np.testing.assert_allclose(
             one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-12
         )
-    np.testing.assert_array_equal(points, after.points)
+    np.testing.assert_allclose(points, after.points, atol=1e-12)  # they were turned and back
     np.testing.assert_array_equal(colors, after.colors)
 
 
@@ -203,15 +206,17 @@ def test_the_written_file_is_what_nerfstudio_expects(tmp_path):
     )
     document = json.loads(path.read_text(encoding="utf-8"))
     assert {key: document[key] for key in PANORAMA} == PANORAMA
-    assert document["applied_transform"] == [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
+    # z is up, as -y was: (x, y, z) becomes (x, z, -y), and nerfstudio is to leave it so.
+    assert document["applied_transform"] == [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]
+    assert document["orientation_override"] == "none"
     (frame,) = document["frames"]
     assert frame["file_path"] == "images/sub/\u00e4.jpg"
-    # The camera is at (0, 0, -5) of the world; its y and z axes are turned around.
-    assert frame["transform_matrix"] == [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, -5], [0, 0, 0, 1]]
+    # The camera is at (0, 0, -5) of the world; its y axis is up, and it looks along the saved y.
+    assert frame["transform_matrix"] == [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]]
     ply = (tmp_path / document["ply_file_path"]).read_bytes()
     header, body = ply.split(b"end_header\n")
     assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n")
-    assert struct.unpack("<3d3B", body) == (1, 2, 3, 9, 8, 7)
+    assert struct.unpack("<3d3B", body) == (1, 3, -2, 9, 8, 7)
 
 
 def test_each_frame_names_its_mask_or_none_does(tmp_path):

@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from epi360.interop.reconstruction import PosedImage, Reconstruction
-from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
+from epi360.interop.tum import (
+    names_path,
+    read_tum_trajectory,
+    write_tum_names,
+    write_tum_trajectory,
+)
 from epi360.poses import Pose, rotation_from_vector
 
 HALF = 0.7071067811865476
@@ -141,3 +146,49 @@ def test_a_frame_that_is_missing_among_rows_without_times_is_warned_of(tmp_path)
         warnings.simplefilter("error")
         write_shots(tmp_path / "timed.tum", names, [1.0, 2.0, 4.0, 5.0])
         write_shots(tmp_path / "even.tum", ["5.png", "10.png", "15.png"], [None] * 3)
+
+
+def fps_shots(path, names, fps, stamps=None):
+    """Times and names of what is written for images whose x is their place in the list."""
+    images = tuple(
+        PosedImage(name, None, Pose(np.eye(3), [float(index), 0, 0]), stamp)
+        for index, (name, stamp) in enumerate(
+            zip(names, stamps or [None] * len(names), strict=True)
+        )
+    )
+    reconstruction = Reconstruction({}, images)
+    write_tum_trajectory(path, reconstruction, fps=fps)
+    write_tum_names(names_path(path), reconstruction, fps=fps)
+    rows = [line.split(" ", 1) for line in names_path(path).read_text("utf-8").splitlines()[1:]]
+    assert [row[0] for row in rows] == [image.name for image in read_tum_trajectory(path).images]
+    return [(float(time), name) for time, name in rows]
+
+
+def test_times_come_from_the_frames_a_second_where_images_have_none(tmp_path):
+    """Without them one frame that the map left out would shift all later rows by a frame."""
+    path = tmp_path / "poses.tum"
+    assert names_path(path).name == "poses_names.txt"
+    names = ["10.png", "1 b.png", "2.png"]
+    assert fps_shots(path, names, 4) == [(0, "1 b.png"), (0.25, "2.png"), (0.5, "10.png")]
+    names = ["f_0002.png", "f_0004.png", "f_0003.png", "f_0007.png"]
+    times = [time for time, _ in fps_shots(path, names, 4)]
+    assert times == [0, 0.25, 0.5, 1.25]
+    every_tenth = ["30.jpg", "10.jpg", "20.jpg", "50.jpg"]
+    assert [time for time, _ in fps_shots(path, every_tenth, 2)] == [0, 0.5, 1, 2]
+    known = fps_shots(path, ["b", "a"], 2, [7.5, 9.0])
+    assert known == [(7.5, "b"), (9, "a")]
+
+
+def test_the_names_beside_a_trajectory_without_times_have_its_row_numbers(tmp_path):
+    assert fps_shots(tmp_path / "p.txt", ["x/2.jpg", "x/1.jpg"], None) == [
+        (0, "x/1.jpg"),
+        (1, "x/2.jpg"),
+    ]
+    assert (tmp_path / "p_names.txt").read_text() == "# timestamp filename\n0 x/1.jpg\n1 x/2.jpg\n"
+
+
+@pytest.mark.parametrize("fps", [0, -1, float("nan"), float("inf")])
+def test_frames_a_second_must_be_positive(tmp_path, fps):
+    with pytest.raises(ValueError, match="fps must be positive"):
+        fps_shots(tmp_path / "p.txt", ["a", "b"], fps)
+    assert not list(tmp_path.iterdir())

@@ -8,6 +8,15 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from cube_inputs import (
+    PANORAMA,
+    direction_colors,
+    pixel_centres,
+    plain_reconstruction,
+    read_picture,
+    two_panoramas,
+    write_png,
+)
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
 from epi360.interop import Observations, PosedImage, Reconstruction
@@ -24,7 +33,6 @@ from epi360.jobs.face_sampler import FaceSampler
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 
-PANORAMA = Equirectangular(256, 128)
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)
 IDENTITY = Pose(np.eye(3), np.zeros(3))
 KILLED_AT_A_FACE = """
@@ -38,42 +46,6 @@ def kill_at_a_face(source, target):
 os.replace = kill_at_a_face
 cli.main(sys.argv[1:])
 """
-
-
-def pixel_centres(camera):
-    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    return np.column_stack([u.ravel(), v.ravel()])
-
-
-def direction_colors(bearings, camera):
-    """A picture whose color says where each pixel looks."""
-    colors = np.round(127.5 + 120 * np.nan_to_num(bearings)).astype(np.uint8)
-    return colors.reshape(camera.height, camera.width, 3)
-
-
-def write_png(path, rgb):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pixels = rgb[..., ::-1] if rgb.ndim == 3 else rgb
-    path.write_bytes(cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes())
-
-
-def read_picture(path):
-    return cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
-
-
-def plain_reconstruction(names, camera=PANORAMA, **more):
-    images = tuple(
-        PosedImage(name, "pano", Pose(np.eye(3), np.array([0.1 * number, 0.0, 0.0])))
-        for number, name in enumerate(names)
-    )
-    return Reconstruction({"pano": camera}, images, **more)
-
-
-def two_panoramas(tmp_path, names=("a.png", "b.png"), camera=PANORAMA):
-    picture = direction_colors(camera.bearings_from_pixels(pixel_centres(camera)), camera)
-    for name in names:
-        write_png(tmp_path / "in" / name, picture)
-    return tmp_path / "in", plain_reconstruction(names, camera)
 
 
 @pytest.mark.parametrize("face", FACES)
@@ -153,6 +125,18 @@ def test_names_keep_folders_and_never_collide():
     assert twins["a.jpg", "front"] == "a.jpg_front.jpg"
 
 
+def test_flat_names_survive_programs_that_drop_folders_and_what_follows_a_dot():
+    options = CubemapOptions(faces=("front", "up"), flat=True)
+    names = face_image_names(["a b/v1.2 x.jpg", "c.png"], options)
+    assert names["a b/v1.2 x.jpg", "front"] == "a_b_v1_2_x_front.jpg"
+    assert names["c.png", "up"] == "c_up.jpg"
+    same = ["x/1.jpg", "x.1.jpg", "X 1.jpg", "y.jpg"]
+    flat = face_image_names(same, options)
+    stems = {name.split(".")[0].casefold() for name in flat.values()}
+    assert len(stems) == 8 and all(name.count(".") == 1 for name in flat.values())
+    assert flat["X 1.jpg", "up"] == "3_X_1_up.jpg"
+
+
 def test_observations_fall_where_the_exported_poses_see_the_points():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3)) * 3
@@ -201,7 +185,9 @@ def test_points_that_only_a_missing_face_saw_are_left_out():
         ({"faces": ("top",)}, "got top"),
         ({"fov_deg": 180.0}, "fov_deg must be 10 to 150"),
         ({"face_size": 0}, "face_size must be 8 to 16384"),
+        ({"face_size": "large"}, "face_size must be 8 to 16384 pixels or"),
         ({"jpeg_quality": 0}, "jpeg_quality"),
+        ({"alpha": True}, "image_format must be png for alpha"),
         ({"image_format": "gif"}, "image_format must be jpg or png"),
     ],
 )
@@ -253,62 +239,18 @@ class TestExport:
                 one.cam_from_world.matrix(), other.cam_from_world.matrix(), atol=1e-9
             )
 
-    def test_masks_are_cut_like_the_panoramas(self, tmp_path):
+    def test_a_record_without_the_newest_options_is_that_of_their_defaults(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap
 
-        folder, source = two_panoramas(tmp_path, ("sub/ä.png", "b.png"))
-        mask = np.full((128, 256), 255, np.uint8)
-        mask[:, :128] = 0  # the left half of the world
-        write_png(tmp_path / "mask.png", mask)
-        out = tmp_path / "out"
-        masks = {"sub/ä.png": tmp_path / "mask.png"}
-        export_cubemap(folder, source, out, masks=masks, mask_nadir_deg=30.0)
-        front = read_picture(out / "masks" / "sub" / "ä_front.jpg.png")[..., 0]
-        assert not front[:, :31].any() and front[:, 33:].all()
-        down = read_picture(out / "masks" / "b_down.jpg.png")[..., 0]
-        radius = 32 * np.tan(np.radians(30))
-        away = np.hypot(*(np.indices((64, 64)) + 0.5 - 32))
-        assert not down[away < radius - 2].any() and down[away > radius + 2].all()
-        assert read_picture(out / "masks" / "b_up.jpg.png").all()
-
-    def test_every_face_has_a_mask_that_nerfstudio_is_told_of_or_none_has(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
-
-        folder, source = two_panoramas(tmp_path, ("sub/ä.png", "b.png"))
-        write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))
+        folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
         export_cubemap(folder, source, out)
-        assert "mask_path" not in (out / "transforms.json").read_text()
-        export_cubemap(folder, source, out, masks={"sub/ä.png": tmp_path / "mask.png"})
-        frames = json.loads((out / "transforms.json").read_text(encoding="utf-8"))["frames"]
-        assert len(frames) == 12
-        for frame in frames:
-            assert frame["mask_path"] == frame["file_path"].replace("images/", "masks/") + ".png"
-            mask = cv2.imdecode(np.fromfile(out / frame["mask_path"], np.uint8), -1)
-            assert mask.shape == (64, 64) and mask.all()  # nerfstudio wants one channel
-
-    def test_a_camera_that_does_not_see_all_around_gets_masks(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
-
-        write_png(tmp_path / "in" / "a.png", np.full((200, 200, 3), 200, np.uint8))
-        source = plain_reconstruction(["a.png"], FISHEYE)
-        export_cubemap(tmp_path / "in", source, tmp_path / "out")
-        frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
-        assert len(frames) == 5 and all("mask_path" in frame for frame in frames)
-
-    def test_a_mask_of_all_panoramas_is_cut_once(self, tmp_path, monkeypatch):
-        from epi360.jobs.cubemap import export_cubemap
-
-        cuts = []
-        mask_of = FaceSampler.mask
-        monkeypatch.setattr(FaceSampler, "mask", lambda *a: cuts.append(1) or mask_of(*a))
-        folder, source = two_panoramas(tmp_path)
-        write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))
-        masks = dict.fromkeys(("a.png", "b.png"), tmp_path / "mask.png")
-        export_cubemap(folder, source, tmp_path / "out", masks=masks, mask_nadir_deg=20.0)
-        assert len(cuts) == 6
-        for face in ("a_down.jpg.png", "b_down.jpg.png"):
-            assert not read_picture(tmp_path / "out" / "masks" / face).all()
+        record = json.loads((out / "cubemap.json").read_text())
+        del record["options"]["flat"], record["options"]["alpha"]
+        (out / "cubemap.json").write_text(json.dumps(record))
+        assert export_cubemap(folder, source, out).num_kept == 2
+        with pytest.raises(ValueError, match="other options"):
+            export_cubemap(folder, source, out, CubemapOptions(flat=True))
 
     def test_a_damaged_record_is_named(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap

@@ -106,6 +106,18 @@ def test_the_model_and_the_transforms_on_disk_are_the_result(room_run):
         )
 
 
+def test_down_is_plus_y_in_the_model_as_its_cameras_say(room_run):
+    output, run = room_run
+    model = run.models[0].reconstruction
+    axes = np.array([image.cam_from_world.rotation[1] for image in model.images])
+    mean = axes.mean(axis=0)
+    np.testing.assert_allclose(mean / np.linalg.norm(mean), [0, 1, 0], atol=1e-12)
+    transforms = json.loads((output / "transforms.json").read_text(encoding="utf-8"))
+    turned = [[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0]]  # z up, and nothing else
+    np.testing.assert_allclose(transforms["applied_transform"], turned, atol=1e-12)
+    assert transforms["orientation_override"] == "none"
+
+
 def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, room_run):
     output, first = room_run
     images = find_images(room_folder[0])

@@ -404,3 +404,56 @@ def test_a_damaged_index_is_named(views, tmp_path):
 def test_options_out_of_range_are_refused(name):
     with pytest.raises(ValueError, match=f"{name} must be at least 1, got 0"):
         MatchOptions(**{name: 0})
+
+
+def test_images_that_look_alike_are_paired_and_found_again_by_a_later_run(folder, tmp_path):
+    stages = []
+    options = MatchOptions(pairs="retrieval", neighbors=1, num_threads=1)
+    run = match_images(
+        image_set(folder), tmp_path, options, progress=lambda stage, *_: stages.append(stage)
+    )
+    assert run.how == "retrieval, 1 that look alike"
+    assert 2 <= len(run.verdicts) <= 4
+    assert {name for each in run.verdicts for name in (each.image1, each.image2)} == set(NAMES)
+    assert list(dict.fromkeys(stages)) == [
+        *("images", "features", "retrieval", "pairs", "places"),
+    ]
+    again = match_images(image_set(folder), tmp_path, dataclasses.replace(options, num_threads=3))
+    assert pairs_csv(again) == pairs_csv(run)
+    assert again.num_found == len(run.verdicts)
+
+
+def test_an_image_that_cannot_be_read_is_no_partner_of_retrieval(views, tmp_path):
+    (views / NAMES[1]).write_bytes(b"no picture")
+    options = MatchOptions(pairs="retrieval", neighbors=5)
+    run = match_images(image_set(views, NAMES[:3]), tmp_path / "out", options)
+    assert [(each.image1, each.image2) for each in run.verdicts] == [(NAMES[0], NAMES[2])]
+    assert list(run.unreadable) == [NAMES[1]]
+
+
+def test_images_that_were_taken_near_each_other_are_paired(tmp_path):
+    lines = [f"{k} {x} 0 0 0 0 0 1" for k, x in enumerate((0.0, 5.0, 5.4, 0.3))]
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    rows = [f"{name},{k}" for k, name in enumerate(NAMES)]
+    pictures_here = write_views(tmp_path / "pictures")
+    (pictures_here / "frames.csv").write_text("\n".join(["image,timestamp_s", *rows]))
+    options = MatchOptions(pairs="near", positions=tmp_path / "poses.txt", radius=0.5)
+    run = match_images(image_set(pictures_here), tmp_path / "out", options)
+    assert run.how == f"near, 20 nearest within 0.5 by {tmp_path / 'poses.txt'}"
+    paired = [(each.image1, each.image2) for each in run.verdicts]
+    assert paired == [(NAMES[0], NAMES[3]), (NAMES[1], NAMES[2])]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"radius": 2.0}, 'radius must come with pairs="near", got pairs="auto"'),
+        ({"pairs": "retrieval", "positions": "x.txt"}, 'positions must come with pairs="near"'),
+        ({"pairs": "near", "radius": 0.0}, "radius must be above 0, got 0"),
+        ({"pairs": "near", "radius": float("nan")}, "radius must be above 0, got nan"),
+        ({"neighbors": 0}, "neighbors must be at least 1, got 0"),
+    ],
+)
+def test_options_of_partners_are_checked(changes, said):
+    with pytest.raises(ValueError, match=said):
+        MatchOptions(**changes)

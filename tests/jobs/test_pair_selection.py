@@ -7,7 +7,13 @@ import pytest
 
 from epi360.jobs.image_set import SourceImage
 from epi360.jobs.match_store import Verdict
-from epi360.jobs.pair_selection import dense_pairs, is_dense, select_pairs
+from epi360.jobs.pair_selection import (
+    dense_pairs,
+    is_dense,
+    names_count_up,
+    select_pairs,
+    ways_of,
+)
 
 
 def images(count):
@@ -28,11 +34,66 @@ def test_exhaustive_is_every_pair_once():
     assert len(pairs) == len({frozenset(pair) for pair in pairs}) == 10
 
 
-def test_few_images_are_matched_exhaustively_and_many_in_sequence():
+def ways(**found):
+    """Ways that find these pairs, and say how many partners they were asked for."""
+    return {
+        name: lambda count, known, name=name, pairs=pairs: (
+            f"{name}, {count}",
+            [pair for pair in pairs if pair not in known],
+        )
+        for name, pairs in found.items()
+    }
+
+
+def test_few_images_are_matched_exhaustively_and_a_long_sequence_with_what_looks_alike():
     assert select_pairs(images(30), "auto", 10)[0] == "exhaustive"
-    how, pairs = select_pairs(images(31), "auto", 10)
-    assert how == "sequential, 10 neighbours"
-    assert len(pairs) < 31 * 13
+    how, pairs = select_pairs(images(31), "auto", 10, 20, ways(retrieval=[(0, 1), (0, 30)]))
+    assert how == ("31 images whose names count up: sequential, 10 neighbours; retrieval, 10")
+    assert len(pairs) == len(set(pairs)) < 31 * 13
+    assert (0, 30) in pairs
+
+
+def test_many_images_without_an_order_are_matched_with_what_looks_alike():
+    rooms = [SourceImage(f"{name}.jpg", Path("x"), "c") for name in "ab"]
+    how, pairs = select_pairs([*images(31), *rooms], "auto", 10, 20, ways(retrieval=[(4, 32)]))
+    assert how == "33 images whose names do not count up: retrieval, 20"
+    assert pairs == [(4, 32)]
+
+
+@pytest.mark.parametrize(
+    ("names", "is_sequence"),
+    [
+        (["a1.jpg", "a2.jpg", "a10.jpg"], True),
+        (["walk/f1.jpg", "walk/f2.jpg", "garden/g1.jpg"], True),
+        (["a1.jpg", "b2.jpg"], False),
+        (["a1.jpg", "kitchen.jpg"], False),
+        (["home1/hall.jpg", "home1/bath.jpg"], False),
+    ],
+)
+def test_names_count_up_where_they_differ_in_a_number_only(names, is_sequence):
+    assert names_count_up([SourceImage(n, Path(n), "c") for n in names]) is is_sequence
+
+
+def test_frames_of_a_rig_are_a_sequence_whatever_their_names():
+    assert names_count_up(rig(3))
+
+
+def test_ways_are_combined_and_each_pair_comes_once():
+    more = ways(retrieval=[(0, 9), (3, 4)], near=[(0, 9), (0, 8)])
+    how, pairs = select_pairs(images(10), "retrieval, sequential,near", 1, 7, more)
+    assert how == "sequential, 1 neighbours; near, 7; retrieval, 7"
+    assert len(pairs) == len(set(pairs))
+    assert set(pairs) == {*select_pairs(images(10), "sequential", 1)[1], (0, 9), (0, 8)}
+
+
+@pytest.mark.parametrize("pairs", ["retrieval,exhaustive", "near,auto", "sequential,pairs.txt"])
+def test_what_goes_with_no_other_way_is_refused(pairs):
+    with pytest.raises(ValueError, match="pairs must be a file, auto, exhaustive, or some of"):
+        ways_of(pairs)
+
+
+def test_a_path_is_a_file_even_if_it_has_the_name_of_a_way():
+    assert ways_of(Path("retrieval")) == ()
 
 
 def test_some_pairs_of_a_few_images_are_looked_at_first_and_connect_each_in_many_ways():

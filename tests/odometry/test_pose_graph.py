@@ -17,7 +17,7 @@ from epi360.poses import Pose, rotation_error_deg
 
 
 def random_similarity(rng, spread=0.3):
-    rotation = Rotation.random(rng=rng).as_matrix()
+    rotation = Rotation.from_quat(rng.normal(size=4)).as_matrix()
     return Similarity(np.exp(spread * rng.standard_normal()), rotation, rng.standard_normal(3))
 
 

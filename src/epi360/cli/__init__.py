@@ -24,6 +24,7 @@ try:
     from epi360.cli import demo as _demo  # noqa: F401
     from epi360.cli import evaluate as _evaluate  # noqa: F401
     from epi360.cli import frames as _frames  # noqa: F401
+    from epi360.cli import localize as _localize  # noqa: F401
     from epi360.cli import map as _map  # noqa: F401
     from epi360.cli import match as _match  # noqa: F401
     from epi360.cli import pair as _pair  # noqa: F401

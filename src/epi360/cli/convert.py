@@ -12,13 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import SUCCESS, app
+from epi360.cli.command import SUCCESS, Flag, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
     from epi360.interop import MatchGraph, Reconstruction
+    from epi360.interop.descriptors import DescriptorsOf
 
 FormatName = Literal[
-    "colmap", "colmap-text", "opensfm", "nerfstudio", "tum", "colmap-database", "hloc"
+    "colmap",
+    "colmap-text",
+    "opensfm",
+    "opensfm-folder",
+    "nerfstudio",
+    "tum",
+    "colmap-database",
+    "hloc",
 ]
 MATCH_FOLDER = "epi360"  # what `epi360 match` writes; it is read, not written
 
@@ -34,12 +42,15 @@ def convert(
     output_format: Annotated[FormatName | None, Parameter(name="--format")] = None,
     features: Path | None = None,
     pairs: Path | None = None,
+    verify: Flag = False,
+    no_descriptors: Flag = False,
+    fps: float | None = None,
 ) -> int:
     """Convert a reconstruction or a match database to the format of another tool.
 
-    Reconstructions: COLMAP model (folder), OpenSfM reconstruction.json, nerfstudio
-    transforms.json, TUM trajectory (.txt or .tum). Matches: COLMAP database (.db), hloc (.h5) and,
-    to read, what epi360 match wrote. Nothing that is there is replaced.
+    Reconstructions: COLMAP model (folder), OpenSfM project (folder) or its reconstruction.json
+    alone, nerfstudio transforms.json, TUM trajectory (.txt or .tum). Matches: COLMAP database
+    (.db), hloc (.h5) and, to read, what epi360 match wrote. Nothing that is there is replaced.
 
     Parameters
     ----------
@@ -56,12 +67,21 @@ def convert(
         Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
         where it holds several.
     output_format
-        Format of the target where its name does not say it.
+        Format of the target where its name does not say it: opensfm-folder for an OpenSfM project
+        with observations, colmap-text for a model in text files.
     features
         hloc's file of key points, beside the one of the matches; read or written.
     pairs
         hloc's file of the pairs that were matched, beside the others; read or written. Without it
         the names of the matches must say which images they are of: hloc writes "-" for "/".
+    verify
+        Estimate the pose of each pair of matches that has none: COLMAP's mapper and its
+        triangulation use verified pairs only.
+    no_descriptors
+        Leave the descriptors out: a seventh of the size or less, but new images cannot be matched
+        with these.
+    fps
+        Frames a second: times for a TUM trajectory of images without, in the order of their names.
     """
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import format_of_name
@@ -74,17 +94,69 @@ def convert(
         source_name = _format_of_source(file)
         _check_kinds(source, source_name, target, target_name)
         _check_options((source_name, target_name), images, camera, features, pairs)
+        if fps is not None and target_name != "tum":
+            raise ValueError("--fps is for a TUM trajectory, whose rows have times")
         _check_free(files_written(target, target_name, features, pairs), target_name)
-        content = _read(file, source_name, target_name, folder, camera, features, pairs)
+        _check_match_options(target_name, verify=verify, no_descriptors=no_descriptors)
+        keeps_descriptors = not no_descriptors
+        content = _read(
+            file, source_name, target_name, folder, camera, features, pairs, keeps_descriptors
+        )
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
-        with _warnings_on_stderr():
-            write_reconstruction(target, target_name, content, images=folder)
+        with _warnings_on_stderr(), options_as_typed():
+            write_reconstruction(target, target_name, content, images=folder, fps=fps)
     else:
-        write_matches(target, target_name, content, features=features, pairs=pairs)
+        content = _verified(content) if verify else content
+        write_matches(
+            target,
+            target_name,
+            content,
+            features=features,
+            pairs=pairs,
+            descriptors=_descriptors(source, source_name, keeps_descriptors),
+        )
     print(_summary(target, target_name, content))
+    if not isinstance(content, Reconstruction) and target_name == "colmap-database":
+        _warn_of_unverified(content)
     return SUCCESS
+
+
+def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool) -> None:
+    from epi360.interop.formats import FORMATS
+
+    if verify and target_name != "colmap-database":
+        raise ValueError("--verify is for a COLMAP database; the other formats hold no poses")
+    if no_descriptors and FORMATS[target_name].kind != "matches":
+        raise ValueError("--no-descriptors is for matches; a reconstruction has none")
+
+
+def _verified(graph: MatchGraph) -> MatchGraph:
+    from epi360.jobs.verify_pairs import verify_pairs
+
+    with show_bars() as progress:
+        return verify_pairs(graph, progress=progress)
+
+
+def _descriptors(source: Path, name: str, keeps: bool) -> DescriptorsOf | None:
+    """Where the descriptors come from, if not from the images of the graph."""
+    from epi360.jobs.match_result import descriptors_of
+
+    return descriptors_of(source) if name == MATCH_FOLDER and keeps else None
+
+
+def _warn_of_unverified(graph: MatchGraph) -> None:
+    from epi360.jobs.verify_pairs import unverified_pairs
+
+    count = len(unverified_pairs(graph))
+    if count:
+        pairs = "pair is" if count == 1 else "pairs are"
+        print(
+            f"epi360: {count} {pairs} not verified: COLMAP's mapper and triangulation skip them; "
+            "convert with --verify, or run pycolmap.verify_matches on the database",
+            file=sys.stderr,
+        )
 
 
 def _read(
@@ -95,20 +167,24 @@ def _read(
     camera: str | None,
     features: Path | None,
     pairs: Path | None,
+    keeps_descriptors: bool,
 ) -> MatchGraph | Reconstruction:
     from epi360.interop.formats import FORMATS
 
     wanted = FORMATS[target_name]
     if wanted.kind == "matches":
-        with_descriptors = "descriptors" in wanted.keeps
+        with_descriptors = keeps_descriptors and "descriptors" in wanted.keeps
         return _read_matches(source, name, camera, features, pairs, with_descriptors)
     return _read_reconstruction(source, name, images, camera)
 
 
 def _format_of_source(source: Path) -> str:
-    from epi360.interop.formats import format_of_file, holds_colmap_model
+    from epi360.interop.formats import format_of_file, holds_colmap_model, holds_opensfm_project
+    from epi360.jobs.match_store import MARKER
 
-    if source.is_dir() and not holds_colmap_model(source):
+    was_matched = (source / MARKER).is_file()
+    holds_project = holds_opensfm_project(source) and not was_matched
+    if source.is_dir() and not holds_colmap_model(source) and not holds_project:
         return MATCH_FOLDER
     return format_of_file(source)
 
@@ -208,13 +284,15 @@ def _warnings_on_stderr() -> Iterator[None]:
 
 
 def _check_free(outputs: list[Path], name: str) -> None:
-    """Raise where something is there already; only the folder of a model may be, empty."""
+    """Raise where something is there already; only a folder that is to be filled may be, empty."""
+    from epi360.interop.convert import FOLDERS
+
     if len(set(outputs)) < len(outputs):
         raise ValueError(f"the outputs must be different files, got {outputs[0]} twice")
     for path in outputs:
         if not path.parent.is_dir():
             raise ValueError(f"folder {path.parent} does not exist; create it first")
-        is_folder = name in ("colmap", "colmap-text") and path.is_dir()
+        is_folder = name in FOLDERS and path.is_dir()
         if is_folder and not any(path.iterdir()):
             continue
         if path.exists() or path.is_symlink():

@@ -50,6 +50,9 @@ class Mapping:
     """Refine focal length and distortion of fisheye and pinhole cameras."""
     mapper_threads: int | None = None
     """One per core by default; with 1, the same images give the same model to the last digit."""
+    no_descriptors: Flag = False
+    """Leave the descriptors out of database.db, most of its size (1 MB of 8,000 key points): COLMAP
+    cannot match new images with the map then. epi360 localize does not need them there."""
 
 
 @Parameter(name="*", group=Group("Cube faces", sort_key=4))
@@ -57,9 +60,10 @@ class Mapping:
 class CubeFaces:
     """How panoramas and fisheye images are cut into faces."""
 
-    face_size: int | None = None
-    """Pixels; by default the resolution of the image, for 90 degrees of a panorama a quarter of its
-    width."""
+    face_size: int | Literal["native"] | None = None
+    """Pixels; by default as many as the image has in the angle of a face, for 90 degrees of a
+    panorama a quarter of its width. native keeps the resolution in the middle of a face, where the
+    default loses 21 %: 0.318 of the width."""
     fov_deg: float = 90.0
     """Field of view of a face; more than 90 makes neighbours overlap."""
     faces: Annotated[tuple[Face, ...], Parameter(consume_multiple=True, negative=())] = ALL_FACES
@@ -68,6 +72,10 @@ class CubeFaces:
     """File format of the faces."""
     jpeg_quality: int = 95
     """Quality of JPEG faces, 1 to 100."""
+    flat: Flag = False
+    """Names of faces without sub-folders, inner dots and spaces, for programs that drop them."""
+    alpha: Flag = False
+    """Masks also as the alpha channel of the faces; with --image-format png."""
 
 
 MAPPING, CUBE_FACES = Mapping(), CubeFaces()
@@ -176,7 +184,8 @@ def cubemap(
     Parameters
     ----------
     model
-        COLMAP model (folder), nerfstudio's transforms.json or OpenSfM's reconstruction.json.
+        COLMAP model (folder), nerfstudio's transforms.json, OpenSfM's project (folder) or its
+        reconstruction.json.
     images
         Folder that the names of the images start from.
     output
@@ -228,6 +237,7 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
             mapping.refine_cameras,
             mapping.mapper_threads,
             not mapping.no_track,
+            not mapping.no_descriptors,
         )
 
 
@@ -241,6 +251,8 @@ def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
             faces=cube_faces.faces,
             image_format=cube_faces.image_format,
             jpeg_quality=cube_faces.jpeg_quality,
+            flat=cube_faces.flat,
+            alpha=cube_faces.alpha,
         )
 
 

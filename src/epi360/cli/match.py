@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from epi360.jobs.matching import MatchOptions, MatchRun
     from epi360.report.folder_page import MapShown
 
-PairsChoice = Literal["auto", "sequential", "exhaustive"] | Path
+PairsChoice = Literal["auto", "exhaustive", "sequential", "retrieval", "near"] | Path
 
 
 @Parameter(name="*", group=Group("Images", sort_key=1))
@@ -45,12 +45,21 @@ class MatchWork:
     """How pairs are chosen and matched."""
 
     pairs: PairsChoice = "auto"
-    """Which pairs: exhaustive, sequential (neighbours by name), or a file with two names a line;
-    auto: exhaustive for up to 30 images, unless those up to 21 ahead all match well, else
-    sequential."""
+    """Which pairs: exhaustive, sequential (neighbours by name), retrieval (images that look alike),
+    near (by GPS or --positions), several as in retrieval,sequential, or a file with two names a
+    line; auto: exhaustive for up to 30 images, unless those up to 21 ahead all match well; beyond
+    that retrieval, and sequential as well if the names count up."""
     overlap: int = 10
     """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead; with 10,
     image 1 is paired with 2 to 11, 21, 41 and 81."""
+    neighbors: int = 20
+    """Retrieval and near: so many partners for each image; auto takes half as many beside
+    sequential."""
+    positions: Path | None = None
+    """Near: poses of the images (TUM trajectory, COLMAP model, transforms.json); without them the
+    GPS in the images."""
+    radius: float | None = None
+    """Near: not farther than this, in metres or in the unit of --positions."""
     max_width: int = 2048
     """Shrink wider images to this width to find key points."""
     max_features: int = 10000
@@ -132,16 +141,23 @@ def write_report(
 def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
     """Options of `match_images` in the words of the command."""
     from epi360.jobs.matching import MatchOptions
+    from epi360.jobs.pair_selection import ways_of
 
-    if isinstance(work.pairs, Path) and not work.pairs.exists():
-        raise FileNotFoundError(
-            f"--pairs: {work.pairs} does not exist; give a pairs file, or auto, sequential or "
-            "exhaustive"
-        )
+    pairs: str | Path = work.pairs
+    if isinstance(pairs, Path) and not pairs.exists():
+        pairs = str(pairs)  # several ways with commas between them
     with options_as_typed():
+        if not ways_of(pairs) and not isinstance(pairs, Path):
+            raise FileNotFoundError(
+                f"--pairs: {pairs} does not exist; give a pairs file, or auto, exhaustive, "
+                "sequential, retrieval or near"
+            )
         return MatchOptions(
-            pairs=work.pairs,
+            pairs=pairs,
             overlap=work.overlap,
+            neighbors=work.neighbors,
+            positions=work.positions,
+            radius=work.radius,
             max_width=work.max_width,
             max_features=work.max_features,
             mask_nadir_deg=given.mask_nadir_deg,

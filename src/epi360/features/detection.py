@@ -121,14 +121,19 @@ class SiftKeypoints:
 
     def features(self) -> Features:
         """Return what is matched: unit descriptors."""
-        values = np.asarray(self.descriptors, np.float32)
-        sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)  # RootSIFT
-        return Features(self.pixels, np.sqrt(values / sums).astype(np.float32), self.sizes)
+        return Features(self.pixels, root_sift(self.descriptors), self.sizes)
 
     def num_above(self, contrast_threshold: float) -> int:
         """Return how many of them a search at a higher threshold would find: the first so many."""
         contrasts = self.strengths.astype(np.float32) * np.float32(_LAYERS_PER_OCTAVE)
         return int(np.count_nonzero(contrasts >= np.float32(contrast_threshold)))
+
+
+def root_sift(descriptors: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
+    """RootSIFT of SIFT's descriptors: of unit length."""
+    values = np.asarray(descriptors, np.float32)
+    sums = np.maximum(values.sum(axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.sqrt(values / sums), np.float32)
 
 
 def find_keypoints(

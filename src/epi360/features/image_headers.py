@@ -23,18 +23,23 @@ from epi360.runs.input_files import check_is_file
 JPEG_SIGNATURE, PNG_SIGNATURE = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
 TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
 LARGEST_XMP = 2**20  # a JPEG holds 64 kB of it, the longest seen in panoramas is 4 kB
-_WIDTH, _HEIGHT, _ORIENTATION, _XMP = 256, 257, 274, 700  # tags of TIFF and Exif
+_WIDTH, _HEIGHT, _ORIENTATION, _XMP, _GPS = 256, 257, 274, 700, 34853  # tags of TIFF and Exif
+_LATITUDE, _LONGITUDE = (1, 2, "NS"), (3, 4, "EW")  # tags of the hemisphere and of the angle
 _PNG_METADATA = (b"IHDR", b"tRNS", b"eXIf", b"iTXt")
 _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What the header of an image file says; ``size`` is None if only decoding tells."""
+    """What the header of an image file says; ``size`` is None if only decoding tells.
+
+    ``latitude_longitude_deg`` is that of Exif's GPS; None if there is none, or it is damaged.
+    """
 
     size: tuple[int, int] | None = None
     xmp: bytes | None = None
     may_have_alpha: bool = field(default=True, compare=False)
+    latitude_longitude_deg: tuple[float, float] | None = None
 
 
 def read_image_header(path: str | os.PathLike[str]) -> ImageHeader:
@@ -65,8 +70,10 @@ def parse_image_header(file: IO[bytes]) -> ImageHeader:
 
 
 def _jpeg_header(image: JpegImageFile) -> ImageHeader:
-    size = image.size[::-1] if _orientation(image.info) in _TRANSPOSED else image.size
-    return ImageHeader(size if all(size) else None, image.info.get("xmp"), may_have_alpha=False)
+    exif = _exif(image.info)
+    size = image.size[::-1] if _orientation(exif) in _TRANSPOSED else image.size
+    known = size if all(size) else None
+    return ImageHeader(known, image.info.get("xmp"), False, _latitude_longitude(exif))
 
 
 def _png_header(file: IO[bytes]) -> ImageHeader:
@@ -83,12 +90,14 @@ def _png_header(file: IO[bytes]) -> ImageHeader:
         pass  # cut or damaged: what came before it counts
     xmp = chunks.im_info.get("xmp")
     # Whether OpenCV turns a PNG depends on transparency and on its version.
-    known = all(chunks.im_size) and _orientation(chunks.im_info) not in _TRANSPOSED
+    exif = _exif(chunks.im_info)
+    known = all(chunks.im_size) and _orientation(exif) not in _TRANSPOSED
     may_have_alpha = chunks.im_mode in ("LA", "RGBA") or "transparency" in chunks.im_info
     return ImageHeader(
         chunks.im_size if known else None,
         xmp.encode() if isinstance(xmp, str) else xmp,
         may_have_alpha,
+        _latitude_longitude(exif),
     )
 
 
@@ -100,13 +109,47 @@ def _tiff_header(file: IO[bytes]) -> ImageHeader:
     known = min(size) > 0 and tags.get(_ORIENTATION, 1) not in _TRANSPOSED
     xmp: Any = tags.get(_XMP)
     usable = isinstance(xmp, bytes) and len(xmp) <= LARGEST_XMP
-    return ImageHeader(size if known else None, xmp if usable else None)
+    place = _latitude_longitude(_exif_of_tiff(file))
+    return ImageHeader(
+        size if known else None, xmp if usable else None, latitude_longitude_deg=place
+    )
 
 
-def _orientation(info: Mapping[Any, Any]) -> int:
+def _exif_of_tiff(file: IO[bytes]) -> Image.Exif:
     exif = Image.Exif()
-    try:
+    with contextlib.suppress(Exception):  # as above
+        file.seek(0)
+        exif.load_from_fp(file)
+    return exif
+
+
+def _exif(info: Mapping[Any, Any]) -> Image.Exif:
+    exif = Image.Exif()
+    with contextlib.suppress(Exception):  # as above
         exif.load(info.get("exif", b""))
+    return exif
+
+
+def _orientation(exif: Image.Exif) -> int:
+    try:
+        return int(exif.get(_ORIENTATION, 1))
     except Exception:  # as above
         return 1
-    return int(exif.get(_ORIENTATION, 1))
+
+
+def _latitude_longitude(exif: Image.Exif) -> tuple[float, float] | None:
+    try:
+        tags = exif.get_ifd(_GPS)
+        latitude, longitude = (_signed_deg(tags, *names) for names in (_LATITUDE, _LONGITUDE))
+    except Exception:  # as above
+        return None
+    # A receiver without a fix writes zeros or 0/0.
+    is_known = abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and (latitude, longitude) != (0, 0)
+    return (latitude, longitude) if is_known else None
+
+
+def _signed_deg(tags: Mapping[int, Any], hemisphere: int, angle: int, letters: str) -> float:
+    """Angle of degrees, minutes and seconds, positive in the first of two hemispheres."""
+    degrees, minutes, seconds = (float(number) for number in tags[angle])
+    sign = (1.0, -1.0)[letters.index(str(tags[hemisphere]).strip("\0 ").upper())]
+    return sign * (degrees + minutes / 60.0 + seconds / 3600.0)

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Descriptors of two images to matches: ratio test and mutual nearest neighbours."""
 
+from __future__ import annotations
+
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,19 +49,69 @@ def match_features(
     """
     if not 0.0 < ratio <= 1.0:
         raise ValueError(f"ratio must be in (0, 1], got {ratio}")
-    d1, d2 = _rounded(features1.descriptors), _rounded(features2.descriptors)
-    if len(d1) < 2 or len(d2) < 2:
-        return np.zeros((0, 2), dtype=np.int64)
-    nearest, best, second, others = _two_nearest(d1, d2)
-    kept = _passes(best, second, ratio)
-    if mutual:
-        is_nearest, second_back = _back(nearest, best, others)
-        kept = is_nearest & (kept | _passes(best, second_back, ratio))
-    first = np.flatnonzero(kept)
-    return np.stack([first, nearest[first]], axis=1)
+    return look(features1, features2).matches(ratio, mutual=mutual)
 
 
-def _rounded(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What the products of two images' descriptors say.
+
+    Of each query (N,): the nearest target, its similarity, and the runner-up's. Of each target
+    (M,): the largest similarity to a query that another target is the nearest of.
+    """
+
+    nearest: NDArray[np.int64]
+    best: Similarities
+    second: Similarities
+    others: Similarities
+
+    def matches(self, ratio: float = 0.8, *, mutual: bool = True) -> NDArray[np.int64]:
+        """Matches as `match_features` gives them."""
+        if len(self.nearest) < 2 or len(self.others) < 2:
+            return np.zeros((0, 2), dtype=np.int64)
+        kept = _passes(self.best, self.second, ratio)
+        if mutual:
+            is_nearest, second_back = _back(self.nearest, self.best, self.others)
+            kept = is_nearest & (kept | _passes(self.best, second_back, ratio))
+        first = np.flatnonzero(kept)
+        return np.stack([first, self.nearest[first]], axis=1)
+
+
+def look(features1: Features, features2: Features, before: Look | None = None) -> Look:
+    """Compare the descriptors of two images.
+
+    ``before`` is a look at the first ones of both: its products are not made again.
+    """
+    d1, d2 = rounded_descriptors(features1.descriptors), rounded_descriptors(features2.descriptors)
+    if before is None:
+        return _two_nearest(d1, d2)
+    num1, num2 = len(before.nearest), len(before.others)
+    wider = _wider(before, _two_nearest(d1[:num1], d2[num2:]))
+    more = _two_nearest(d1[num1:], d2)
+    return Look(
+        np.concatenate([wider.nearest, more.nearest]),
+        np.concatenate([wider.best, more.best]),
+        np.concatenate([wider.second, more.second]),
+        np.maximum(wider.others, more.others),
+    )
+
+
+def _wider(look1: Look, look2: Look) -> Look:
+    """Two looks of the same queries at different targets, those of the second behind the first."""
+    num_first = len(look1.others)
+    second_wins = look2.best > look1.best  # of equal ones the first counts, as in one look
+    nearest = np.where(second_wins, look2.nearest + num_first, look1.nearest)
+    losers = np.where(second_wins, look1.nearest, look2.nearest + num_first)
+    lost = np.minimum(look1.best, look2.best)
+    others = np.concatenate([look1.others, look2.others])
+    if len(look2.others):
+        np.maximum.at(others, losers, lost)
+    second = np.maximum(np.maximum(look1.second, look2.second), lost)
+    return Look(nearest, np.maximum(look1.best, look2.best), second, others)
+
+
+def rounded_descriptors(descriptors: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Unit descriptors as they are matched; half precision holds them exactly."""
     return np.asarray(np.round(descriptors * np.float32(_STEPS)) / np.float32(_STEPS))
 
 
@@ -68,18 +122,15 @@ def _passes(
     return np.asarray(np.maximum(1.0 - best, _SMALLEST) < ratio**2 * (1.0 - second))
 
 
-def _two_nearest(
-    queries: NDArray[np.float32], targets: NDArray[np.float32]
-) -> tuple[NDArray[np.int64], Similarities, Similarities, Similarities]:
-    """Nearest target of each query, its similarity, and the runner-up's for queries and targets."""
+def _two_nearest(queries: NDArray[np.float32], targets: NDArray[np.float32]) -> Look:
     nearest = np.zeros(len(queries), dtype=np.int64)
-    best = np.zeros(len(queries), dtype=np.float32)
+    best = np.full(len(queries), -1.0, dtype=np.float32)
     second = np.full(len(queries), -1.0, dtype=np.float32)
     others = np.full(len(targets), -1.0, dtype=np.float32)
-    rows = max(1, _BLOCK_BYTES // (4 * len(targets)))
+    rows = max(1, _BLOCK_BYTES // (4 * max(len(targets), 1)))
     transposed = np.ascontiguousarray(targets.T)
     buffer = np.empty((rows, len(targets)), dtype=np.float32)
-    for start in range(0, len(queries), rows):
+    for start in range(0, len(queries) if len(targets) else 0, rows):
         block = queries[start : start + rows]
         similarity = np.matmul(block, transposed, out=buffer[: len(block)])
         everyone = np.arange(len(block))
@@ -89,7 +140,7 @@ def _two_nearest(
         similarity[everyone, nearest[start:stop]] = -1.0
         second[start:stop] = similarity.max(axis=1)
         np.maximum(others, similarity.max(axis=0), out=others)
-    return nearest, best, second, others
+    return Look(nearest, best, second, others)
 
 
 def _back(

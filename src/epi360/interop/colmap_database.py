@@ -24,6 +24,12 @@ from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_rigs_and_frames
 from epi360.interop.colmap_tables import ColmapTables
+from epi360.interop.descriptors import (
+    Descriptors,
+    DescriptorsOf,
+    colmap_descriptors,
+    stored_descriptors,
+)
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.poses import Pose, pose_from_quaternion
 from epi360.runs.whole_files import PathLike, whole_path
@@ -45,7 +51,6 @@ STATUS_OF_CONFIG = {  # the numbers are COLMAP's TwoViewGeometry::ConfigurationT
     7: "too_few_inliers",  # WATERMARK
     9: "ok",  # CALIBRATED_RIG
 }
-TYPES_OF_BYTES = (-1, 0)  # descriptors of unknown type and of SIFT; networks make floats
 
 
 def open_colmap_database(path: PathLike) -> Any:
@@ -82,13 +87,20 @@ def two_view_geometry_to_colmap(geometry: TwoViewGeometry) -> Any:
     return colmap_geometry
 
 
-def write_colmap_database(path: PathLike, graph: MatchGraph) -> None:
+def write_colmap_database(
+    path: PathLike, graph: MatchGraph, *, descriptors: DescriptorsOf | None = None
+) -> None:
     """Write a match graph to a new database of COLMAP 4, the whole of it or nothing.
 
     COLMAP keeps key points in single precision. Cameras and images are numbered in the order of the
-    graph, and image 1 of a pair in the file has the smaller number. Descriptors are not written.
-    Images that share a ``frame`` become a frame of a rig if their cameras are in ``cam_from_rig``;
-    every other image is a frame of its own.
+    graph, and image 1 of a pair in the file has the smaller number. Images that share a ``frame``
+    become a frame of a rig if their cameras are in ``cam_from_rig``; every other image is a frame
+    of its own. A pair with matches that nobody has verified is written without a geometry, and
+    COLMAP does not use it before it has one.
+
+    Descriptors are those of the images, or what ``descriptors`` returns for the name of an image,
+    which need not all be in memory. SIFT becomes COLMAP's bytes, in steps of 1/512 of its length;
+    descriptors of networks are kept as floats of undefined type.
 
     Raises
     ------
@@ -112,7 +124,7 @@ def write_colmap_database(path: PathLike, graph: MatchGraph) -> None:
         # Without pycolmap.DatabaseTransaction, which ends the process if its commit fails on a full
         # disk. A hundred thousand pairs take eight seconds with and without it.
         with whole_database(path) as temporary, pycolmap.Database.open(temporary) as database:
-            _write(database, graph)
+            _write(database, graph, descriptors)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OSError(
@@ -135,7 +147,7 @@ def whole_database(path: Path) -> Iterator[Path]:
             raise OSError(str(error)) from None
 
 
-def _write(database: Any, graph: MatchGraph) -> None:
+def _write(database: Any, graph: MatchGraph, descriptors: DescriptorsOf | None) -> None:
     pycolmap = pycolmap_library()
     camera_ids: dict[str, int] = {
         name: database.write_camera(colmap_camera(camera)) for name, camera in graph.cameras.items()
@@ -146,12 +158,21 @@ def _write(database: Any, graph: MatchGraph) -> None:
         colmap_image = pycolmap.Image(name=image.name, camera_id=camera_id)
         image_ids[image.name] = database.write_image(colmap_image)
         database.write_keypoints(image_ids[image.name], image.keypoints.astype(np.float32))
+        found = image.descriptors if descriptors is None else descriptors(image.name)
+        if found is not None and len(found):
+            database.write_descriptors(image_ids[image.name], _for_pycolmap(found))
     write_rigs_and_frames(database, graph, image_ids, camera_ids)
     for pair in graph.pairs:
         ids = image_ids[pair.image1], image_ids[pair.image2]
         database.write_matches(*ids, pair.matches.astype(np.uint32))
         if pair.geometry is not None:
             database.write_two_view_geometry(*ids, two_view_geometry_to_colmap(pair.geometry))
+
+
+def _for_pycolmap(descriptors: Descriptors) -> Any:
+    pycolmap = pycolmap_library()
+    kind, stored = colmap_descriptors(descriptors)
+    return pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType(kind), stored)
 
 
 def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> MatchGraph:
@@ -184,7 +205,7 @@ def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> M
                 name,
                 camera,
                 pairs.keypoints(name),
-                _descriptors(pairs, name) if with_descriptors else None,
+                read_descriptors(pairs, name) if with_descriptors else None,
                 frames.get(name),
             )
             for name, camera in pairs.images.items()
@@ -201,7 +222,8 @@ def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> M
         return MatchGraph(pairs.cameras, images, matched, cam_from_rig)
 
 
-def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
+def read_descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
+    """Descriptors (N, D) of an image as they are in the file; None if it has none."""
     has_type = pairs.has_columns("descriptors", "type")
     query = (
         f"SELECT {'type' if has_type else '0'}, rows, cols, data FROM descriptors "
@@ -212,11 +234,10 @@ def _descriptors(pairs: ColmapPairs, name: str) -> NDArray[np.float32] | None:
         stored = pairs.array((blob[0], blob[1], blob[2]), np.uint8, what)
         if len(stored) != len(pairs.keypoints(name)):
             raise pairs.error(f"{name} must have one descriptor a key point, got {len(stored)}")
-        if not len(stored) or kind in TYPES_OF_BYTES:
-            return stored.astype(np.float32)
-        if stored.shape[1] % 4:
+        found = stored_descriptors(kind, stored)
+        if found is None:
             raise pairs.error(f"{what} must be floats of 4 bytes, got {stored.shape[1]} bytes each")
-        return stored.view(np.float32)
+        return found
     return None
 
 

@@ -20,8 +20,8 @@ from epi360.interop.colmap_model_files import PIXEL
 from epi360.interop.colmap_model_rigs import Frame, Rig, pose_numbers, rigs_and_frames
 from epi360.interop.colmap_rigs import CAMERA
 from epi360.interop.reconstruction import Observations, Reconstruction
+from epi360.interop.reprojection import point_errors_px
 
-UNKNOWN_ERROR = -1.0  # the reprojection error of a point in pixels
 HEADERS = {
     "cameras": "# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]",
     "images": "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then POINTS2D[] as X Y POINT3D_ID",
@@ -88,6 +88,9 @@ def _pixels_and_tracks(
 
 def _camera(number: int, camera: Camera, text: bool) -> bytes:
     model, parameters = model_of_camera(camera)
+    if model == "SIMPLE_PINHOLE":
+        # 3DGS's reader of text files and OpenMVS take nothing else for a pinhole.
+        model, parameters = "PINHOLE", [parameters[0], *parameters]
     size = camera.width, camera.height
     if text:
         return _line(number, model, *size, *parameters)
@@ -119,17 +122,18 @@ def _points(
     rows = zip(
         np.asarray(reconstruction.points, dtype=np.float64).tolist(),
         reconstruction.colors.tolist(),
+        point_errors_px(reconstruction).tolist(),
         tracks,
         strict=True,
     )
     if text:
         return [
-            _line(number, *xyz, *color, UNKNOWN_ERROR, *track.ravel().tolist())
-            for number, (xyz, color, track) in enumerate(rows, start=1)
+            _line(number, *xyz, *color, error_px, *track.ravel().tolist())
+            for number, (xyz, color, error_px, track) in enumerate(rows, start=1)
         ]
     return [
-        struct.pack("<Q3d3BdQ", number, *xyz, *color, UNKNOWN_ERROR, len(track)) + track.tobytes()
-        for number, (xyz, color, track) in enumerate(rows, start=1)
+        struct.pack("<Q3d3BdQ", number, *xyz, *color, error_px, len(track)) + track.tobytes()
+        for number, (xyz, color, error_px, track) in enumerate(rows, start=1)
     ]
 
 

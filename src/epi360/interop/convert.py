@@ -9,23 +9,30 @@ from epi360.cameras import Camera
 from epi360.interop.colmap_database import read_colmap_database, write_colmap_database
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.colmap_model_rigs import keeps_rigs
+from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.formats import FORMATS
 from epi360.interop.hloc import read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfstudio
-from epi360.interop.opensfm import read_opensfm, write_opensfm
+from epi360.interop.opensfm import read_opensfm, write_opensfm, write_opensfm_folder
 from epi360.interop.reconstruction import Reconstruction
-from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
+from epi360.interop.tum import (
+    names_path,
+    read_tum_trajectory,
+    write_tum_names,
+    write_tum_trajectory,
+)
 from epi360.runs.whole_files import PathLike
 
 COLMAP_MODELS = "colmap", "colmap-text"
+FOLDERS = (*COLMAP_MODELS, "opensfm-folder")
 
 
 def read_reconstruction(path: PathLike, name: str, *, images: str = "images") -> Reconstruction:
     """Return the reconstruction in a file or folder of the named format."""
     if name in COLMAP_MODELS:
         return read_colmap_model(path)
-    if name == "opensfm":
+    if name in ("opensfm", "opensfm-folder"):
         return read_opensfm(path)
     if name == "nerfstudio":
         return read_nerfstudio(path, images=images)
@@ -33,17 +40,25 @@ def read_reconstruction(path: PathLike, name: str, *, images: str = "images") ->
 
 
 def write_reconstruction(
-    path: PathLike, name: str, reconstruction: Reconstruction, *, images: str = "images"
+    path: PathLike,
+    name: str,
+    reconstruction: Reconstruction,
+    *,
+    images: str = "images",
+    fps: float | None = None,
 ) -> None:
     """Write a reconstruction in the named format, without what `lost` says."""
     if name in COLMAP_MODELS:
         write_colmap_model(path, reconstruction, text=name == "colmap-text")
     elif name == "opensfm":
         write_opensfm(path, reconstruction)
+    elif name == "opensfm-folder":
+        write_opensfm_folder(path, reconstruction)
     elif name == "nerfstudio":
         write_nerfstudio(path, reconstruction, images=images)
     else:
-        write_tum_trajectory(path, reconstruction)
+        write_tum_trajectory(path, reconstruction, fps=fps)
+        write_tum_names(names_path(path), reconstruction, fps=fps)
 
 
 def read_matches(
@@ -72,14 +87,15 @@ def write_matches(
     *,
     features: PathLike | None = None,
     pairs: PathLike | None = None,
+    descriptors: DescriptorsOf | None = None,
 ) -> None:
     """Write a match graph to a COLMAP database, or as hloc's matches, features and pairs."""
     if name == "colmap-database":
-        write_colmap_database(path, graph)
+        write_colmap_database(path, graph, descriptors=descriptors)
     elif features is None:
         raise ValueError(f"hloc keeps key points beside {path}; name the features file too")
     else:
-        write_hloc(features, path, graph, pairs=pairs)
+        write_hloc(features, path, graph, pairs=pairs, descriptors=descriptors)
 
 
 def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Reconstruction:
@@ -122,10 +138,12 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
 
 
 def files_written(path: PathLike, name: str, *besides: PathLike | None) -> list[Path]:
-    """Return the files that may be written; COLMAP models are folders."""
+    """Return the files that may be written; those of `FOLDERS` are folders."""
     paths = [Path(path)]
     if name == "nerfstudio":
         paths.append(paths[0].parent / POINTS_FILE)  # written only if there are points
+    if name == "tum":
+        paths.append(names_path(path))
     if name == "hloc":
         paths += [Path(file) for file in besides if file is not None]
     return paths

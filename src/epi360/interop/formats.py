@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Which tool a file belongs to, by its content, or by its name if it is to be written."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,12 +28,17 @@ FORMATS = {
     "opensfm": Format(
         "OpenSfM reconstruction", "reconstruction", frozenset(("cameras", "points", "time stamps"))
     ),
+    "opensfm-folder": Format(
+        "OpenSfM project",
+        "reconstruction",
+        frozenset(("cameras", "points", "observations", "time stamps")),
+    ),
     "nerfstudio": Format(
         "nerfstudio transforms", "reconstruction", frozenset(("cameras", "points"))
     ),
     "tum": Format("TUM trajectory", "reconstruction", frozenset(("time stamps",))),
     "colmap-database": Format(
-        "COLMAP database", "matches", frozenset(("cameras", "poses of pairs", "rig"))
+        "COLMAP database", "matches", frozenset(("cameras", "poses of pairs", "rig", "descriptors"))
     ),
     "hloc": Format("hloc matches", "matches", frozenset(("descriptors",))),
 }
@@ -40,6 +46,9 @@ SUFFIXES = {
     ".db": "colmap-database", ".h5": "hloc", ".hdf5": "hloc", ".txt": "tum", ".tum": "tum",
 }  # fmt: skip
 MODEL_FILES = ("images.bin", "images.txt")
+OPENSFM_FILE = "reconstruction.json"
+# OpenSfM's file is a list of reconstructions; people take one out of it.
+ONE_RECONSTRUCTION = re.compile(rb'\{\s*"(cameras|shots|points|rig_cameras|reference_lla)"')
 SQLITE, HDF5 = b"SQLite format 3\0", b"\x89HDF\r\n\x1a\n"
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
@@ -49,8 +58,13 @@ def format_of_file(path: PathLike) -> str:
     path = Path(path)
     if holds_colmap_model(path):
         return "colmap"
+    if holds_opensfm_project(path):
+        return "opensfm-folder"
     if path.is_dir():
-        raise ValueError(f"folder {path} must hold a COLMAP model: cameras, images and points3D")
+        raise ValueError(
+            f"folder {path} must hold a COLMAP model (cameras, images and points3D) or OpenSfM's "
+            f"{OPENSFM_FILE}"
+        )
     try:
         start = read_beginning(path, 4096)
     except FileNotFoundError:
@@ -59,6 +73,8 @@ def format_of_file(path: PathLike) -> str:
         if start.startswith(magic):
             return name
     text = start.removeprefix(BYTE_ORDER_MARK).lstrip()
+    if ONE_RECONSTRUCTION.match(text):
+        return "opensfm"
     for name, bracket in (("opensfm", b"["), ("nerfstudio", b"{")):
         if text.startswith(bracket):
             return name
@@ -75,6 +91,11 @@ def holds_colmap_model(folder: PathLike) -> bool:
     return any((Path(folder) / name).is_file() for name in MODEL_FILES)
 
 
+def holds_opensfm_project(folder: PathLike) -> bool:
+    """Return whether a folder exists and has the reconstruction of an OpenSfM project."""
+    return (Path(folder) / OPENSFM_FILE).is_file()
+
+
 def format_of_name(path: PathLike) -> str:
     """Return the format that a file is to have by its name, a key of `FORMATS`."""
     path = Path(path)
@@ -83,8 +104,8 @@ def format_of_name(path: PathLike) -> str:
         return "colmap"
     if suffix in SUFFIXES:
         return SUFFIXES[suffix]
-    for name, beginning in (("nerfstudio", "transforms"), ("opensfm", "reconstruction")):
-        if suffix == ".json" and path.name.lower().startswith(beginning):
+    for name, word in (("nerfstudio", "transforms"), ("opensfm", "reconstruction")):
+        if suffix == ".json" and word in path.name.lower():
             return name
     names = ", ".join(FORMATS)
     raise ValueError(f"the name {path.name} does not say its format; give it (--format): {names}")

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.features.matching import rounded_descriptors
+from epi360.interop.descriptors import Descriptors, DescriptorsOf, is_sift_bytes, unit_descriptors
 from epi360.interop.hdf5_writing import new_hdf5_files
 from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, group_of
 from epi360.interop.hloc_pairs import HlocPairs
@@ -105,13 +108,22 @@ def camera_of_image(
 
 
 def write_hloc(
-    features: PathLike, matches: PathLike, graph: MatchGraph, *, pairs: PathLike | None = None
+    features: PathLike,
+    matches: PathLike,
+    graph: MatchGraph,
+    *,
+    pairs: PathLike | None = None,
+    descriptors: DescriptorsOf | None = None,
 ) -> None:
     """Write the key points and matches of a graph as hloc's two files, both or neither.
 
     Files that exist are replaced. They hold no poses, and only the image sizes of the cameras.
     Every match is written, not only the inliers of a pose. ``pairs`` is a pairs file to write as
     well, which hloc needs beside the other two.
+
+    Descriptors are those of the images, or what ``descriptors`` returns for the name of an image,
+    which need not all be in memory. They have unit length in hloc's files: SIFT in bytes is divided
+    by its length. Half precision, hloc's default, is used where it holds them exactly.
 
     Raises
     ------
@@ -127,24 +139,37 @@ def write_hloc(
         raise ValueError(f"features and matches must be two files, got {features} twice")
     with new_hdf5_files(Path(features), Path(matches)) as (features_file, matches_file):
         for image in graph.images.values():
-            _write_image(features_file, image, graph.cameras)
+            found = image.descriptors if descriptors is None else descriptors(image.name)
+            _write_image(features_file, image, graph.cameras, found)
         for pair in graph.pairs:
             _write_pair(matches_file, pair, len(graph.images[pair.image1].keypoints))
         if pairs is not None:
             write_pairs_file(pairs, ((pair.image1, pair.image2) for pair in graph.pairs))
 
 
-def _write_image(file: Any, image: MatchedImage, cameras: Mapping[str, Camera]) -> None:
+def _write_image(
+    file: Any,
+    image: MatchedImage,
+    cameras: Mapping[str, Camera],
+    descriptors: Descriptors | None,
+) -> None:
     if not {"", "."}.isdisjoint(image.name.split("/")):  # HDF5 drops these parts of a path
         raise ValueError(f"image name {image.name!r} cannot stand in hloc's files; rename it")
     group = file.create_group(image.name)
     keypoints = image.keypoints - HLOC_TO_CONTINUOUS
     group["keypoints"] = keypoints.astype(np.float32)  # half precision, hloc's own, is too coarse
-    if image.descriptors is not None:
-        group["descriptors"] = image.descriptors.T
+    if descriptors is not None:
+        group["descriptors"] = _in_few_bytes(descriptors).T
     if image.camera is not None:
         camera = cameras[image.camera]
         group["image_size"] = np.array([camera.width, camera.height])
+
+
+def _in_few_bytes(descriptors: Descriptors) -> NDArray[Any]:
+    if is_sift_bytes(descriptors):
+        descriptors = rounded_descriptors(unit_descriptors(descriptors))
+    half = descriptors.astype(np.float16)
+    return half if (half == descriptors).all() else descriptors
 
 
 def _write_pair(file: Any, pair: MatchedPair, num_keypoints1: int) -> None:

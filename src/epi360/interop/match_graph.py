@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Images, key points and matched pairs: every match database is read into these."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,7 +64,8 @@ class MatchGraph:
 
     Cameras and images are by name; the order of the images counts. Two images are a pair only once,
     in either order. ``cam_from_rig`` has the pose of each camera on its rig, by the camera's name.
-    If it is empty there is no rig, and every image is a frame of its own.
+    If it is empty there is no rig, and every image is a frame of its own. Images and pairs may be
+    made each time that they are asked for, as those of `load_matches` are.
 
     Raises
     ------
@@ -75,12 +76,14 @@ class MatchGraph:
 
     cameras: Mapping[str, Camera]
     images: Mapping[str, MatchedImage]
-    pairs: tuple[MatchedPair, ...]
+    pairs: Sequence[MatchedPair]
     cam_from_rig: Mapping[str, Pose] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for image in self.images.values():
+        num_keypoints = {}
+        for name, image in self.images.items():
             check_image(image.name, image.camera, self.cameras)
+            num_keypoints[name] = len(image.keypoints)
         listed: set[frozenset[str]] = set()
         for pair in self.pairs:
             names = frozenset((pair.image1, pair.image2))
@@ -91,9 +94,9 @@ class MatchGraph:
                 raise ValueError(f"{what} is there twice")
             listed.add(names)
             for column, name in enumerate((pair.image1, pair.image2)):
-                if name not in self.images:
+                if name not in num_keypoints:
                     raise ValueError(f"{what}: there is no image {name}")
-                indices, count = pair.matches[:, column], len(self.images[name].keypoints)
+                indices, count = pair.matches[:, column], num_keypoints[name]
                 if len(indices) and not 0 <= indices.min() <= indices.max() < count:
                     raise ValueError(
                         f"{what} must match key points 0 to {count - 1} of {name}, "

@@ -6,7 +6,7 @@ up, z backward. cx and cy are continuous pixels like ours. An ``EQUIRECTANGULAR`
 angle theta = -pi (u - cx) / fl_x about the vertical, the angle phi = pi (1/2 + (v - cy) / fl_y)
 from straight up, and the direction (-sin theta sin phi, cos phi, -cos theta sin phi). A whole
 panorama has fl_x = cx = W / 2, fl_y = H and cy = H / 2. ``applied_transform`` maps the original
-world to the saved one.
+world to the saved one, whose z axis points up.
 
 Source: https://docs.nerf.studio/quickstart/data_conventions.html and nerfstudio's cameras.py and
 nerfstudio_dataparser.py.
@@ -27,12 +27,15 @@ from epi360.cameras.calibration import fields
 from epi360.interop import checks
 from epi360.interop.ply import read_ply_points, write_ply_points
 from epi360.interop.reconstruction import PosedImage, Reconstruction
+from epi360.interop.upright_world import down_in_world, moved, upright_from_world
 from epi360.poses import Pose
 from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a transforms.json of nerfstudio"
 POINTS_FILE = "sparse_pc.ply"
+# What nerfstudio's reader of COLMAP models does with a world in which y points down.
+Z_UP_FROM_Y_DOWN = Pose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
 OPENCV_FROM_OPENGL = Pose(np.diag([1.0, -1.0, -1.0]), np.zeros(3))  # its own inverse
 PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL")
 SUPPORTED = ("EQUIRECTANGULAR", "OPENCV_FISHEYE", *PERSPECTIVE)
@@ -80,9 +83,11 @@ def write_nerfstudio(
     """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
 
     Files are replaced: ``path`` and, if there are points, ``sparse_pc.ply`` in its folder.
-    Observations and time stamps are left out. The world is not turned. The file says so with the
-    identity as ``applied_transform``, because nerfstudio would turn the world if it found a COLMAP
-    model beside the file.
+    Observations and time stamps are left out. The saved world has z up, by the mean of the cameras'
+    y axes (of a cube's faces, that of the panorama), and ``orientation_override`` asks nerfstudio
+    to leave it so: it would take the faces up and down for cameras too, and tilt a scene that has
+    only one of them by 14 degrees. ``applied_transform`` says how the world was turned; where the
+    cameras do not agree on a vertical it is the identity, and nerfstudio orients the scene.
 
     ``images`` is the folder of the images and ``masks`` the path of the mask of each image, by the
     image's name, both relative to the folder of the file. nerfstudio reads masks of one channel, in
@@ -97,17 +102,16 @@ def write_nerfstudio(
         If a file cannot be written.
     """
     path = Path(path)
-    used = {checks.known_camera(image, "nerfstudio") for image in reconstruction.images}
-    entries = {
-        name: _entry_of_camera(name, camera)
-        for name, camera in reconstruction.cameras.items()
-        if name in used
-    }
-    model = _one_model({entry.pop("camera_model") for entry in entries.values()})
-    shared = next(iter(entries.values())) if len(entries) == 1 else {}
-    document: dict[str, Any] = {"camera_model": model, **shared}
-    document["applied_transform"] = np.eye(4)[:3].tolist()
-    if len(reconstruction.points):
+    camera_model, shared, entries = _camera_entries(reconstruction)
+    document: dict[str, Any] = {"camera_model": camera_model, **shared}
+    down = down_in_world(reconstruction)
+    saved_from_world = Pose(np.eye(3), np.zeros(3))
+    if down is not None:
+        saved_from_world = Z_UP_FROM_Y_DOWN @ upright_from_world(down)
+        document["orientation_override"] = "none"
+    document["applied_transform"] = saved_from_world.matrix()[:3].tolist()
+    saved = moved(reconstruction, saved_from_world)
+    if len(saved.points):
         document["ply_file_path"] = POINTS_FILE
     document["frames"] = [
         {
@@ -116,11 +120,26 @@ def write_nerfstudio(
             **_mask_path(image, masks or {}),
             **({} if shared else entries[str(image.camera)]),
         }
-        for image in reconstruction.images
+        for image in saved.images
     ]
-    if len(reconstruction.points):
-        write_ply_points(path.parent / POINTS_FILE, reconstruction.points, reconstruction.colors)
+    if len(saved.points):
+        write_ply_points(path.parent / POINTS_FILE, saved.points, saved.colors)
     write_file(path, json.dumps(document, ensure_ascii=False, indent=1).encode())
+
+
+def _camera_entries(
+    reconstruction: Reconstruction,
+) -> tuple[str, dict[str, Any], dict[str, dict[str, Any]]]:
+    """The model of all cameras, what all frames share, nothing if they differ, and each by name."""
+    used = {checks.known_camera(image, "nerfstudio") for image in reconstruction.images}
+    entries = {
+        name: _entry_of_camera(name, camera)
+        for name, camera in reconstruction.cameras.items()
+        if name in used
+    }
+    model = _one_model({entry.pop("camera_model") for entry in entries.values()})
+    first = next(iter(entries.values()))
+    return model, first if all(entry == first for entry in entries.values()) else {}, entries
 
 
 def _original_from_saved(document: Mapping[str, Any]) -> Pose:

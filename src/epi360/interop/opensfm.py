@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""OpenSfM's reconstruction.json.
+"""OpenSfM's reconstruction.json, alone or in a project's folder.
 
 It is a list of reconstructions, each with cameras (as in camera_models.json), shots and points. A
 shot holds cam_from_world as axis times angle and translation, with the axes x right, y down, z
 forward. The observations are not in this file but in tracks.csv. Frames and models are described in
-https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM.
+https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM. In a folder,
+its commands export_ply, undistort and bundle also ask for camera_models.json, tracks.csv and, for
+each image, exif/NAME.exif.
 """
 
 import json
@@ -22,30 +24,34 @@ from epi360.cameras.base import FocalCamera
 from epi360.cameras.calibration import fields
 from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
+from epi360.interop.opensfm_tracks import read_tracks, tracks_of
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
-from epi360.runs.whole_files import PathLike, write_file
+from epi360.runs.inside import inside
+from epi360.runs.whole_files import PathLike, whole_paths, write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
+RECONSTRUCTION, CAMERA_MODELS, TRACKS = "reconstruction.json", "camera_models.json", "tracks.csv"
 
 
 def read_opensfm(path: PathLike) -> Reconstruction:
-    """Return the largest reconstruction of a ``reconstruction.json``.
+    """Return the largest reconstruction of a ``reconstruction.json``, or of a project's folder.
 
     If it holds several reconstructions, which have no common frame, a warning says how many shots
-    are left out. Images have the names of the shots. Their time stamps are ``capture_time`` in
-    seconds, or None if all of these are 0. There are no observations: OpenSfM keeps them in another
-    file.
+    are left out; another one names what has no place here: rigs, GPS. Images have the names of the
+    shots. Their time stamps are ``capture_time`` in seconds, or None if all of these are 0. The
+    observations are those of ``tracks.csv`` if a folder is given that has it, else there are none.
 
     Raises
     ------
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If it is not such a file, a camera has a model that `load_cameras` does not read, or a pose
-        or point is incomplete or not finite.
+        If it is not such a file, a camera has a model that `load_cameras` does not read, or a pose,
+        point or track is incomplete or not finite.
     """
-    path = Path(path)
+    folder = Path(path)
+    path = folder / RECONSTRUCTION if folder.is_dir() else folder
     document = checks.read_json(path, WHAT)
     try:
         chosen = _largest(document)
@@ -53,14 +59,23 @@ def read_opensfm(path: PathLike) -> Reconstruction:
         images = tuple(_image(name, shot) for name, shot in chosen["shots"].items())
         if not any(image.timestamp_s for image in images):  # OpenSfM writes 0 for an unknown time
             images = tuple(replace(image, timestamp_s=None) for image in images)
-        points, colors = _points(checks.mapping(chosen.get("points", {}), "points"))
+        entries = checks.mapping(chosen.get("points", {}), "points")
+        points, colors = _points(entries)
         reconstruction = Reconstruction(cameras, images, points, colors)
+        left_out = _left_out(chosen)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    num_shots = sum(len(part["shots"]) for part in document)
+    if path != folder and (folder / TRACKS).is_file():
+        rows = {name: row for row, name in enumerate(entries)}
+        seen = read_tracks(folder / TRACKS, reconstruction, rows)
+        reconstruction = replace(reconstruction, observations=seen)
+    if left_out:
+        warnings.warn(f"{path}: its {' and '.join(left_out)} are left out", stacklevel=2)
+    parts = document if isinstance(document, list) else [document]
+    num_shots = sum(len(part["shots"]) for part in parts)
     if len(images) < num_shots:
         warnings.warn(
-            f"{path} holds {len(document)} reconstructions without a common frame: took the "
+            f"{path} holds {len(parts)} reconstructions without a common frame: took the "
             f"largest, {len(images)} of {num_shots} shots",
             stacklevel=2,
         )
@@ -80,26 +95,68 @@ def write_opensfm(path: PathLike, reconstruction: Reconstruction) -> None:
     OSError
         If the file cannot be written.
     """
-    document = {
-        "cameras": {
-            name: _entry_of_camera(name, camera) for name, camera in reconstruction.cameras.items()
-        },
-        "shots": {image.name: _entry_of_image(image) for image in reconstruction.images},
-        "points": {
-            str(index): {"coordinates": point, "color": color}
-            for index, (point, color) in enumerate(
-                zip(
-                    reconstruction.points.tolist(),
-                    reconstruction.colors.astype(float).tolist(),
-                    strict=True,
-                )
-            )
-        },
+    write_file(path, _json_of(_document(reconstruction)))
+
+
+def write_opensfm_folder(folder: PathLike, reconstruction: Reconstruction) -> None:
+    """Write a reconstruction as the folder of an OpenSfM project, with its observations.
+
+    It gets ``reconstruction.json``, ``camera_models.json``, ``tracks.csv`` and ``exif/``; OpenSfM
+    looks for the pictures in ``images/``, without sub-folders. The folder is made if it does not
+    exist; these files are replaced. An observation counts as good to one pixel.
+
+    Raises
+    ------
+    ValueError
+        As `write_opensfm`, or if the name of an image leads out of the folder or has a tab or line
+        break, which tracks.csv cannot hold.
+    OSError
+        If a file cannot be written.
+    """
+    folder = Path(folder)
+    document = _document(reconstruction)
+    contents = {
+        RECONSTRUCTION: _json_of(document),
+        CAMERA_MODELS: _json_of(document[0]["cameras"]),
+        TRACKS: tracks_of(reconstruction),
     }
-    write_file(path, json.dumps([document], ensure_ascii=False).encode())
+    exif = {inside(folder / "exif", f"{each.name}.exif"): each for each in reconstruction.images}
+    for path, image in exif.items():
+        camera = document[0]["cameras"][image.camera]
+        size = {key: camera[key] for key in ("projection_type", "width", "height")}
+        time = {"capture_time": image.timestamp_s or 0.0, "orientation": 1, "gps": {}}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(_json_of({"camera": image.camera, **size, **time}))
+    with whole_paths(*(folder / name for name in contents), make_folder=True) as temporaries:
+        for temporary, content in zip(temporaries, contents.values(), strict=True):
+            temporary.write_bytes(content)
+
+
+def _json_of(document: Any) -> bytes:
+    return json.dumps(document, ensure_ascii=False).encode()
+
+
+def _document(reconstruction: Reconstruction) -> list[dict[str, Any]]:
+    cameras = {
+        name: _entry_of_camera(name, camera) for name, camera in reconstruction.cameras.items()
+    }
+    colors = reconstruction.colors.astype(float).tolist()
+    points = zip(reconstruction.points.tolist(), colors, strict=True)
+    return [
+        {
+            "cameras": cameras,
+            "shots": {image.name: _entry_of_image(image) for image in reconstruction.images},
+            "points": {
+                str(index): {"coordinates": point, "color": color}
+                for index, (point, color) in enumerate(points)
+            },
+        }
+    ]
 
 
 def _largest(document: Any) -> Mapping[str, Any]:
+    if isinstance(document, Mapping) and "shots" in document:
+        document = [document]  # one reconstruction that somebody took out of its list
     if not isinstance(document, list) or not document:
         raise ValueError(f"{WHAT} must be a list of reconstructions, with one at least")
     for number, part in enumerate(document):
@@ -107,6 +164,18 @@ def _largest(document: Any) -> Mapping[str, Any]:
         checks.mapping(part["shots"], f"shots of reconstruction {number}")
     largest: Mapping[str, Any] = max(document, key=lambda part: len(part["shots"]))
     return largest
+
+
+def _left_out(chosen: Mapping[str, Any]) -> list[str]:
+    """What a reconstruction holds that has no place in ours, in words."""
+    rigs = checks.mapping(chosen.get("rig_instances", {}), "rig_instances").values()
+    shots_of_rigs = [rig.get("rig_camera_ids") for rig in rigs if isinstance(rig, Mapping)]
+    has_rigs = any(isinstance(shots, Mapping) and len(shots) > 1 for shots in shots_of_rigs)
+    origin = checks.mapping(chosen.get("reference_lla", {}), "reference_lla")
+    positions = [shot.get("gps_position") for shot in chosen["shots"].values()]
+    has_gps = any(isinstance(position, list) and any(position) for position in positions)
+    has_gps = has_gps or any(origin.values())
+    return ["rigs"] * has_rigs + ["GPS positions and their origin"] * has_gps
 
 
 def _image(name: str, shot: Any) -> PosedImage:

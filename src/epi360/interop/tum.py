@@ -5,11 +5,14 @@ A row is the pose world_from_cam, with the camera's axes x right, y down, z forw
 seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 """
 
+import math
 import re
 import warnings
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
+
+import numpy as np
 
 from epi360.image_folders import natural_order
 from epi360.interop import checks
@@ -51,53 +54,103 @@ def read_tum_trajectory(path: PathLike) -> Reconstruction:
         raise ValueError(f"{path}: {error}") from None
 
 
-def write_tum_trajectory(path: PathLike, reconstruction: Reconstruction) -> None:
+def write_tum_trajectory(
+    path: PathLike, reconstruction: Reconstruction, *, fps: float | None = None
+) -> None:
     """Write the poses of the images as a trajectory, in the order of their times.
 
     Cameras, points and names are left out. If any image has no time stamp, the rows count from 0 in
     place of the time, in the natural order of the names: frame2 before frame10. A warning says so
-    where the numbers in the names have gaps, because row k is then not frame k. A file that exists
-    is replaced.
+    where the numbers in the names have gaps, because row k is then not frame k. With ``fps`` their
+    times are seconds: so many frames a second, the first at 0; where the numbers in the names have
+    gaps, so have the times. A file that exists is replaced.
 
     Raises
     ------
     ValueError
-        If an image has no pose, or two have the same time stamp.
+        If an image has no pose, two have the same time stamp, or ``fps`` is not positive.
     OSError
         If the file cannot be written.
     """
-    timed = all(image.timestamp_s is not None for image in reconstruction.images)
-    images = sorted(reconstruction.images, key=_place)
-    if timed:
-        images.sort(key=lambda image: image.timestamp_s or 0.0)
-    else:
+    images, times = _timed(reconstruction, fps)
+    if fps is None and any(isinstance(time, int) for time in times):
         _warn_of_gaps([image.name for image in images])
-    by_stamp: dict[float | None, str] = {}
-    for image in images if timed else ():
-        other = by_stamp.setdefault(image.timestamp_s, image.name)
+    by_stamp: dict[float, str] = {}
+    for image, time in zip(images, times, strict=True):
+        other = by_stamp.setdefault(time, image.name)
         if other != image.name:
             raise ValueError(
                 f"images {other} and {image.name} have the same time stamp; a trajectory is that "
                 "of one camera"
             )
     lines = ["# " + " ".join(COLUMNS)]
-    for index, image in enumerate(images):
+    for image, time in zip(images, times, strict=True):
         world_from_cam = checks.known_pose(image).inverse()
         w, x, y, z = world_from_cam.quaternion_wxyz
-        numbers = (image.timestamp_s if timed else index, *world_from_cam.translation, x, y, z, w)
-        # The fewest digits that read back to the same number; an index has no decimal point.
-        lines.append(" ".join(repr(n if isinstance(n, int) else float(n or 0.0)) for n in numbers))
+        numbers = (time, *world_from_cam.translation, x, y, z, w)
+        lines.append(" ".join(_digits(number) for number in numbers))
     write_file(path, ("\n".join(lines) + "\n").encode())
+
+
+def names_path(path: PathLike) -> Path:
+    """Return the path of the names that belong to a trajectory: ``poses_names.txt``."""
+    return Path(path).with_name(f"{Path(path).stem}_names.txt")
+
+
+def write_tum_names(
+    path: PathLike, reconstruction: Reconstruction, *, fps: float | None = None
+) -> None:
+    """Write the name of each row of `write_tum_trajectory`, as TUM's ``rgb.txt``: time and name.
+
+    Raises
+    ------
+    ValueError
+        If ``fps`` is not positive.
+    OSError
+        If the file cannot be written.
+    """
+    images, times = _timed(reconstruction, fps)
+    rows = [f"{_digits(time)} {image.name}" for image, time in zip(images, times, strict=True)]
+    write_file(path, ("\n".join(["# timestamp filename", *rows]) + "\n").encode())
+
+
+def _digits(number: float) -> str:
+    """The fewest digits that read back to the same number; an index has no decimal point."""
+    return repr(number if isinstance(number, int) else float(number))
+
+
+def _timed(
+    reconstruction: Reconstruction, fps: float | None
+) -> tuple[list[PosedImage], list[float]]:
+    """Images in the order of their times, and these; integers if they are counted."""
+    if fps is not None and not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"fps must be positive, got {fps}")
+    images = sorted(reconstruction.images, key=_place)
+    stamps = [image.timestamp_s for image in images if image.timestamp_s is not None]
+    if len(stamps) == len(images):
+        images.sort(key=lambda image: image.timestamp_s or 0.0)
+        return images, sorted(stamps)
+    if fps is None:
+        return images, list(range(len(images)))
+    numbers = _frame_numbers([image.name for image in images])
+    return images, [number / fps for number in numbers or range(len(images))]
+
+
+def _frame_numbers(names: list[str]) -> list[int] | None:
+    """Frames from the first to each by the numbers in sorted names; None if they do not count.
+
+    Names with every tenth number are frames that follow each other.
+    """
+    numbers = _numbers(names)
+    step = 0 if numbers is None else math.gcd(*(after - numbers[0] for after in numbers))
+    return [(number - numbers[0]) // step for number in numbers] if numbers and step else None
 
 
 def _warn_of_gaps(names: list[str]) -> None:
     """Warn where frames are missing between two names by the numbers before their extensions."""
-    found = [_NUMBERED.fullmatch(name) for name in names]
-    if len(names) < 3 or not all(found) or len({(m[1], m[3]) for m in found if m}) > 1:
-        return
-    numbers = [int(match[2]) for match in found if match]
+    numbers = _numbers(names) or []
     steps = [after - before for before, after in pairwise(numbers)]
-    if len(set(steps)) == 1:
+    if len(set(steps)) <= 1:
         return
     first = next(index for index, step in enumerate(steps) if step != min(steps))
     warnings.warn(
@@ -106,6 +159,14 @@ def _warn_of_gaps(names: list[str]) -> None:
         UserWarning,
         stacklevel=3,
     )
+
+
+def _numbers(names: list[str]) -> list[int] | None:
+    """Numbers before the extensions of names that differ in nothing else; None if they do."""
+    found = [_NUMBERED.fullmatch(name) for name in names]
+    if not all(found) or len({(m[1], m[3]) for m in found if m}) > 1:
+        return None
+    return [int(match[2]) for match in found if match]
 
 
 def _place(image: PosedImage) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import extra_library
+from epi360.interop.upright_world import mean_down, upright_from_world
 from epi360.progress import Progress, no_progress
 
 Mapper = Literal["incremental", "global"]
@@ -98,6 +99,15 @@ def color_points(model: Any, colors: Mapping[str, NDArray[np.uint8]]) -> None:
     for point in model.points3D.values():
         seen = [colors_of[each.image_id][each.point2D_idx] for each in point.track.elements]
         point.color = np.round(np.mean(seen, axis=0)).astype(np.uint8)
+
+
+def turn_upright(model: Any) -> None:
+    """Turn the world of a model so that down, as its cameras have it, is +y."""
+    pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
+    frames = [model.frames[frame_id] for frame_id in model.reg_frame_ids()]
+    down = mean_down(frame.rig_from_world.rotation.matrix() for frame in frames)
+    turn = pycolmap.Rotation3d(upright_from_world(down).rotation)
+    model.transform(pycolmap.Sim3d(1.0, turn, np.zeros(3)))
 
 
 def mapper_settings(options: MapperOptions) -> str:

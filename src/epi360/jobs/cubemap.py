@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ from epi360.runs.whole_files import whole_file
 
 RECORD_FILE = "cubemap.json"
 _STAGE = "cutting cube faces"
+_FaceMask = tuple[NDArray[np.bool_], bytes]  # white = use, and the content of its file
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +63,13 @@ def export_cubemap(
     """Write posed panoramas as posed pinhole images, for tools that know no other camera.
 
     The names of the images start from ``folder``. ``output`` gets ``images/``, ``sparse/0`` (a
-    COLMAP model) and ``transforms.json`` (nerfstudio). Where something is masked or a camera does
-    not see all around, there is a mask for every face, ``masks/NAME.jpg.png`` for
-    ``images/NAME.jpg``, and ``transforms.json`` names them. ``masks`` are those of the images by
-    name, white = use; ``mask_nadir_deg`` around straight down is masked as well. A panorama is not
-    cut again while its faces are newer than itself and its mask.
+    COLMAP model in which the faces of a panorama are a frame of a rig, in the world of
+    ``reconstruction``) and ``transforms.json`` (nerfstudio). Where something is masked or a camera
+    does not see all around, there is a mask for every face, which ``transforms.json`` names: for
+    ``images/NAME.jpg`` it is ``masks/NAME.jpg.png``, COLMAP's name, and the same again as
+    ``masks/NAME.png``, where nerfstudio's reader of COLMAP models looks. ``masks`` are those of the
+    images by name, white = use; ``mask_nadir_deg`` around straight down is masked as well. A
+    panorama is not cut again while its faces are newer than itself and its mask.
 
     Raises
     ------
@@ -119,7 +122,9 @@ def check_cubemap_folder(
     if not output.is_dir():
         return {}
     before = _record_before(output / RECORD_FILE)
-    if before and first_difference(before["options"], _options(options, mask_nadir_deg)):
+    # Records of earlier versions lack newer options.
+    made_with = {**_options(CubemapOptions(), 0.0), **before.get("options", {})}
+    if before and first_difference(made_with, _options(options, mask_nadir_deg)):
         raise ValueError(f"{output} holds a cubemap with other options; delete it or name another")
     if not before and any(output.iterdir()):
         raise ValueError(f"{output} holds other files; name a new or empty folder")
@@ -160,7 +165,7 @@ class _Cutter:
     masks: dict[str, Path | None]
     mask_nadir_deg: float
     masked: bool  # every face gets a mask: nerfstudio takes those of all images or of none
-    _face_masks: tuple[Camera, Path | None, dict[FaceName, bytes]] | None = None
+    _face_masks: tuple[Camera, Path | None, dict[FaceName, _FaceMask]] | None = None
     _left: set[str] = field(default_factory=set)  # faces of panoramas that left the model
 
     def prepare(
@@ -179,7 +184,7 @@ class _Cutter:
         names_before = face_image_names(list(made_before), self.options)
         for face in dict.fromkeys((*names.values(), *names_before.values())):
             self._face_file(face)
-            self._mask_file(face)
+            self._mask_files(face)
         changed = {
             face
             for (panorama, _), face in names.items()
@@ -211,8 +216,8 @@ class _Cutter:
 
     def _remove(self, faces: Iterable[str]) -> None:
         for face in faces:
-            self._face_file(face).unlink(missing_ok=True)
-            self._mask_file(face).unlink(missing_ok=True)
+            for file in (self._face_file(face), *self._mask_files(face)):
+                file.unlink(missing_ok=True)
 
     def _check_sizes(self, panorama: str, camera: Camera) -> None:
         """Raise where an image or its mask is missing or, by its header, has another size."""
@@ -230,7 +235,7 @@ class _Cutter:
         newest = max(path.stat().st_mtime_ns for path in (source, mask) if path is not None)
         files = [self._face_file(face) for face in faces]
         if self.masked:
-            files += [self._mask_file(face) for face in faces]
+            files += [file for face in faces for file in self._mask_files(face)]
         return all(path.exists() and path.stat().st_mtime_ns >= newest for path in files)
 
     def cut(
@@ -251,10 +256,14 @@ class _Cutter:
         masks = self._masks_of_faces(panorama, camera, samplers) if self.masked else {}
 
         def write(face: FaceName) -> None:
-            if face in masks:
-                _write(self._mask_file(faces[face]), masks[face])
-            file = self._face_file(faces[face])
             picture = samplers[face].picture(image)
+            if face in masks:
+                mask, png = masks[face]
+                for file in self._mask_files(faces[face]):
+                    _write(file, png)
+                if self.options.alpha:
+                    picture = _with_alpha(picture, mask)
+            file = self._face_file(faces[face])
             quality = self.options.jpeg_quality
             _write(file, encode_picture(picture, file.suffix, jpeg_quality=quality))
 
@@ -262,14 +271,14 @@ class _Cutter:
 
     def _masks_of_faces(
         self, panorama: str, camera: Camera, samplers: Mapping[FaceName, FaceSampler]
-    ) -> dict[FaceName, bytes]:
-        """Encoded masks; one mask of all panoramas is cut once: 8 s if they are 11008 wide."""
+    ) -> dict[FaceName, _FaceMask]:
+        """Masks and their files; one mask of all panoramas is cut once: 8 s if 11008 wide."""
         file = self.masks.get(panorama)
         if self._face_masks is None or self._face_masks[:2] != (camera, file):
             mask = self._mask(panorama, camera)
             cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
-            pngs = {face: encode_picture(cut[face], ".png") for face in cut}
-            self._face_masks = camera, file, pngs
+            files = {face: (cut[face], encode_picture(cut[face], ".png")) for face in cut}
+            self._face_masks = camera, file, files
         return self._face_masks[2]
 
     def _mask(self, panorama: str, camera: Camera) -> NDArray[np.bool_] | None:
@@ -287,8 +296,11 @@ class _Cutter:
     def _face_file(self, face: str) -> Path:
         return inside(self.output / "images", face)
 
-    def _mask_file(self, face: str) -> Path:
-        return inside(self.output / "masks", f"{face}.png")
+    def _mask_files(self, face: str) -> tuple[Path, Path]:
+        """Where COLMAP looks for the mask of a face, and nerfstudio's reader of COLMAP models."""
+        names = f"{face}.png", str(PurePosixPath(face).with_suffix(".png"))
+        first, second = (inside(self.output / "masks", name) for name in names)
+        return first, second
 
 
 def _check_size(what: str, path: Path, camera: Camera) -> None:
@@ -316,6 +328,11 @@ def _record_before(path: Path) -> dict[str, Any]:
     if not all(isinstance(record.get(name), dict) for name in ("options", "made_from")):
         raise ValueError(f"{path} is damaged; {remedy}")
     return record
+
+
+def _with_alpha(picture: NDArray[np.uint8], mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """RGBA of an RGB picture, transparent where the mask is black."""
+    return np.dstack([picture, np.where(mask, np.uint8(255), np.uint8(0))])
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -112,6 +112,13 @@ class FeatureCache:
         return self.folder / f"{key}.npz"
 
 
+def keypoints_in_file(path: Path) -> SiftKeypoints | None:
+    """Key points in a file of a cache, or None where it is missing or damaged."""
+    arrays = read_arrays(path)
+    whole = arrays is not None and set(arrays) == {*_TYPES, COLORS}
+    return _as_found(arrays) if arrays is not None and whole else None
+
+
 def _as_found(arrays: Arrays) -> SiftKeypoints:
     return SiftKeypoints(
         arrays["pixels"].astype(np.float64),

@@ -26,7 +26,7 @@ from epi360.jobs.model_check import PlacedImages, confirmed_images
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 
-RULES = 1  # of the attempts and the check: other rules, other models
+RULES = 2  # of the attempts and the check: other rules, other models
 # Another way is tried if more than this share of the images that pairs connect is left out.
 _MOST_LEFT_OUT = 0.05
 _FEWEST_IMAGES = 3  # that anything else could place

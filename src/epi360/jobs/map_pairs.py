@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph
+from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.matching import MatchRun
+from epi360.jobs.stored_graph import OnDemand
 
 
 def without_doubtful(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
@@ -23,20 +24,26 @@ def without_doubtful(graph: MatchGraph, matched: MatchRun) -> MatchGraph:
         for pair in matched.verdicts
         if (pair.contradicted and pair.num_contradicted > 1) or pair.refused
     }
-    kept = tuple(pair for pair in graph.pairs if (pair.image1, pair.image2) not in dropped)
-    return replace(graph, pairs=tuple(_without_ambiguous_bridges(kept, graph.images)))
+    rows, status, names = [], [], []
+    for row, pair in enumerate(graph.pairs):
+        if (pair.image1, pair.image2) not in dropped:
+            rows.append(row)
+            status.append(None if pair.geometry is None else pair.geometry.status)
+            names.append((pair.image1, pair.image2))
+    kept = _without_ambiguous_bridges(names, status, graph.images)
+    pairs = OnDemand(graph.pairs.__getitem__, [rows[index] for index in kept])
+    return replace(graph, pairs=pairs)
 
 
 def _without_ambiguous_bridges(
-    pairs: Sequence[MatchedPair], images: Mapping[str, MatchedImage]
-) -> list[MatchedPair]:
-    """Drop planar_ambiguous pairs between groups that other pairs do not join.
+    names: Sequence[tuple[str, str]], status: Sequence[str | None], images: Iterable[str]
+) -> list[int]:
+    """Rows without planar_ambiguous pairs between groups that other pairs do not join.
 
     The same carpet or poster hangs or lies in two rooms: its matches are all on one plane.
     """
-    status = [None if pair.geometry is None else pair.geometry.status for pair in pairs]
     number = {name: index for index, name in enumerate(images)}
-    ends = np.array([(number[pair.image1], number[pair.image2]) for pair in pairs]).reshape(-1, 2)
+    ends = np.array([[number[name] for name in pair] for pair in names], dtype=int).reshape(-1, 2)
     sure = ends[[each in ("ok", "pure_rotation") for each in status]]
     links = coo_array((np.ones(len(sure)), (sure[:, 0], sure[:, 1])), shape=(len(number),) * 2)
     group = connected_components(links, directed=False)[1]
@@ -54,7 +61,9 @@ def _without_ambiguous_bridges(
         return bool(apart and not settled)
 
     return [
-        pair
-        for pair, is_ambiguous, (first, second) in zip(pairs, ambiguous, ends.tolist(), strict=True)
+        row
+        for row, (is_ambiguous, (first, second)) in enumerate(
+            zip(ambiguous, ends.tolist(), strict=True)
+        )
         if not (is_ambiguous and joins(first, second))
     ]

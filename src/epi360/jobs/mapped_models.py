@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from epi360.cameras import KannalaBrandt
+from epi360.cameras import Camera, KannalaBrandt
 from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import write_nerfstudio
@@ -42,27 +42,27 @@ def read_models(
     return tuple(
         MappedModel(
             folder / str(number),
-            _with_given_cameras(read_colmap_model(folder / str(number)), graph),
+            with_given_cameras(read_colmap_model(folder / str(number)), graph.cameras),
             error_px,
         )
         for number, error_px in enumerate(mean_errors_px)
     )
 
 
-def _with_given_cameras(model: Reconstruction, graph: MatchGraph) -> Reconstruction:
+def with_given_cameras(model: Reconstruction, cameras: Mapping[str, Camera]) -> Reconstruction:
     """Model whose cameras have their names again, and the limit of a lens that COLMAP lacks."""
-    given = dict(enumerate(graph.cameras.items(), start=1))  # as the database numbers them
-    cameras = {}
+    given = dict(enumerate(cameras.items(), start=1))  # as the database numbers them
+    restored = {}
     for number, camera in model.cameras.items():
         name, original = given[int(number)]
         if isinstance(camera, KannalaBrandt) and isinstance(original, KannalaBrandt):
             camera = replace(camera, max_angle_deg=original.max_angle_deg)
-        cameras[name] = camera
+        restored[name] = camera
     images = tuple(
         replace(image, camera=given[int(str(image.camera))][0]) for image in model.images
     )
     rig = {given[int(number)][0]: pose for number, pose in model.cam_from_rig.items()}
-    return replace(model, cameras=cameras, images=images, cam_from_rig=rig)
+    return replace(model, cameras=restored, images=images, cam_from_rig=rig)
 
 
 def write_transforms(

@@ -17,16 +17,23 @@ import numpy as np
 from epi360.extras import extra_library
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
+from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.reconstruction import Reconstruction
-from epi360.jobs.colmap_mapper import STAGE, Mapper, MapperOptions, mapper_settings
+from epi360.jobs.colmap_mapper import (
+    STAGE,
+    Mapper,
+    MapperOptions,
+    mapper_settings,
+    turn_upright,
+)
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.map_pairs import without_doubtful
 from epi360.jobs.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
-from epi360.jobs.match_result import Colors, load_matches_and_colors
+from epi360.jobs.match_result import Colors, descriptors_of, load_matches_and_colors
 from epi360.jobs.matching import MatchOptions, MatchRun, match_images, open_match_output
-from epi360.jobs.pair_selection import Pair, trajectory_pairs
+from epi360.jobs.pair_selection import Pair, trajectory_pairs, ways_of
 from epi360.jobs.sequence_start import has_one_camera, may_be_sequence, track_sequence
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
@@ -50,6 +57,8 @@ class MapOptions:
     # A sequence starts from the poses of the odometry, see `map_images`; only before the
     # incremental mapper, because whoever asks for the global one wants that.
     track: bool = True
+    # In the database, so that COLMAP can match new images with the map: 128 bytes a key point.
+    descriptors: bool = True
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -95,11 +104,12 @@ def map_images(
 
     A sequence starts from the poses that the odometry gives it, and with ``pairs="auto"`` it is
     matched in `trajectory_pairs`. The images are a sequence if they are frames of ``video``, whose
-    other frames are then followed as well, with ``mask``; with ``pairs="sequential"``; and with
-    ``"auto"`` if their names differ in a number only and most images can be tracked.
+    other frames are then followed as well, with ``mask``; with ``"sequential"`` among ``pairs``;
+    and with ``"auto"`` if their names differ in a number only and most images can be tracked.
 
     ``output`` gets what `match_images` writes, ``database.db``, the models ``sparse/0``,
-    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. With
+    ``sparse/1``, ... and ``transforms.json`` of the first, its paths relative to the images. Down
+    is +y in the models, by the mean of the cameras' y axes, except if there is ``initial``. With
     ``restart``, pairs that were matched with other options are thrown away instead of refusing
     them.
 
@@ -127,7 +137,7 @@ def map_images(
     output = Path(output)
     record = _read_record(output)
     # A folder that only looked like a sequence is mapped without a word, as it always was.
-    was_asked = video is not None or options.match.pairs == "sequential"
+    was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     given = None if initial is None else _poses_of(images, initial)
     tracked = None
     if given is None and _is_tried_as_sequence(images, options, video):
@@ -161,7 +171,8 @@ def map_images(
         progress(STAGE, len(graph.images), len(graph.images))
     else:
         how = "the given poses" if given else TRACKED_POSES
-        made = _map(graph, matched, colors, output, mapper, (how, poses), progress)
+        descriptors = descriptors_of(output) if options.descriptors else _no_descriptors
+        made = _map(graph, matched, colors, output, mapper, (how, poses), descriptors, progress)
         record = {"fingerprint": made_from, **made}
     record["track"] = None if tracked is None else tracked.summary()
     record["pairs"] = matched.how
@@ -185,12 +196,18 @@ def map_images(
     )
 
 
+def _no_descriptors(name: str) -> None:
+    return None
+
+
 def _is_tried_as_sequence(images: ImageSet, options: MapOptions, video: Path | None) -> bool:
     if not options.track or options.mapper != "incremental" or not has_one_camera(images):
         return False
     pairs = options.match.pairs
     return (
-        video is not None or pairs == "sequential" or (pairs == "auto" and may_be_sequence(images))
+        video is not None
+        or "sequential" in ways_of(pairs)
+        or (pairs == "auto" and may_be_sequence(images))
     )
 
 
@@ -253,6 +270,7 @@ def _map(
     output: Path,
     options: MapperOptions,
     initial: tuple[str, Mapping[str, Pose]],
+    descriptors: DescriptorsOf,
     progress: Progress,
 ) -> dict[str, Any]:
     """Write database and models; returns what the record says of them."""
@@ -260,7 +278,7 @@ def _map(
     write_record(output / RECORD, {})  # from here on database and models are ours
     for name in (DATABASE, TRANSFORMS):
         (output / name).unlink(missing_ok=True)
-    write_colmap_database(output / DATABASE, graph)
+    write_colmap_database(output / DATABASE, graph, descriptors=descriptors)
     mapped = map_by_attempts(
         output / DATABASE,
         options,
@@ -270,6 +288,9 @@ def _map(
         initial=initial,
         progress=progress,
     )
+    if initial[0] == TRACKED_POSES:  # the world of poses that the caller gave is theirs
+        for model in mapped.models:
+            turn_upright(model)
     shutil.rmtree(output / MODELS, ignore_errors=True)
     if mapped.models:
         with whole_folder(output / MODELS) as temporary:

@@ -20,8 +20,9 @@ from epi360.cameras import Camera
 from epi360.cameras.upright import DOWN, gravity_of, is_full_panorama
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
 from epi360.estimation.verdict import noise_in_pixels
-from epi360.features import Features, match_features
+from epi360.features import Features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
+from epi360.features.matching import Look, look
 from epi360.jobs.feature_cache import FeatureCache, UnreadableImageError
 from epi360.jobs.image_set import ImageSet, SourceImage
 from epi360.jobs.level_folder import Level
@@ -51,7 +52,7 @@ class MatchJob:
 
     ``output`` is a folder that `open_output` made. With ``upright_deg``, all images are panoramas
     that stand upright to so many degrees (one sigma). ``progress`` is told of the stages "images",
-    "features", "pairs" and "level pairs".
+    "features", "pairs", "level pairs" and "places".
     """
 
     def __init__(
@@ -81,6 +82,7 @@ class MatchJob:
         self.keys: dict[int, str] = {}
         self.unreadable: dict[str, str] = {}
         self._finding_again = Lock()
+        self._first_looks: dict[Pair, Look] = {}  # of the pairs in work
         self._features_of = lru_cache(_IMAGES_IN_MEMORY)(self._load_features)
 
     def find_features(self, wanted: Sequence[int]) -> None:
@@ -158,6 +160,10 @@ class MatchJob:
         """Whether both images are full panoramas."""
         return all(is_full_panorama(self.cameras[index]) for index in pair)
 
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look, the strongest first."""
+        return self.cameras[index].bearings_from_pixels(self._features_of(index)[0].keypoints)
+
     def readable_keys(self) -> dict[str, str]:
         """Key of the key points of each image that has some, by its name."""
         named = {self.images[index].name: key for index, key in self.keys.items()}
@@ -174,6 +180,7 @@ class MatchJob:
         for pair, each in self._look(unsettled, strong=False).items():
             if later_is_better(found[pair].verdict.status, each.verdict.status):
                 found[pair] = each
+        self._first_looks.clear()
         return [found[pair] for pair in pairs if pair in found and self.is_readable(pair)]
 
     def _look(self, pairs: Sequence[Pair], *, strong: bool) -> dict[Pair, VerifiedPair]:
@@ -182,7 +189,7 @@ class MatchJob:
         # Each of our threads multiplies descriptors. With threads of its own in each of them, BLAS
         # waits in loops for the others: 0.13 s of processor time a pair in place of 0.05.
         with threadpool_limits(1, user_api="blas"):
-            found = dict(_on_threads(work, pairs, self.num_threads))
+            found = dict(on_threads(work, pairs, self.num_threads))
         matched = [(pair, each) for pair in pairs if (each := found[pair]) is not None]
         gravity: dict[str, Any] = {}
         if self.upright_deg is not None:
@@ -199,7 +206,7 @@ class MatchJob:
     ) -> list[VerifiedPair]:
         """Estimate pairs again from the matches that they have."""
         items = list(finished.items())
-        found = dict(_on_threads(self._placed, items, self.num_threads))
+        found = dict(on_threads(self._placed, items, self.num_threads))
         matched = [(item[0], each) for item in items if (each := found[item]) is not None]
         results = self._estimated(
             matched,
@@ -234,7 +241,10 @@ class MatchJob:
         if sides[0] is None or sides[1] is None:
             return None
         features1, features2 = (side[1 if strong else 0] for side in sides if side is not None)
-        return self._matched_at(pair, features1, features2, match_features(features1, features2))
+        seen = look(features1, features2, None if strong else self._first_looks.get(pair))
+        if strong:
+            self._first_looks[pair] = seen
+        return self._matched_at(pair, features1, features2, seen.matches())
 
     def _placed(self, finished: tuple[Pair, VerifiedPair]) -> _Matched | None:
         """Matches of a finished pair; None where an image turns out to be unreadable."""
@@ -278,6 +288,7 @@ class MatchJob:
             rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
             translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
             probability=result.probability,
+            explanations=result.explanations,
             floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
             prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,
@@ -294,6 +305,11 @@ class MatchJob:
         except UnreadableImageError as error:
             self.unreadable[name] = str(error)
             return None
+
+    def descriptors(self, index: int) -> NDArray[np.float32]:
+        """Descriptors (N, 128) of an image, strongest first; none where it cannot be read."""
+        features = self._features_or_none(index) if index in self.keys else None
+        return np.zeros((0, 128), np.float32) if features is None else features[0].descriptors
 
     def _load_features(self, index: int) -> tuple[Features, Features]:
         """All features of an image and the stronger ones; found again if their file is damaged."""
@@ -328,7 +344,7 @@ class MatchJob:
 
         total = done + len(wanted)
         self.progress(stage, done, total)
-        for count, _ in enumerate(_on_threads(attempt, wanted, self.num_threads), start=1):
+        for count, _ in enumerate(on_threads(attempt, wanted, self.num_threads), start=1):
             self.progress(stage, done + count, total)
 
 
@@ -357,7 +373,7 @@ class _Matched:
         return float(np.mean(heights > _BELOW_HORIZON))
 
 
-def _on_threads(
+def on_threads(
     work: Callable[[Item], Result], items: Sequence[Item], num_threads: int
 ) -> Iterator[tuple[Item, Result]]:
     """Items with their results, as they come; an interrupt waits only for those in work."""

@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import load_cameras
-from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.features.detection import root_sift
+from epi360.features.matching import rounded_descriptors
+from epi360.interop import MatchGraph
 from epi360.jobs.feature_cache import COLORS
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level
@@ -20,14 +23,17 @@ from epi360.jobs.match_store import (
     CAMERAS,
     FEATURES,
     IMAGES,
+    PAIRS,
     Keys,
-    VerifiedPair,
-    read_parts,
+    Verdict,
+    pair_of_part,
+    part_arrays,
 )
+from epi360.jobs.stored_graph import StoredImages, StoredPairs
 from epi360.poses import Pose
 from epi360.runs.arrays import Arrays, read_arrays
 from epi360.runs.inside import inside
-from epi360.runs.made_from import write_record
+from epi360.runs.made_from import read_record, write_record
 
 Colors = dict[str, NDArray[np.uint8]]
 
@@ -78,12 +84,35 @@ def load_matches(folder: Path) -> MatchGraph:
     ValueError
         If a file is damaged.
     """
-    return load_matches_and_colors(folder)[0]
+    return _load(Path(folder), None)
+
+
+def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
+    """Return what reads the descriptors of an image of `load_matches`: RootSIFT as it is matched.
+
+    They are read when they are asked for, because those of a thousand images take 5 GB.
+    """
+    folder = Path(folder)
+
+    @cache
+    def keys() -> dict[str, str]:
+        index = read_record(folder / IMAGES, remedy=_AGAIN) or {}
+        return {image["name"]: image["key"] for image in index["images"]}
+
+    def descriptors(name: str) -> NDArray[np.float32]:
+        return rounded_descriptors(root_sift(_arrays_of(folder, name, keys()[name])["descriptors"]))
+
+    return descriptors
 
 
 def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
     """What `load_matches` gives, and the RGB of the key points of each image by its name."""
-    folder = Path(folder)
+    colors: Colors = {}
+    return _load(Path(folder), colors), colors
+
+
+def _load(folder: Path, colors: Colors | None) -> MatchGraph:
+    """Graph of a folder; its colours are added to those given."""
     if not (folder / IMAGES).is_file():
         raise FileNotFoundError(
             f"{folder} holds no complete result of epi360 match; run it with this --output first"
@@ -99,30 +128,49 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
         confirmed = {(name1, name2) for name1, name2 in index.get("confirmed", ())}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
-    images: dict[str, MatchedImage] = {}
-    colors: Colors = {}
+    images = StoredImages()
     for name, camera, frame in listed:
         arrays = _arrays_of(folder, name, keys[name])
-        images[name] = MatchedImage(name, camera, arrays["pixels"].astype(float), frame=frame)
-        colors[name] = arrays[COLORS]
-    needed = {keys_of_pair for _, keys_of_pair in wanted}
-    finished = {pair.keys: pair for pair in read_parts(folder) if pair.keys in needed}
+        images.add(name, camera, frame, arrays["pixels"])
+        if colors is not None:
+            colors[name] = arrays[COLORS]
+    store = StoredPairs()
+    places = _places(folder, store, {keys_of_pair for _, keys_of_pair in wanted}, level)
+    for names, keys_of_pair in wanted:
+        if keys_of_pair not in places:
+            raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
+        store.add(names, places[keys_of_pair], is_confirmed=names in confirmed)
+    return MatchGraph(cameras, images, store.pairs(), rig)
+
+
+def _places(
+    folder: Path, store: StoredPairs, needed: Set[Keys], level: Level | None
+) -> dict[Keys, tuple[int, int]]:
+    """Parts and rows of the pairs, which the store keeps; each file is read once."""
+    later: dict[Keys, tuple[tuple[int, int], Verdict]] = {}
     if level is not None:
-        finished.update(_with_prior(folder, level, finished))
-    pairs = tuple(
-        _matched_pair(names, finished.get(each), names in confirmed) for names, each in wanted
-    )
-    return MatchGraph(cameras, images, pairs, rig), colors
+        for keys, place, arrays in _rows(folder, store, needed, level.store):
+            later[keys] = place, pair_of_part(arrays, place[1]).verdict
+    places = {}
+    for keys, place, arrays in _rows(folder, store, needed, PAIRS):
+        places[keys] = place
+        if level is not None and keys in later:
+            place_later, verdict = later[keys]
+            if level.keeps(pair_of_part(arrays, place[1]).verdict, verdict):
+                places[keys] = place_later
+    return places
 
 
-def _with_prior(
-    folder: Path, level: Level, finished: Mapping[Keys, VerifiedPair]
-) -> Iterator[tuple[Keys, VerifiedPair]]:
-    """Pairs of a level folder whose verdict with its prior is kept."""
-    for pair in read_parts(folder, level.store):
-        earlier = finished.get(pair.keys)
-        if earlier is not None and level.keeps(earlier.verdict, pair.verdict):
-            yield pair.keys, pair
+def _rows(
+    folder: Path, store: StoredPairs, needed: Set[Keys], sub_folder: str
+) -> Iterator[tuple[Keys, tuple[int, int], Arrays]]:
+    """Needed pairs of a sub-folder: keys, number of the part with row, arrays of the part."""
+    for arrays in part_arrays(folder, sub_folder):
+        keys = [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
+        rows = [row for row, each in enumerate(keys) if each in needed]
+        if rows:
+            number = store.add_part(arrays)
+            yield from ((keys[row], (number, row), arrays) for row in rows)
 
 
 _AGAIN = "run epi360 match with this --output again, it redoes what is missing"
@@ -133,16 +181,3 @@ def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
     if arrays is None:
         raise ValueError(f"the key points of {name} are missing or damaged; {_AGAIN}")
     return arrays
-
-
-def _matched_pair(
-    names: tuple[str, str], pair: VerifiedPair | None, is_confirmed: bool
-) -> MatchedPair:
-    if pair is None:
-        raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
-    verdict = pair.verdict
-    status, pose = verdict.status, verdict.cam2_from_cam1
-    if is_confirmed:
-        status, pose = "ok", verdict.doubted
-    geometry = TwoViewGeometry(status, pose, pair.matches[pair.inlier_mask])
-    return MatchedPair(*names, pair.matches, geometry)

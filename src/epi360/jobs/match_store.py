@@ -18,8 +18,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,10 +28,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation import Explanations
 from epi360.extras import package_version
 from epi360.jobs.frame_source import FRAMES_RECORD
 from epi360.poses import Pose
-from epi360.runs.arrays import npz_bytes, read_arrays
+from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.made_from import fingerprint, first_difference, read_record, write_record
 from epi360.runs.whole_files import write_file
 
@@ -55,6 +57,7 @@ class Verdict:
     translation_sigma_deg: float = np.nan
     probability: float = np.nan  # that a pose with translation is right; NaN where there is none
     floor_share: float = np.nan  # of the inliers that both images see below the horizon
+    explanations: Explanations = Explanations()  # of the matches of this pair alone
     prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
     doubted: Pose = dataclasses.field(
@@ -141,6 +144,7 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) 
         "warnings": np.array(["\n".join(verdict.warnings) for verdict in verdicts]),
         "prior": np.array([verdict.prior for verdict in verdicts]),
         "numbers": np.array([_numbers(verdict) for verdict in verdicts]),
+        "explanations": np.array([dataclasses.astuple(each.explanations) for each in verdicts]),
         "ends": np.cumsum([len(pair.matches) for pair in pairs]),
         "matches": matches.astype(np.min_scalar_type(matches.max(initial=0))),
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
@@ -161,10 +165,16 @@ def read_parts(folder: Path, store: str = PAIRS) -> Iterable[VerifiedPair]:
 
 def pairs_by_part(folder: Path, store: str = PAIRS) -> Iterable[list[VerifiedPair]]:
     """Finished pairs as `read_parts` gives them, those of one part together."""
+    for arrays in part_arrays(folder, store):
+        yield [pair_of_part(arrays, row) for row in range(len(arrays["keys"]))]
+
+
+def part_arrays(folder: Path, store: str = PAIRS) -> Iterator[Arrays]:
+    """Arrays of each whole part, see `write_part`; `pair_of_part` makes its pairs of them."""
     for path in sorted((folder / store).glob("part-*.npz")):
         arrays = read_arrays(path)
         if arrays is not None:
-            yield list(_pairs_of_part(arrays))
+            yield arrays
 
 
 def _numbers(verdict: Verdict) -> list[float]:
@@ -180,28 +190,49 @@ def _numbers(verdict: Verdict) -> list[float]:
     ]
 
 
-def _pairs_of_part(arrays: Mapping[str, NDArray[Any]]) -> Iterable[VerifiedPair]:
-    starts = [0, *arrays["ends"]]
-    for row, (key1, key2) in enumerate(arrays["keys"]):
-        matches, mask = (
-            arrays[name][starts[row] : starts[row + 1]] for name in ("matches", "inlier_mask")
-        )
-        *measured, probability, floor_share = arrays["numbers"][row][:6]
-        noise, parallax, rotation_sigma, translation_sigma = measured
-        pose, doubted = np.split(arrays["numbers"][row][6:], 2)
-        verdict = Verdict(
-            status=str(arrays["status"][row]),
-            warnings=tuple(str(arrays["warnings"][row]).splitlines()),
-            num_matches=len(matches),
-            num_inliers=int(mask.sum()),
-            noise_deg=float(noise),
-            parallax_deg=float(parallax),
-            rotation_sigma_deg=float(rotation_sigma),
-            translation_sigma_deg=float(translation_sigma),
-            probability=float(probability),
-            floor_share=float(floor_share),
-            prior=str(arrays["prior"][row]),
-            cam2_from_cam1=Pose(pose[:9].reshape(3, 3), pose[9:]),
-            doubted=Pose(doubted[:9].reshape(3, 3), doubted[9:]),
-        )
-        yield VerifiedPair((str(key1), str(key2)), verdict, matches.astype(np.int64), mask)
+def pair_of_part(arrays: Arrays, row: int) -> VerifiedPair:
+    """One of the pairs of a part."""
+    matches, mask = matches_of_part(arrays, row)
+    *measured, probability, floor_share = arrays["numbers"][row][:6]
+    noise, parallax, rotation_sigma, translation_sigma = measured
+    cam2_from_cam1, doubted = poses_of_part(arrays, row)
+    verdict = Verdict(
+        status=str(arrays["status"][row]),
+        warnings=tuple(str(arrays["warnings"][row]).splitlines()),
+        num_matches=len(matches),
+        num_inliers=int(mask.sum()),
+        noise_deg=float(noise),
+        parallax_deg=float(parallax),
+        rotation_sigma_deg=float(rotation_sigma),
+        translation_sigma_deg=float(translation_sigma),
+        probability=float(probability),
+        floor_share=float(floor_share),
+        explanations=_explanations_of_part(arrays, row),
+        prior=str(arrays["prior"][row]),
+        cam2_from_cam1=cam2_from_cam1,
+        doubted=doubted,
+    )
+    key1, key2 = arrays["keys"][row]
+    return VerifiedPair((str(key1), str(key2)), verdict, matches, mask)
+
+
+def _explanations_of_part(arrays: Arrays, row: int) -> Explanations:
+    if "explanations" not in arrays:  # older parts do not say
+        return Explanations(*[math.nan] * 5)
+    return Explanations(*arrays["explanations"][row].tolist())
+
+
+def matches_of_part(arrays: Arrays, row: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Matches (M, 2) and inlier mask (M,) of one of the pairs of a part."""
+    start, end = arrays["ends"][row - 1] if row else 0, arrays["ends"][row]
+    return arrays["matches"][start:end].astype(np.int64), arrays["inlier_mask"][start:end]
+
+
+def poses_of_part(arrays: Arrays, row: int) -> tuple[Pose, Pose]:
+    """Pose and doubted pose of one of the pairs of a part."""
+    pose, doubted = np.split(arrays["numbers"][row][6:], 2)
+    return _pose(pose), _pose(doubted)
+
+
+def _pose(numbers: NDArray[np.float64]) -> Pose:
+    return Pose(numbers[:9].reshape(3, 3), numbers[9:])

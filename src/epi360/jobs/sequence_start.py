@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from epi360.jobs.frames_job import content_key
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.masks import MaskSource
 from epi360.jobs.match_store import DIGESTS
+from epi360.jobs.pair_selection import NUMBERED
 from epi360.odometry import Odometry
 from epi360.odometry.options import OdometryOptions
 from epi360.poses import Pose
@@ -36,7 +36,6 @@ _FEWEST_FOLLOWED = 40
 _MOST_JUMPS = 0.1  # share of the images
 _LEAST_TRACKED = 0.8  # share of the images that need a pose
 _FEWEST_IMAGES = 4
-_NUMBERED = re.compile(r"(.*?)(\d+)\.\w+")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class SequenceStart:
 
 def may_be_sequence(images: ImageSet) -> bool:
     """Whether the images of one camera have names that differ in a number only."""
-    names = [_NUMBERED.fullmatch(image.name) for image in images.images]
+    names = [NUMBERED.fullmatch(image.name) for image in images.images]
     beginnings = {match[1] for match in names if match is not None}
     return (
         None not in names

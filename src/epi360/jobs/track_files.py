@@ -20,8 +20,10 @@ from epi360.interop import (
     write_tum_trajectory,
 )
 from epi360.interop.ply import write_ply_points
+from epi360.interop.upright_world import mean_down, moved, upright_from_world
 from epi360.odometry.frame_result import FrameResult, MapPoints
 from epi360.odometry.key_frames import KeyFrame
+from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 
 TRAJECTORY, FRAMES, POINTS, LOG = "trajectory.txt", "frames.csv", "points.ply", "track.json"
@@ -92,14 +94,21 @@ def write_frames(path: Path, names: Sequence[str], results: Sequence[FrameResult
     write_file(path, text.getvalue().encode())
 
 
+def upright_world(results: Sequence[FrameResult]) -> Pose:
+    """Rotation of the odometry's world that turns down, as the tracked cameras have it, to +y."""
+    tracked = [result.cam_from_world for result in results if result.status == "tracked"]
+    return upright_from_world(mean_down(pose.rotation for pose in tracked))
+
+
 def write_trajectory(path: Path, names: Sequence[str], results: Sequence[FrameResult]) -> None:
-    """Write the poses of the frames that have one, in the format of TUM."""
+    """Write the poses of the frames that have one, in the format of TUM, in the upright world."""
     images = [
         PosedImage(names[result.index], None, result.cam_from_world, result.timestamp_s)
         for result in results
         if result.status == "tracked"
     ]
-    write_tum_trajectory(path, Reconstruction({}, tuple(images)))
+    trajectory = moved(Reconstruction({}, tuple(images)), upright_world(results))
+    write_tum_trajectory(path, trajectory)
 
 
 def key_frame_model(

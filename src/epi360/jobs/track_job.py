@@ -20,6 +20,7 @@ from epi360.cameras import Camera
 from epi360.cameras.upright import DOWN, check_upright, gravity_of
 from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
+from epi360.interop.upright_world import moved
 from epi360.interop.video import is_video
 from epi360.jobs import track_files as files
 from epi360.jobs.frame_source import FrameSource, SourceFrame, check_times, open_frames
@@ -330,6 +331,7 @@ class _Run:
     def _write_map(self, written: files.Written, progress: Progress) -> None:
         key_frames = self.odometry.key_frames()
         model = files.key_frame_model(self._camera, self._names, key_frames, self.odometry.points())
+        model = moved(model, files.upright_world(self.odometry.results()))
         images = self._source.path
         if is_video(images) or images.is_file():
             images = self._output / files.IMAGES

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
+from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
-from epi360.odometry.absolute_pose import AbsolutePoseResult
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -359,7 +359,7 @@ class Odometry:
 
     def _found_again(
         self, active: Segment, tracks: FrameTracks, gray: NDArray[np.uint8]
-    ) -> tuple[Segment, AbsolutePoseResult | None]:
+    ) -> tuple[Segment, AbsolutePoseFit | None]:
         """The map, of all there are, whose key frames show what a lost frame shows."""
         self._num_lost += 1
         if self._num_lost > _TRIES and self._num_lost % _TRIES:

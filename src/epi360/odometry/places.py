@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.features.binary_features import DESCRIPTOR_BYTES, nearest_descriptors
+from epi360.features.visual_words import evenly_spread, rarity
 
 Descriptors = NDArray[np.uint8]
 
@@ -106,7 +107,7 @@ class PlaceIndex:
         if number & (number - 1):
             self._describe(number - 1, strongest)
             return
-        words = [_spread(one) for one in self._learning]
+        words = [evenly_spread(one, _WORDS_PER_FRAME) for one in self._learning]
         self._vocabulary = np.ascontiguousarray(np.concatenate(words))
         self._num_with_word[:] = 0
         for row, one in enumerate(self._learning):
@@ -130,10 +131,9 @@ class PlaceIndex:
         return words, np.minimum(counts, 255)
 
     def _inverse_document_frequency(self) -> NDArray[np.float64]:
-        # One more frame than there are: a word that all of them have still counts a little.
-        weights = np.log((self._size + 1.0) / np.maximum(self._num_with_word, 1))
+        weights = rarity(self._size, self._num_with_word)
         weights[_NO_WORD] = 0.0
-        return np.asarray(weights)
+        return weights
 
     def _reserve(self) -> None:
         if self._size < len(self._key_frames):
@@ -153,9 +153,3 @@ def _checked(descriptors: Descriptors) -> Descriptors:
             f"{array.shape}"
         )
     return np.ascontiguousarray(array[:NUM_DESCRIPTORS])
-
-
-def _spread(descriptors: Descriptors) -> Descriptors:
-    """Descriptors at even distances in the order of strength, as words."""
-    count = min(_WORDS_PER_FRAME, len(descriptors))
-    return np.asarray(descriptors[np.linspace(0, len(descriptors) - 1, count).astype(int)])

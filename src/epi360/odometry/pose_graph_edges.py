@@ -59,6 +59,8 @@ class Edges:
 
 def edge_residuals(nodes: Nodes, edges: Edges) -> Array:
     """Residuals (E, 7): see the notes of `optimize_pose_graph`."""
+    if not len(edges.i):  # older versions of SciPy know no empty stack of rotations
+        return np.zeros((0, NUM_PARAMETERS))
     predicted, m = _predicted(nodes, edges), edges.measured
     turns = predicted.rotations @ np.swapaxes(m.rotations, 1, 2)
     rotation = Rotation.from_matrix(turns).as_rotvec()

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epi360.estimation import RansacOptions, estimate_relative_pose
+from epi360.estimation.absolute_evidence import num_cells
+from epi360.estimation.absolute_pose_fit import AbsolutePoseFit, fit_absolute_pose
 from epi360.features.binary_features import BinaryFeatures, match_binary_descriptors
-from epi360.odometry.absolute_pose import AbsolutePoseResult, estimate_absolute_pose
 from epi360.odometry.points import triangulate_tracks
 from epi360.poses import Pose, rotation_error_deg
 
@@ -29,8 +30,6 @@ Status = Literal[
     "unexplained_points",
 ]
 
-# Latitude bands of equal area and sectors of the sphere whose share is the spread of inliers.
-_BANDS, _SECTORS = 4, 12
 # A point is looked for where the camera found anything within this angle: lens and mask have ends.
 _SIGHT_RAD = 0.25
 # Two views and points that agree turn the camera by the same angle, but for noise.
@@ -98,7 +97,7 @@ class Relocalization:
     key_frame : int
         Key frame that shows the same place; the most convincing of those refused otherwise, -1
         where there was none.
-    pose : AbsolutePoseResult
+    pose : AbsolutePoseFit
         Of the matches below.
     matches : ndarray, shape (M, 2)
         Rows of features of the key frame and of the camera.
@@ -111,7 +110,7 @@ class Relocalization:
     """
 
     key_frame: int
-    pose: AbsolutePoseResult
+    pose: AbsolutePoseFit
     matches: NDArray[np.int64]
     num_cells: int
     explained_share: float
@@ -183,7 +182,7 @@ def relocalize(
 
 def nowhere() -> Relocalization:
     """Return the answer where there is no candidate."""
-    none = estimate_absolute_pose(np.zeros((0, 3)), np.zeros((0, 3)))
+    none = fit_absolute_pose(np.zeros((0, 3)), np.zeros((0, 3)))
     return Relocalization(-1, none, np.zeros((0, 2), np.int64), 0, 0.0, "too_few_matches")
 
 
@@ -208,7 +207,7 @@ def locate(
         return Relocalization(view.key_frame, none, matches, 0, 0.0, "two_views_disagree")
     in_view = points @ view.cam_from_world.rotation.T + view.cam_from_world.translation
     guess = _scaled(two_view.cam2_from_cam1, in_view, b2, two_view.inlier_mask & has_point)
-    pose = estimate_absolute_pose(
+    pose = fit_absolute_pose(
         b2, points, threshold_rad=options.threshold_rad, guess=guess @ view.cam_from_world,
         min_inliers=options.min_inliers, seed=seed,
     )  # fmt: skip
@@ -247,14 +246,6 @@ def explained_share(
     seen = (similar & (chords < threshold_rad)).any(axis=1)
     in_sight = chords[:, 0] < _SIGHT_RAD
     return float(seen[in_sight].mean()) if in_sight.any() else 0.0
-
-
-def num_cells(bearings: Array) -> int:
-    """Number of the 48 equal cells of the sphere that hold a bearing."""
-    band = np.clip(((bearings[:, 1] + 1.0) / 2.0 * _BANDS).astype(int), 0, _BANDS - 1)
-    longitude = np.arctan2(bearings[:, 0], bearings[:, 2])
-    sector = ((longitude / (2.0 * np.pi) + 0.5) * _SECTORS).astype(int) % _SECTORS
-    return len(np.unique(band * _SECTORS + sector))
 
 
 def _scaled(cam2_from_cam1: Pose, points1: Array, b2: Array, inliers: Mask) -> Pose:

@@ -10,7 +10,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.odometry.absolute_pose import AbsolutePoseResult, estimate_absolute_pose
+from epi360.estimation.absolute_pose_fit import AbsolutePoseFit, fit_absolute_pose
 from epi360.odometry.frame_result import FrameTracks, MapPoints, shared_rows
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start
@@ -111,13 +111,13 @@ class Segment:
         """The newest key frame."""
         return self.map.key_frames[-1]
 
-    def locate(self, tracks: FrameTracks, guess: Pose | None) -> AbsolutePoseResult | None:
+    def locate(self, tracks: FrameTracks, guess: Pose | None) -> AbsolutePoseFit | None:
         """Pose of a frame from the landmarks that it sees; None if they do not determine it."""
         positions = self.map.positions_of(tracks.ids)
         known = np.isfinite(positions[:, 0])
         if known.sum() < self._options.min_inliers:
             return None
-        result = estimate_absolute_pose(
+        result = fit_absolute_pose(
             tracks.bearings[known],
             positions[known],
             threshold_rad=self.noise.outlier_rad,
@@ -138,7 +138,7 @@ class Segment:
             "world_gravity": self._down,
         }
 
-    def agree(self, tracks: FrameTracks, result: AbsolutePoseResult) -> None:
+    def agree(self, tracks: FrameTracks, result: AbsolutePoseFit) -> None:
         """Count which landmarks agree with the pose of a frame; those that never do are removed."""
         known = np.isfinite(self.map.positions_of(tracks.ids)[:, 0])
         self.map.count_agreement(tracks.ids[known], result.inlier_mask)
@@ -230,7 +230,7 @@ class Segment:
         recognition.join_tracks(self.map, tracks, pose, loop.old, limit)
         return self.map.key_frames[loop.old].index
 
-    def find(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> AbsolutePoseResult | None:
+    def find(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> AbsolutePoseFit | None:
         """Pose of a frame that shares no tracks with the map, by what key frames look like."""
         found = self.recognition.find(self.map, gray)
         if found is None:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Noise on the sphere: an exact von Mises-Fisher sampler, its concentration in degrees."""
 
+from math import factorial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.synthetic.directions import tangents, unit
 
 # Below this kappa the closed form loses digits and its series is exact to double precision.
-NEARLY_UNIFORM = 1e-3
+NEARLY_UNIFORM = 0.5
 
 
 def sample_von_mises_fisher(
@@ -72,9 +74,17 @@ def mean_angle_deg_from_kappa(kappa: float) -> float:
     if not kappa > 0:
         raise ValueError(f"kappa must be positive, got {kappa}")
     if kappa < NEARLY_UNIFORM:
-        return 90.0 * (1.0 - kappa / 4.0 + kappa**3 / 64.0)
+        return 90.0 * (1.0 - _cosh_minus_bessel(kappa) / float(np.sinh(kappa)))
     decay = np.exp(-2.0 * kappa)
     return float(180.0 * (i0e(kappa) - decay) / (1.0 - decay))
+
+
+def _cosh_minus_bessel(kappa: float) -> float:
+    """Power series of cosh - I0, two numbers that nearly cancel near zero."""
+    total = 0.0
+    for n in range(1, 10):
+        total += kappa ** (2 * n) * (1.0 / factorial(2 * n) - 1.0 / (4**n * factorial(n) ** 2))
+    return total
 
 
 def kappa_from_mean_angle_deg(mean_angle_deg: float) -> float:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array
 from epi360.epipolar.essential import skew
+from epi360.estimation.absolute_evidence import angles_between, directions_of
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ LOSS_SCALE = 2.0  # of Cauchy's loss, in units of the noise
 
 
 @dataclass(frozen=True)
-class AbsolutePoseResult:
+class AbsolutePoseFit:
     """Pose of a camera and the evidence for it.
 
     Attributes
@@ -61,7 +62,7 @@ class AbsolutePoseResult:
         return self.status == "ok"
 
 
-def estimate_absolute_pose(
+def fit_absolute_pose(
     bearings: ArrayLike,
     points: ArrayLike,
     *,
@@ -72,7 +73,7 @@ def estimate_absolute_pose(
     world_gravity: ArrayLike = (0.0, 1.0, 0.0),
     min_inliers: int = 10,
     seed: int = 0,
-) -> AbsolutePoseResult:
+) -> AbsolutePoseFit:
     """Return the pose ``cam_from_world`` of a camera that sees points in known places.
 
     Parameters
@@ -144,16 +145,16 @@ def _start(guess: Pose | None) -> tuple[Array, Array] | None:
 
 def _judged(
     pose: Pose | None, b: Array, X: Array, threshold: float, level: Gravity, min_inliers: int
-) -> AbsolutePoseResult:
+) -> AbsolutePoseFit:
     residuals = np.full(len(b), np.nan)
     if pose is not None:
-        residuals = _angles(pose, b, X)
+        residuals = angles_between(b, directions_of(pose, X))
     inliers = residuals < threshold
     if pose is None or inliers.sum() < min_inliers:
         nothing = np.full((6, 6), np.nan)
         lost = np.full(len(b), np.nan)
         none = np.zeros(len(b), dtype=bool)
-        return AbsolutePoseResult(Pose.nan(), none, lost, nothing, np.nan, "too_few_inliers")
+        return AbsolutePoseFit(Pose.nan(), none, lost, nothing, np.nan, "too_few_inliers")
     x = X[inliers] @ pose.rotation.T + pose.translation
     noise = float(np.median(residuals[inliers])) / SIGMA_OF_MEDIAN
     noise *= np.sqrt(len(x) / (len(x) - 3.0))  # six parameters were fitted to two numbers a point
@@ -169,7 +170,7 @@ def _judged(
     to_world[3:, :3] = -skew(pose.translation)
     covariance = to_world @ at_camera @ to_world.T
     status: Status = "ok" if determined else "degenerate"
-    return AbsolutePoseResult(pose, inliers, residuals, covariance, noise, status)
+    return AbsolutePoseFit(pose, inliers, residuals, covariance, noise, status)
 
 
 def _information(pose: Pose, x: Array, angles: Array, noise: float, level: Gravity) -> Array:
@@ -194,11 +195,3 @@ def _information(pose: Pose, x: Array, angles: Array, noise: float, level: Gravi
         down = pose.rotation @ level.in_world
         information[:3, :3] += (np.eye(3) - np.outer(down, down)) / level.sigma**2
     return information
-
-
-def _angles(pose: Pose, b: Array, X: Array) -> Array:
-    x = X @ pose.rotation.T + pose.translation
-    u = x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300)
-    # The half angle's tangent keeps all digits near 0 and near pi (Kahan 2006).
-    lengths = (np.linalg.norm(v, axis=1) for v in (u - b, u + b))
-    return np.asarray(2.0 * np.arctan2(*lengths))

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""``epi360 localize``: the poses of new images in an existing model."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from epi360.cli.command import FAILURE, SUCCESS, app, options_as_typed, show_bars
+
+if TYPE_CHECKING:
+    from epi360.cameras import Camera
+    from epi360.jobs.localization import (
+        LocalizationMap,
+        LocalizationOptions,
+        LocalizationResult,
+    )
+
+_TABLE, _RECORD, _TRAJECTORIES = ".csv", ".json", (".txt", ".tum")
+
+
+@Parameter(name="*", group=Group("Map", sort_key=1))
+@dataclass(frozen=True)
+class MapFeatures:
+    """What the images of the map look like."""
+
+    images: Path | None = None
+    """Folder of the map's images: they are searched for features anew. For a model that was made
+    from learned features, or without its database."""
+    features: Path | None = None
+    """hloc's features file, which holds the map's images and the new ones."""
+    database: Path | None = None
+    """COLMAP database with the SIFT descriptors of the map; database.db beside the model by
+    default."""
+
+
+OF_MAP = MapFeatures()
+
+
+@app.command
+def localize(
+    model: Annotated[Path, Parameter(name="MAP")],
+    image: Annotated[Path, Parameter(name="IMAGE")],
+    /,
+    *others: Annotated[Path, Parameter(name="IMAGE")],
+    of_map: MapFeatures = OF_MAP,
+    camera: str | None = None,
+    mask: Path | None = None,
+    mask_nadir_deg: float = 0.0,
+    max_views: int = 16,
+    seed: int = 0,
+    out: Annotated[list[Path] | None, Parameter(negative=())] = None,
+) -> int:
+    """Poses of new panoramas or fisheye images in an existing map.
+
+    The map is what epi360 map wrote, or a COLMAP model of pycolmap or hloc. Each pose comes with a
+    status, a probability and its uncertainty in the unit of the map. Exit code 0 where an image has
+    a pose, 1 where none has, 2 for wrong use.
+
+    Parameters
+    ----------
+    model
+        Output folder of epi360 map, or a COLMAP model (folder).
+    image
+        New images, or folders of them.
+    others
+        More of them.
+    camera
+        Calibration file of the new images; FILE:NAME where it holds several. Without it, images are
+        panoramas, or of the map's only camera of their size.
+    mask
+        Mask for all new images, or a folder with one for each; white = use.
+    mask_nadir_deg
+        Ignore this angle around straight down in the new images.
+    max_views
+        Match with so many images of the map at most, those that look most like the new one first.
+    seed
+        Random seed; the same seed gives the same result.
+    out
+        File to write, by its name: .csv a table, .json everything, .txt or .tum a TUM trajectory, a
+        name without extension a COLMAP model with the new images in it. May be given several times.
+    """
+    from epi360.jobs.localization import LocalizationOptions, load_map
+
+    outputs = [] if out is None else out
+    with options_as_typed():
+        _check_outputs(outputs)
+        options = LocalizationOptions(max_views, mask_nadir_deg, seed)
+        world = load_map(
+            model, images=of_map.images, features=of_map.features, database=of_map.database
+        )
+    given = None if camera is None else _camera(camera)
+    files = _files_by_name([image, *others])
+    results = _localize_all(world, files, given, mask, options)
+    _write(outputs, results, files, world, str(model))
+    statuses = Counter(result.status for result in results.values())
+    return SUCCESS if statuses["ok"] else FAILURE
+
+
+def _camera(camera: str) -> Camera:
+    from epi360.jobs.given_cameras import read_given_cameras
+
+    return read_given_cameras(camera).only()
+
+
+def _files_by_name(paths: Sequence[Path]) -> dict[str, Path]:
+    """Files of all paths by a name that tells them apart."""
+    from epi360.image_folders import IMAGE_SUFFIXES
+    from epi360.jobs.folder_files import files_below
+
+    files: list[tuple[str, Path]] = []
+    for path in paths:
+        if path.is_dir():
+            found = [each for each in files_below(path) if each[1].suffix.lower() in IMAGE_SUFFIXES]
+            if not found:
+                raise FileNotFoundError(f"folder {path} has no images")
+            files += found
+        elif not path.exists():
+            raise FileNotFoundError(f"image {path} does not exist")
+        else:
+            files.append((path.name, path))
+    counts = Counter(name for name, _ in files)
+    named: dict[str, Path] = {}
+    for name, path in files:
+        unique = name if counts[name] == 1 else path.as_posix().lstrip("/")
+        if unique in named:
+            raise ValueError(f"image {path} is given twice")
+        named[unique] = path
+    return named
+
+
+def _localize_all(
+    world: LocalizationMap,
+    files: Mapping[str, Path],
+    camera: Camera | None,
+    mask: Path | None,
+    options: LocalizationOptions,
+) -> dict[str, LocalizationResult]:
+    """Results by name; an image that cannot be read costs itself, not the others."""
+    from epi360.jobs.localization import localize_image
+    from epi360.jobs.masks import MaskSource
+
+    masks = MaskSource(mask)
+    mask_of = {name: masks.mask_of(name) for name in files}
+    masks.check_used(list(mask_of.values()))
+    results: dict[str, LocalizationResult] = {}
+    reasons: dict[str, str] = {}
+    with show_bars() as progress:
+        for number, (name, path) in enumerate(files.items()):
+            progress("localizing images", number, len(files))
+            try:
+                results[name] = localize_image(
+                    path, world, camera=camera, mask=mask_of[name], options=options
+                )
+            except ValueError as error:
+                if len(files) == 1:
+                    raise
+                reasons[name] = str(error)
+        progress("localizing images", len(files), len(files))
+    width = max(map(len, files))
+    for name in files:
+        if name in results:
+            print(f"{name:{width}}  {_described(results[name])}")
+    for name, reason in reasons.items():
+        print(f"epi360: {name} was not used: {reason}", file=sys.stderr)
+    if not results:
+        raise ValueError("none of the images could be used")
+    return results
+
+
+def _described(result: LocalizationResult) -> str:
+    counts = f"{result.num_inliers} inliers, {result.num_matches} matches"
+    if not result.success:
+        return f"{result.status}: {result.num_matches} matches, probability " + (
+            f"{result.probability:.0%}"
+        )
+    x, y, z = result.cam_from_world.inverse().translation
+    line = (
+        f"ok: at ({x:.4g}, {y:.4g}, {z:.4g}) sigma {result.position_sigma:.2g}, rotation sigma "
+        f"{result.rotation_sigma_deg:.2g} deg, {counts}, near {result.map_images[0]}"
+    )
+    return "; ".join([line, *result.warnings])
+
+
+def _check_outputs(outputs: Sequence[Path]) -> None:
+    """Raise before the work where something could not be written."""
+    if len(set(outputs)) < len(outputs):
+        raise ValueError("out must name different files, got one twice")
+    for path in outputs:
+        suffix = path.suffix.lower()
+        if suffix not in ("", _TABLE, _RECORD, *_TRAJECTORIES):
+            raise ValueError(
+                f"out must end with .csv, .json, .txt or .tum, or be a folder, got {path.name}"
+            )
+        if not path.parent.is_dir():
+            raise ValueError(f"folder {path.parent} does not exist; create it first")
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            raise ValueError(f"{path} is there already and is not replaced; choose another name")
+
+
+def _write(
+    outputs: Sequence[Path],
+    results: Mapping[str, LocalizationResult],
+    files: Mapping[str, Path],
+    world: LocalizationMap,
+    source: str,
+) -> None:
+    from epi360.interop import write_colmap_model, write_tum_trajectory
+    from epi360.jobs.localization.outputs import model_with, record_of, table_of, trajectory_of
+    from epi360.report.records import write_json
+    from epi360.runs.whole_files import write_file
+
+    located = any(result.success for result in results.values())
+    for path in outputs:
+        suffix = path.suffix.lower()
+        if suffix == _TABLE:
+            write_file(path, table_of(results))
+        elif suffix == _RECORD:
+            write_json(path, record_of(results, source))
+        elif not located:
+            print(f"{path} was not written: no image has a pose")
+            continue
+        elif suffix in _TRAJECTORIES:
+            write_tum_trajectory(path, trajectory_of(results, _times(files)))
+        else:
+            model, names = model_with(world.model, results)
+            write_colmap_model(path, model)
+            renamed = [f"{new} for {name}" for name, new in names.items() if new != name]
+            if renamed:
+                print(f"{path} had images of the same name: {', '.join(renamed)}")
+        print(f"wrote {path}")
+
+
+def _times(files: Mapping[str, Path]) -> dict[str, float]:
+    """Times of images from the frames.csv beside them, if all have one."""
+    from epi360.jobs.frame_source import read_frame_table
+
+    times: dict[str, float] = {}
+    tables: dict[Path, Mapping[str, float | None]] = {}
+    for name, path in files.items():
+        table = path.parent / "frames.csv"
+        if not table.is_file():
+            return {}
+        if table not in tables:
+            tables[table] = read_frame_table(table)
+        time_s = tables[table].get(path.name)
+        if time_s is None:
+            return {}
+        times[name] = time_s
+    return times

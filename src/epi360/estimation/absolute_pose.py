@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Bearings of points in known places to the pose of the camera, with its evidence and verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from epi360.epipolar.arguments import bearings_array, direction_array
+from epi360.estimation.absolute_covariance import at_world
+from epi360.estimation.absolute_evidence import (
+    Evidence,
+    angles_between,
+    directions_of,
+    evidence_for,
+)
+from epi360.estimation.absolute_pose_fit import Gravity
+from epi360.estimation.absolute_result import AbsolutePoseResult, no_pose
+from epi360.estimation.absolute_search import FoundPose, PoseSearch
+from epi360.estimation.absolute_verdict import (
+    FEWEST_MATCHES,
+    Spread,
+    judge,
+    probability_of,
+    warnings_of,
+)
+from epi360.estimation.options import Threshold, check_threshold, checked_integer, checked_noise
+from epi360.poses import Pose, rotation_error_deg
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# A second pose is truly different beyond this, in degrees and in median distances of the points.
+_RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
+_WITH_POSE = ("ok", "ambiguous")
+
+
+def estimate_absolute_pose(
+    bearings: ArrayLike,
+    points: ArrayLike,
+    *,
+    inlier_threshold_deg: Threshold = "auto",
+    point_covariances: ArrayLike | None = None,
+    guess: Pose | None = None,
+    gravity: ArrayLike | None = None,
+    gravity_sigma_deg: float = 1.0,
+    world_gravity: ArrayLike = (0.0, 1.0, 0.0),
+    max_noise_deg: float | None = None,
+    min_num_inliers: int = 6,
+    shared_error: float = 0.0,
+    seed: int = 0,
+) -> AbsolutePoseResult:
+    """Pose of a camera that sees points in known places, from matches of which many may be wrong.
+
+    Parameters
+    ----------
+    bearings : array_like, shape (N, 3)
+        Directions of any length in the camera's frame, anywhere on the sphere; a row with NaN is
+        missing. One direction may stand in several rows if it may be of several points.
+    points : array_like, shape (N, 3)
+        Points of the same rows in the world, in any unit; a row with NaN is missing.
+    inlier_threshold_deg : float or "auto"
+        Largest angle between a bearing and the direction to its point, in degrees; "auto" estimates
+        the noise.
+    point_covariances : array_like, shape (N, 3, 3), optional
+        How uncertain each point is, in its unit squared; the noise of the bearings comes on top.
+    guess : Pose, optional
+        A ``cam_from_world`` where the search begins.
+    gravity : array_like, shape (3,), optional
+        Direction of gravity (down) in the camera.
+    gravity_sigma_deg : float
+        Standard deviation of that direction, per axis, in degrees.
+    world_gravity : array_like, shape (3,)
+        Direction of gravity in the world.
+    max_noise_deg : float, optional
+        Noise of the bearings (one sigma) from which on the result carries a warning.
+    min_num_inliers : int
+        Support under which a pose is not believed, at least 4.
+    shared_error : float
+        Standard deviation of the error that neighbouring bearings have in common (stitching,
+        calibration), in units of the noise of one bearing, as in `RansacOptions`. Images use 1.
+    seed : int
+        Random seed of the sampling; the same input and seed give the same result.
+
+    Returns
+    -------
+    result : AbsolutePoseResult
+        With ``status`` other than "ok" where the matches do not support one pose.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number infinite, a bearing zero, or an option out of its range.
+
+    Notes
+    -----
+    Samples of three matches (Grunert's problem) with local optimisation at several gates; the pose
+    with the fewest false alarms (Moisan & Stival 2004) is refined to the most likely one under
+    Cauchy's loss, the bearings' noise and the covariances of the points. The verdict asks whether
+    chance would explain the matches, each region of 3 degrees counted once, whether the inliers
+    determine the pose, and whether another pose explains the others.
+    """
+    b = bearings_array(bearings, "bearings")
+    X = _points(points, b.shape)
+    covariances = _covariances(point_covariances, len(b))
+    threshold = check_threshold(inlier_threshold_deg)
+    min_num_inliers = checked_integer(min_num_inliers, "min_num_inliers")
+    checked_noise(max_noise_deg)
+    _check_positive(gravity_sigma_deg, "gravity_sigma_deg")
+    if not (shared_error >= 0.0 and math.isfinite(shared_error)):
+        raise ValueError(f"shared_error must be 0 or more, got {shared_error}")
+    if min_num_inliers < FEWEST_MATCHES:
+        raise ValueError(f"min_num_inliers must be at least 4, got {min_num_inliers}")
+    level = Gravity(
+        None if gravity is None else direction_array(gravity, "gravity"),
+        direction_array(world_gravity, "world_gravity"),
+        math.radians(gravity_sigma_deg),
+    )
+    rows = np.flatnonzero(np.isfinite(b[:, 0]) & np.isfinite(X.sum(axis=1)))
+    search = PoseSearch(
+        b[rows],
+        X[rows],
+        None if covariances is None else covariances[rows],
+        level,
+        threshold,
+        min_num_inliers,
+        shared_error,
+        seed,
+    )
+    found = search.best(guess)
+    if found is None:
+        few = len(rows) < max(FEWEST_MATCHES, min_num_inliers)
+        return no_pose(len(b), "too_few_matches" if few else "too_few_inliers")
+    return _judged(search, found, rows, len(b), max_noise_deg)
+
+
+def _judged(
+    search: PoseSearch, found: FoundPose, rows: NDArray[np.intp], count: int, limit: float | None
+) -> AbsolutePoseResult:
+    evidence = _evidence(search, found)
+    at_camera = found.refined.covariance
+    distance = _median_distance(search, found)
+    spread = Spread(
+        math.sqrt(np.linalg.eigvalsh(at_camera[:3, :3])[-1]),
+        math.sqrt(np.linalg.eigvalsh(at_camera[3:, 3:])[-1]) / distance,
+    )
+    rival, rival_regions = None, 0.0
+    status = judge(evidence, spread, search.min_num_inliers, rival_regions)
+    if status == "ok":
+        rival, rival_regions = _rival(search, found, distance)
+        status = judge(evidence, spread, search.min_num_inliers, rival_regions)
+    if status not in _WITH_POSE:
+        return replace(
+            no_pose(count, status),
+            probability=probability_of(evidence),
+            alternatives=(found.pose,),
+            noise_deg=math.degrees(found.refined.noise_rad),
+            inlier_threshold_deg=math.degrees(found.gate),
+        )
+    mask, residuals = np.zeros(count, dtype=bool), np.full(count, np.nan)
+    mask[rows], residuals[rows] = found.inliers, found.residuals
+    noise_deg = math.degrees(found.refined.noise_rad)
+    return AbsolutePoseResult(
+        cam_from_world=found.pose,
+        inlier_mask=mask,
+        residuals_rad=residuals,
+        covariance=at_world(found.pose, at_camera),
+        noise_deg=noise_deg,
+        inlier_threshold_deg=math.degrees(found.gate),
+        sphere_coverage=evidence.cells / 48.0,
+        status=status,
+        probability=probability_of(evidence),
+        alternatives=() if rival is None or status != "ambiguous" else (rival,),
+        warnings=warnings_of(evidence, count - len(rows), noise_deg, limit),
+    )
+
+
+def _evidence(search: PoseSearch, found: FoundPose) -> Evidence:
+    directions = directions_of(found.pose, search.points)
+    return evidence_for(search.bearings, directions, found.inliers, found.gate)
+
+
+def _rival(search: PoseSearch, found: FoundPose, distance: float) -> tuple[Pose | None, float]:
+    """Pose that explains most of the other matches, and how many regions of them."""
+    rest = search.without(found.residuals < 3.0 * found.gate)
+    if len(rest.bearings) < search.min_num_inliers:
+        return None, 0.0
+    pose = rest.fitted(found.gate, None)
+    if pose is None or not _differ(pose, found.pose, distance):
+        return None, 0.0
+    directions = directions_of(pose, rest.points)
+    inliers = angles_between(rest.bearings, directions) < found.gate
+    return pose, evidence_for(rest.bearings, directions, inliers, found.gate).num_regions
+
+
+def _differ(pose: Pose, other: Pose, distance: float) -> bool:
+    apart = np.linalg.norm(pose.inverse().translation - other.inverse().translation)
+    return bool(rotation_error_deg(pose, other) > _RIVAL_DEG or apart > _RIVAL_DISTANCE * distance)
+
+
+def _median_distance(search: PoseSearch, found: FoundPose) -> float:
+    seen = search.points[found.inliers] - found.pose.inverse().translation
+    return max(float(np.median(np.linalg.norm(seen, axis=1))), 1e-300)
+
+
+def _points(points: ArrayLike, shape: tuple[int, ...]) -> Array:
+    X = np.ascontiguousarray(points, dtype=np.float64)
+    if X.shape != shape:
+        raise ValueError(f"points must have shape {shape} like bearings, got {X.shape}")
+    if np.isinf(X).any():
+        raise ValueError("points must be finite (NaN marks a missing row)")
+    return X
+
+
+def _covariances(covariances: ArrayLike | None, count: int) -> Array | None:
+    if covariances is None:
+        return None
+    array = np.ascontiguousarray(covariances, dtype=np.float64)
+    if array.shape != (count, 3, 3):
+        raise ValueError(f"point_covariances must have shape ({count}, 3, 3), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("point_covariances must be finite")
+    return array
+
+
+def _check_positive(value: float, name: str) -> None:
+    if not (value > 0.0 and math.isfinite(value)):
+        raise ValueError(f"{name} must be positive, got {value}")
