@@ -155,22 +155,37 @@ def read_parts(folder: Path, store: str = PAIRS) -> Iterable[VerifiedPair]:
 
     A damaged part counts as not done.
     """
-    for part in pairs_by_part(folder, store):
-        yield from part
-
-
-def pairs_by_part(folder: Path, store: str = PAIRS) -> Iterable[list[VerifiedPair]]:
-    """Finished pairs as `read_parts` gives them, those of one part together."""
     for arrays in part_arrays(folder, store):
-        yield [pair_of_part(arrays, row) for row in range(len(arrays["keys"]))]
+        yield from _pairs_of(arrays)
+
+
+def read_part(folder: Path, name: str, store: str = PAIRS) -> list[VerifiedPair]:
+    """Pairs of the part of this name; none where it is damaged."""
+    arrays = read_arrays(folder / store / name)
+    return [] if arrays is None else _pairs_of(arrays)
+
+
+def keys_by_part(folder: Path, store: str = PAIRS) -> Iterator[tuple[str, list[Keys]]]:
+    """Name of each whole part, and the keys of its pairs."""
+    for name, arrays in _named_parts(folder, store):
+        yield name, [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
 
 
 def part_arrays(folder: Path, store: str = PAIRS) -> Iterator[Arrays]:
     """Arrays of each whole part, see `write_part`; `pair_of_part` makes its pairs of them."""
+    for _, arrays in _named_parts(folder, store):
+        yield arrays
+
+
+def _named_parts(folder: Path, store: str) -> Iterator[tuple[str, Arrays]]:
     for path in sorted((folder / store).glob("part-*.npz")):
         arrays = read_arrays(path)
         if arrays is not None:
-            yield arrays
+            yield path.name, arrays
+
+
+def _pairs_of(arrays: Arrays) -> list[VerifiedPair]:
+    return [pair_of_part(arrays, row) for row in range(len(arrays["keys"]))]
 
 
 def _numbers(verdict: Verdict) -> list[float]:

@@ -15,6 +15,7 @@ from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.graph_check import check_graph
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
+from epi360.jobs.match_engines import LocalEngine
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
@@ -28,6 +29,8 @@ from epi360.jobs.pair_selection import (
     select_pairs,
     ways_of,
 )
+from epi360.jobs.pair_work import MatchInputs, PairWork
+from epi360.jobs.threads import num_cores
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
 
@@ -191,17 +194,17 @@ def _open_job(
 ) -> MatchJob:
     """Open the output folder, or refuse it, and return the job that works in it."""
     extraction = open_match_output(output, options, restart=restart)
-    digests = FileDigests(output / DIGESTS)
-    cache = FeatureCache(output / FEATURES, extraction, digests)
-    return MatchJob(
-        images,
-        output,
-        cache,
+    inputs = MatchInputs(
+        images=dict(enumerate(images.images)),
+        cameras=dict(enumerate(images.cameras[image.camera] for image in images.images)),
+        keys={},
+        output=output,
+        cache=FeatureCache(output / FEATURES, extraction, FileDigests(output / DIGESTS)),
         seed=options.seed,
-        num_threads=options.num_threads,
-        progress=progress,
         upright_deg=options.upright_deg,
     )
+    work = PairWork(inputs, options.num_threads or num_cores())
+    return MatchJob(work, LocalEngine(work), progress)
 
 
 def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:
