@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.frames import folder_of
 from epi360.cli.report_option import check_report
 
@@ -81,6 +82,7 @@ def match(
     *,
     given: MatchInput = NO_INPUT,
     work: MatchWork = DEFAULT_WORK,
+    engine: EngineOptions = LOCAL_ENGINE,
     output: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
     restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
     report: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
@@ -115,13 +117,22 @@ def match(
 
     if report is not None:
         check_report(report)
+    engine.check(work.num_threads)
     options = match_options(given, work)
     output = default_output(folder) if output is None else output
     folder = images_of(folder, output, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
-        run = match_images(images, output, options, restart=restart, progress=progress)
+        run = match_images(
+            images,
+            output,
+            options,
+            restart=restart,
+            progress=progress,
+            engine=engine.engine,
+            address=engine.address,
+        )
     _report(run, images.skipped, time.monotonic() - begun)
     if report is not None:
         write_report(report, run, images)

@@ -96,7 +96,7 @@ class FeatureCache:
         last = camera.width - 1, camera.height - 1
         columns, rows = np.clip(found.pixels.astype(int), 0, last).T
         arrays[COLORS] = picture[rows, columns]
-        write_file(self._path(key), npz_bytes(arrays))
+        write_file(self.path(key), npz_bytes(arrays))
         return _as_found(arrays)
 
     def load(self, key: str) -> SiftKeypoints | None:
@@ -105,10 +105,11 @@ class FeatureCache:
         return None if arrays is None else _as_found(arrays)
 
     def _read(self, key: str) -> Arrays | None:
-        arrays = read_arrays(self._path(key))
+        arrays = read_arrays(self.path(key))
         return arrays if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
 
-    def _path(self, key: str) -> Path:
+    def path(self, key: str) -> Path:
+        """Path of the file of a key."""
         return self.folder / f"{key}.npz"
 
 

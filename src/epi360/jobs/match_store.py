@@ -131,8 +131,8 @@ def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any
         )
 
 
-def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) -> None:
-    """Keep finished pairs, at least one, in a file of their own in this sub-folder."""
+def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) -> str:
+    """Keep finished pairs, at least one, in a file of this sub-folder, whose name is returned."""
     verdicts = [pair.verdict for pair in pairs]
     matches = np.concatenate([pair.matches for pair in pairs])
     arrays = {
@@ -146,8 +146,10 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) 
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
     }
     content = npz_bytes(arrays)
+    name = f"part-{fingerprint(content)}.npz"
     (folder / store).mkdir(exist_ok=True)
-    write_file(folder / store / f"part-{fingerprint(content)}.npz", content)
+    write_file(folder / store / name, content)
+    return name
 
 
 def read_parts(folder: Path, store: str = PAIRS) -> Iterable[VerifiedPair]:

@@ -11,11 +11,12 @@ import numpy as np
 
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
+from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.graph_check import check_graph
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
-from epi360.jobs.match_engines import LocalEngine
+from epi360.jobs.match_engines import open_engine
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
@@ -116,6 +117,8 @@ def match_images(
     first_pairs: Sequence[Pair] = (),
     restart: bool = False,
     progress: Progress = no_progress,
+    engine: Engine = "local",
+    address: str | None = None,
 ) -> MatchRun:
     """Verified poses of pairs of images; what an earlier run has finished is used.
 
@@ -135,6 +138,11 @@ def match_images(
     costs its pairs, not the run. In the end the pairs are held against each other, see
     `check_graph`.
 
+    The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
+    default one that is started on this machine). There, each image and each part of the pairs is a
+    task, which writes its file into the output. Both write the same bytes, on any number of
+    threads, and one goes on with what the other has left.
+
     Raises
     ------
     ValueError
@@ -144,7 +152,15 @@ def match_images(
     OSError
         If the output cannot be written.
     """
-    job = _open_job(images, Path(output), options, restart, progress)
+    check_engine(engine)
+    work = _open_work(images, Path(output), options, restart)
+    with open_engine(work, engine, address) as opened:
+        return _match(images, MatchJob(work, opened, progress), options, first_pairs)
+
+
+def _match(
+    images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
+) -> MatchRun:
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = _verified(few, job) if few else ({}, 0)
@@ -152,7 +168,7 @@ def match_images(
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few
     else:
-        more = more_pairs(images, job, options.positions, options.radius, progress)
+        more = more_pairs(images, job, options.positions, options.radius, job.progress)
         how, pairs = select_pairs(
             images.images, options.pairs, options.overlap, options.neighbors, more
         )
@@ -189,10 +205,8 @@ def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> 
     return extraction
 
 
-def _open_job(
-    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
-) -> MatchJob:
-    """Open the output folder, or refuse it, and return the job that works in it."""
+def _open_work(images: ImageSet, output: Path, options: MatchOptions, restart: bool) -> PairWork:
+    """Open the output folder, or refuse it, and return the work that is done in it."""
     extraction = open_match_output(output, options, restart=restart)
     inputs = MatchInputs(
         images=dict(enumerate(images.images)),
@@ -203,8 +217,7 @@ def _open_job(
         seed=options.seed,
         upright_deg=options.upright_deg,
     )
-    work = PairWork(inputs, options.num_threads or num_cores())
-    return MatchJob(work, LocalEngine(work), progress)
+    return PairWork(inputs, options.num_threads or num_cores())
 
 
 def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,13 @@ class MatchInputs:
         )
 
 
+class Written(NamedTuple):
+    """Parts that were written: their names, and the verdicts in them."""
+
+    files: list[str]
+    verdicts: list[tuple[Keys, Verdict]]
+
+
 class PairWork:
     """Finds key points, matches and verifies pairs; ``unreadable`` says which images cannot be."""
 
@@ -100,18 +107,16 @@ class PairWork:
         with self._noting_unreadable(index):
             self._extract(index)
 
-    def verify_parts(self, parts: Sequence[Sequence[Pair]]) -> list[tuple[Keys, Verdict]]:
+    def verify_parts(self, parts: Sequence[Sequence[Pair]]) -> Written:
         """Verify pairs and keep each part in a file; images may turn out to be unreadable."""
         done = {each.keys: each for each in self._verified([p for part in parts for p in part])}
-        for part in parts:
-            found = [done[keys] for pair in part if (keys := self.keys_of(pair)) in done]
-            if found:
-                write_part(self.inputs.output, found)
-        return [(keys, each.verdict) for keys, each in done.items()]
+        by_part = [
+            [done[k] for pair in part if (k := self.keys_of(pair)) in done] for part in parts
+        ]
+        files = [write_part(self.inputs.output, found) for found in by_part if found]
+        return Written(files, [(keys, each.verdict) for keys, each in done.items()])
 
-    def verify_part_again(
-        self, name: str, wanted: Mapping[Keys, Pair], level: Level
-    ) -> list[tuple[Keys, Verdict]]:
+    def verify_part_again(self, name: str, wanted: Mapping[Keys, Pair], level: Level) -> Written:
         """Verify some pairs of a part with the prior of a level folder, and keep them in a file.
 
         They are made from the matches that `verify_parts` has left.
@@ -119,9 +124,8 @@ class PairWork:
         pairs = read_part(self.inputs.output, name)
         missing = {wanted[pair.keys]: pair for pair in pairs if pair.keys in wanted}
         done = self._verified_with_prior(missing, level)
-        if done:
-            write_part(self.inputs.output, done, level.store)
-        return [(each.keys, each.verdict) for each in done]
+        files = [write_part(self.inputs.output, done, level.store)] if done else []
+        return Written(files, [(each.keys, each.verdict) for each in done])
 
     def sees_all_around(self, pair: Pair) -> bool:
         """Whether both images are full panoramas."""
