@@ -16,6 +16,7 @@ from epi360.jobs.image_set import SourceImage
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.made_from import fingerprint
+from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
@@ -54,7 +55,7 @@ class FeatureCache:
     147 bytes a key point in all.
     """
 
-    folder: Path
+    folder: AnyPath
     options: ExtractionOptions
     digests: FileDigests = field(default_factory=FileDigests)
 
@@ -108,7 +109,7 @@ class FeatureCache:
         arrays = read_arrays(self.path(key))
         return arrays if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
 
-    def path(self, key: str) -> Path:
+    def path(self, key: str) -> AnyPath:
         """Path of the file of a key."""
         return self.folder / f"{key}.npz"
 

@@ -4,10 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
-from epi360.jobs.engines import Engine
 from epi360.jobs.level_folder import Level
 from epi360.jobs.match_store import Keys, Verdict
 from epi360.jobs.pair_selection import Pair
@@ -55,22 +53,3 @@ class LocalEngine:
         """Verify the pairs of one part after the other."""
         for name, wanted in parts.items():
             yield self._work.verify_part_again(name, wanted, level).verdicts
-
-
-@contextmanager
-def open_engine(work: PairWork, engine: Engine, address: str | None) -> Iterator[MatchEngine]:
-    """Engine of this name; a Ray session is closed at the end, see `ray_session`."""
-    if engine == "local":
-        yield LocalEngine(work)
-        return
-    from epi360.jobs.match_on_ray import RayEngine
-    from epi360.jobs.ray_tasks import import_ray, ray_session
-
-    ray = import_ray("matching on Ray")
-    with ExitStack() as sessions:
-
-        def connect() -> Any:
-            sessions.enter_context(ray_session(ray, address))
-            return ray
-
-        yield RayEngine(work, connect)

@@ -42,7 +42,8 @@ class MatchJob:
         self._told(on_threads(work.find_key, wanted, work.num_threads), "images", 0, len(wanted))
         cache.digests.save()
         contents = {key: index for index, key in self.keys.items()}  # equal images: once
-        missing = [index for key, index in contents.items() if not cache.has(key)]
+        there = dict(on_threads(cache.has, list(contents), work.num_threads))
+        missing = [index for key, index in contents.items() if not there[key]]
         num_there = len(contents) - len(missing)
         found = self.engine.find_features(missing)
         self._told(found, "features", num_there, len(contents))

@@ -12,7 +12,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -25,6 +24,7 @@ from epi360.jobs.pair_selection import Pair
 from epi360.jobs.pair_work import MatchInputs, PairWork, Written
 from epi360.jobs.ray_tasks import Call, check_is_seen, finished_tasks, on_worker
 from epi360.runs import storage
+from epi360.runs.remote_path import AnyPath
 
 Unreadable = dict[str, str]  # reason by name
 
@@ -131,7 +131,7 @@ def _worker(inputs: MatchInputs, versions: Mapping[str, str]) -> Iterator[PairWo
         cv2.setNumThreads(num_threads)
 
 
-def _check_exist(paths: Iterable[Path]) -> None:
+def _check_exist(paths: Iterable[AnyPath]) -> None:
     for path in paths:
         if not storage.exists(str(path)):
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +19,7 @@ from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.graph_check import check_graph
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
-from epi360.jobs.match_engines import open_engine
+from epi360.jobs.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
@@ -34,6 +37,7 @@ from epi360.jobs.pair_work import MatchInputs, PairWork
 from epi360.jobs.threads import num_cores
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
+from epi360.runs.remote_path import AnyPath, RemotePath, path_of
 
 __all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_images"]
 
@@ -98,7 +102,7 @@ class PairVerdict(Verdict):
 class MatchRun:
     """What a run of `match_images` found."""
 
-    folder: Path  # what `load_matches` takes
+    folder: AnyPath  # what `load_matches` takes
     how: str  # how the pairs were chosen, in words
     images: tuple[str, ...]  # names of all images
     verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
@@ -111,7 +115,7 @@ class MatchRun:
 
 def match_images(
     images: ImageSet,
-    output: Path,
+    output: str | PathLike[str] | RemotePath,
     options: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     *,
     first_pairs: Sequence[Pair] = (),
@@ -122,8 +126,9 @@ def match_images(
 ) -> MatchRun:
     """Verified poses of pairs of images; what an earlier run has finished is used.
 
-    ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
-    options are thrown away instead of refusing them; features that still fit are kept.
+    ``output``, a folder or a URL that fsspec understands, keeps key points and pairs. With
+    ``restart``, pairs in it that were made with other options are thrown away instead of refusing
+    them; features that still fit are kept.
     ``progress`` is told of the stages "images", "features", "retrieval", "pairs" and, in a level
     folder, "level pairs", those that there are.
 
@@ -153,7 +158,7 @@ def match_images(
         If the output cannot be written.
     """
     check_engine(engine)
-    work = _open_work(images, Path(output), options, restart)
+    work = _open_work(images, path_of(output), options, restart)
     with open_engine(work, engine, address) as opened:
         return _match(images, MatchJob(work, opened, progress), options, first_pairs)
 
@@ -195,7 +200,9 @@ def _match(
     )
 
 
-def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> ExtractionOptions:
+def open_match_output(
+    output: AnyPath, options: MatchOptions, *, restart: bool
+) -> ExtractionOptions:
     """Open the output folder of `match_images`, or refuse it; how key points are found for it."""
     extraction = ExtractionOptions(
         options.max_width, options.max_features, float(options.mask_nadir_deg)
@@ -205,7 +212,7 @@ def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> 
     return extraction
 
 
-def _open_work(images: ImageSet, output: Path, options: MatchOptions, restart: bool) -> PairWork:
+def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart: bool) -> PairWork:
     """Open the output folder, or refuse it, and return the work that is done in it."""
     extraction = open_match_output(output, options, restart=restart)
     inputs = MatchInputs(
@@ -218,6 +225,25 @@ def _open_work(images: ImageSet, output: Path, options: MatchOptions, restart: b
         upright_deg=options.upright_deg,
     )
     return PairWork(inputs, options.num_threads or num_cores())
+
+
+@contextmanager
+def open_engine(work: PairWork, engine: Engine, address: str | None) -> Iterator[MatchEngine]:
+    """Engine of this name; a Ray session is closed at the end, see `ray_session`."""
+    if engine == "local":
+        yield LocalEngine(work)
+        return
+    from epi360.jobs.match_on_ray import RayEngine
+    from epi360.jobs.ray_tasks import import_ray, ray_session
+
+    ray = import_ray("matching on Ray")
+    with ExitStack() as sessions:
+
+        def connect() -> Any:
+            sessions.enter_context(ray_session(ray, address))
+            return ray
+
+        yield RayEngine(work, connect)
 
 
 def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:

@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -30,6 +29,7 @@ from epi360.jobs.pair_selection import Pair
 from epi360.jobs.threads import on_threads
 from epi360.poses import Pose
 from epi360.runs.file_digests import FileDigests
+from epi360.runs.remote_path import AnyPath
 from epi360.second_look import is_settled, later_is_better
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
@@ -48,7 +48,7 @@ class MatchInputs:
     images: Mapping[int, SourceImage]
     cameras: Mapping[int, Camera]
     keys: dict[int, str]
-    output: Path  # a folder that `open_output` made
+    output: AnyPath  # a folder that `open_output` made
     cache: FeatureCache
     seed: int
     upright_deg: float | None
