@@ -51,4 +51,4 @@ class FileDigests:
     def save(self) -> None:
         """Keep what this run has read."""
         if self._memory is not None and self._read != self._known:
-            write_file(self._memory, json.dumps(self._read).encode())
+            write_file(self._memory, json.dumps(self._read, sort_keys=True).encode())
