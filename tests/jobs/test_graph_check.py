@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epi360.jobs.graph_check import GraphVerdict, check_graph, links
+from epi360.jobs.graph_check import GraphVerdict, check_graph, closing, links
 from epi360.jobs.match_store import Verdict
 from epi360.jobs.matching import MatchRun, PairVerdict
 from epi360.poses import Pose
@@ -196,3 +196,13 @@ def test_only_triangles_of_accepted_pairs_confirm():
     assert confirmed({**pairs, "bc": doubted("b", "c")}) == []
     del pairs["bc"]
     assert confirmed(pairs) == []
+
+
+def test_a_pair_is_confirmed_by_triangles_that_all_close():
+    verdicts = graph("ab bc cd da ac")
+    pairs = [tuple(name) for name in verdicts]
+    listed = list(verdicts.values())
+    assert closing(pairs, listed, [0, 1, 2, 3], {4: listed[4]}) == {4}
+    assert closing(pairs, listed, [0, 2], {4: listed[4]}) == set()  # in no triangle
+    away = replace(listed[4], cam2_from_cam1=listed[4].cam2_from_cam1.inverse())
+    assert closing(pairs, listed, [0, 1, 2, 3], {4: away}) == set()

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,17 +101,11 @@ def _confirmed(
     pairs: Sequence[tuple[str, str]], verdicts: Sequence[Verdict], accepted: Sequence[int]
 ) -> dict[int, LoopVerdict]:
     """Rows of the pairs whose doubted poses close triangles of accepted pairs."""
-    rows_of: dict[str, dict[str, int]] = {}
-    for row in accepted:
-        for name, other in (pairs[row], pairs[row][::-1]):
-            rows_of.setdefault(name, {})[other] = row
+    triangles = _Triangles(pairs, verdicts, accepted)
     found = {}
     for row, verdict in enumerate(verdicts):
         if not awaits_confirmation(verdict):
             continue
-        rows1, rows2 = (rows_of.get(name, {}) for name in pairs[row])
-        shared = sorted(rows1.keys() & rows2.keys())
-        others = [rows[name] for name in shared for rows in (rows1, rows2)]
         believed = replace(
             verdict,
             status="ok",
@@ -119,14 +113,52 @@ def _confirmed(
             rotation_sigma_deg=_DOUBTED_ROTATION_DEG,
             translation_sigma_deg=_DOUBTED_DIRECTION_DEG,
         )
-        loop = check_loops(
-            [pairs[row], *(pairs[each] for each in others)],
-            [believed, *(verdicts[each] for each in others)],
-        )[0]
+        loop = triangles.of(pairs[row], believed)
         needed = 1 if verdict.probability >= _LINK_PROBABILITY else 2
         if loop.num_triangles >= needed and not loop.num_contradicted:
             found[row] = loop
     return found
+
+
+def closing(
+    pairs: Sequence[tuple[str, str]],
+    verdicts: Sequence[Verdict],
+    accepted: Sequence[int],
+    believed: Mapping[int, Verdict],
+) -> set[int]:
+    """Rows of the pairs of which a triangle with accepted pairs closes, and none is open.
+
+    ``believed`` are the verdicts to try, by row.
+    """
+    triangles = _Triangles(pairs, verdicts, accepted)
+    loops = {row: triangles.of(pairs[row], verdict) for row, verdict in believed.items()}
+    return {row for row, loop in loops.items() if loop.num_triangles and not loop.num_contradicted}
+
+
+class _Triangles:
+    """Triangles that further pairs make with accepted ones."""
+
+    def __init__(
+        self,
+        pairs: Sequence[tuple[str, str]],
+        verdicts: Sequence[Verdict],
+        accepted: Sequence[int],
+    ) -> None:
+        self.pairs, self.verdicts = pairs, verdicts
+        self.rows_of: dict[str, dict[str, int]] = {}
+        for row in accepted:
+            for name, other in (pairs[row], pairs[row][::-1]):
+                self.rows_of.setdefault(name, {})[other] = row
+
+    def of(self, pair: tuple[str, str], verdict: Verdict) -> LoopVerdict:
+        """What the triangles of one pair and two accepted ones say about it."""
+        rows1, rows2 = (self.rows_of.get(name, {}) for name in pair)
+        shared = sorted(rows1.keys() & rows2.keys())
+        others = [rows[name] for name in shared for rows in (rows1, rows2)]
+        return check_loops(
+            [pair, *(self.pairs[each] for each in others)],
+            [verdict, *(self.verdicts[each] for each in others)],
+        )[0]
 
 
 def links(edges: Sequence[tuple[str, str]]) -> list[int]:

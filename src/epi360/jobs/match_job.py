@@ -24,7 +24,8 @@ PAIRS_PER_PART = 32
 class MatchJob:
     """What is known and done so far; an engine does the work.
 
-    ``progress`` is told of the stages "images", "features", "pairs" and "level pairs".
+    ``progress`` is told of the stages "images", "features", "pairs", "level pairs" and
+    "places".
     """
 
     def __init__(self, work: PairWork, engine: MatchEngine, progress: Progress) -> None:
@@ -124,6 +125,10 @@ class MatchJob:
     def keys_of(self, pair: Pair) -> Keys:
         """Keys of the key points of two readable images."""
         return self.work.keys_of(pair)
+
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look, the strongest first."""
+        return self.work.bearings_of(index)
 
     def readable_keys(self) -> dict[str, str]:
         """Key of the key points of each image that has some, by its name."""

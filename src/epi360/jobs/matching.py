@@ -16,7 +16,7 @@ from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
-from epi360.jobs.graph_check import check_graph
+from epi360.jobs.graph_check import check_graph, closing
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
 from epi360.jobs.match_engines import LocalEngine, MatchEngine
@@ -34,6 +34,8 @@ from epi360.jobs.pair_selection import (
     ways_of,
 )
 from epi360.jobs.pair_work import MatchInputs, PairWork
+from epi360.jobs.place_check import PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.place_job import check_places
 from epi360.jobs.threads import num_cores
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
@@ -80,7 +82,8 @@ class MatchOptions:
 class PairVerdict(Verdict):
     """What became of a pair of images.
 
-    The last six attributes are those of `GraphVerdict`.
+    The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
+    `PlaceVerdict`.
     """
 
     image1: str
@@ -128,9 +131,9 @@ def match_images(
 
     ``output``, a folder or a URL that fsspec understands, keeps key points and pairs. With
     ``restart``, pairs in it that were made with other options are thrown away instead of refusing
-    them; features that still fit are kept.
-    ``progress`` is told of the stages "images", "features", "retrieval", "pairs" and, in a level
-    folder, "level pairs", those that there are.
+    them; features that still fit are kept. ``progress`` is told of the stages "images", "features",
+    "retrieval", "pairs", in a level folder "level pairs", and "places" where accepted pairs of
+    panoramas have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
@@ -140,8 +143,8 @@ def match_images(
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
     warning. If the poses say that the folder is level, see `find_level`, pairs without a pose, and
     those whose pose is tilted, are estimated again with that known. An image that cannot be read
-    costs its pairs, not the run. In the end the pairs are held against each other, see
-    `check_graph`.
+    costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
+    `judge_places`, and the pairs are held against each other, see `check_graph`.
 
     The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
     default one that is started on this machine). There, each image and each part of the pairs is a
@@ -169,7 +172,8 @@ def _match(
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = _verified(few, job) if few else ({}, 0)
-    if few and len(finished) == len(few) and suffice(list(finished.values())):
+    is_sequence = bool(few) and len(finished) == len(few) and suffice(list(finished.values()))
+    if is_sequence:
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few
     else:
@@ -183,7 +187,10 @@ def _match(
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None
-    verdicts = _with_graph(tuple(_named(pair, job, settled) for pair in pairs), is_level)
+    named = tuple(_named(pair, job, settled) for pair in pairs)
+    # Neighbours in a sequence, nearly all of which match, are of one place.
+    places = [] if is_sequence else _places(pairs, job, settled, level)
+    verdicts = _checked(named, places or [PlaceVerdict()] * len(pairs), is_level)
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
     confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
     write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
@@ -286,7 +293,44 @@ def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairV
     return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
 
 
-def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[PairVerdict, ...]:
+def _places(
+    pairs: Sequence[Pair],
+    job: MatchJob,
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
+) -> list[PlaceVerdict]:
+    """What the surroundings say about each pair."""
+    wanted = {job.keys_of(pair): pair for pair in pairs if job.is_readable(pair)}
+    found = check_places(job, wanted, settled, level)
+    nothing = PlaceVerdict()
+    return [
+        found.get(job.keys_of(pair), nothing) if job.is_readable(pair) else nothing
+        for pair in pairs
+    ]
+
+
+def _checked(
+    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
+) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the surroundings and the other pairs say."""
+    refused = [replace(v, refused=p.refused) for v, p in zip(verdicts, places, strict=True)]
+    judged = _with_graph(refused, is_level)
+    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
+    accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
+    doubted = {row: verdicts[row] for row, place in enumerate(places) if place.leaves_a_doubt}
+    confirmed = closing(names, judged, accepted, doubted)
+    if not confirmed:
+        return judged
+    cleared = [
+        replace(verdicts[row], warnings=(*verdicts[row].warnings, PLACE_CONFIRMED))
+        if row in confirmed
+        else verdict
+        for row, verdict in enumerate(refused)
+    ]
+    return _with_graph(cleared, is_level)
+
+
+def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
     """Verdicts with what the other pairs say."""
     names = [(verdict.image1, verdict.image2) for verdict in verdicts]
     judged = []
@@ -294,7 +338,8 @@ def _with_graph(verdicts: tuple[PairVerdict, ...], is_level: bool) -> tuple[Pair
         verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
     ):
         warnings = (*verdict.warnings, *found.doubts(verdict))
-        each = replace(verdict, **vars(found), warnings=warnings)
+        refused = verdict.refused or found.refused
+        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
         if found.confirmed:
             each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
         judged.append(each)

@@ -265,6 +265,7 @@ class PairWork:
             rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
             translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
             probability=result.probability,
+            explanations=result.explanations,
             floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
             prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,
@@ -281,6 +282,11 @@ class PairWork:
         except UnreadableImageError as error:
             self.unreadable[name] = str(error)
             return None
+
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look, the strongest first."""
+        keypoints = self._features_of(index)[0].keypoints
+        return self.inputs.cameras[index].bearings_from_pixels(keypoints)
 
     def descriptors(self, index: int) -> NDArray[np.float32]:
         """Descriptors (N, 128) of an image, strongest first; none where it cannot be read."""

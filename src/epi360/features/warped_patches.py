@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a surface that one panorama shows looks the same in another, at the place it must have.
+
+A patch around a point of known depth is warped into the other panorama over a plane through the
+point, and correlated there within half a degree. So nothing needs to be detected a second time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+
+WIDTH = 1024  # pixels of the panoramas that are compared; finer detail differs between cameras
+_HALF, _RADIUS_DEG = 5, 1.5  # a patch has 11 x 11 samples
+# The patch may lie elsewhere by so many samples, along the epipolar curve and across: real pairs
+# have errors of half a degree, and every sample more lets other things look alike.
+_ALONG, _ACROSS = 2, 1
+_STEP = _RADIUS_DEG / _HALF
+_PIXEL_DEG = 360.0 / WIDTH
+_FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
+_SIDE = 2 * _HALF + 1
+
+
+def _grid(half_x: int, half_y: int) -> Array:
+    x, y = np.meshgrid(np.arange(-half_x, half_x + 1), np.arange(-half_y, half_y + 1))
+    grid: Array = np.stack([x.ravel(), y.ravel()], axis=1) * np.tan(np.radians(_STEP))
+    return grid
+
+
+_PATCH, _WINDOW = _grid(_HALF, _HALF), _grid(_HALF + _ALONG, _HALF + _ACROSS)
+_WINDOW_SHAPE = (2 * (_HALF + _ACROSS) + 1, 2 * (_HALF + _ALONG) + 1)
+_NEAR = np.exp(-np.square(_PATCH / _PATCH.max()).sum(axis=1) / (2 * 0.7**2))
+_WEIGHTS = (_NEAR / _NEAR.sum()).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Panorama:
+    """Grey values of a full panorama, 1024 pixels wide: sharp, and blurred more and more."""
+
+    levels: tuple[NDArray[np.uint8], ...]
+
+    @classmethod
+    def of(cls, image: NDArray[np.uint8]) -> Panorama:
+        """Make one of an RGB picture."""
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        size = (WIDTH, WIDTH // 2)
+        how = cv2.INTER_AREA if grey.shape[1] > WIDTH else cv2.INTER_LINEAR
+        sharp = cv2.resize(grey, size, interpolation=how)
+        blurred = [cv2.GaussianBlur(sharp, (0, 0), sigma) for sigma in (0.8, 1.6, 3.2)]
+        return cls(tuple(np.asarray(level, np.uint8) for level in (sharp, *blurred)))
+
+    def values(self, rays: Array, steps_deg: Array) -> Floats:
+        """Grey values along rays (N, K, 3), of row i from the level for steps of that size."""
+        levels = np.clip(np.round(np.log2(steps_deg / _PIXEL_DEG)), -1, 2).astype(int) + 1
+        found = np.empty(rays.shape[:2], np.float32)
+        for level in np.unique(levels):
+            rows = levels == level
+            found[rows] = _looked_up(self.levels[level], rays[rows])
+        return found
+
+
+def _looked_up(grey: NDArray[np.uint8], rays: Array) -> Floats:
+    x, y, z = np.moveaxis(rays, -1, 0).astype(np.float32)
+    u = (np.arctan2(x, z) / np.float32(2 * np.pi) + 0.5) * WIDTH - 0.5
+    v = (np.arctan2(y, np.hypot(x, z)) / np.float32(np.pi) + 0.5) * (WIDTH // 2) - 0.5
+    values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return np.asarray(values, np.float32)
+
+
+def likeness(
+    first: Panorama, second: Panorama, points: Array, second_from_first: Pose, normals: Array
+) -> tuple[Floats, Floats]:
+    """How alike patches around points look in both panoramas, and their contrast in the first.
+
+    ``points`` (N, 3) are in the frame of the first camera, in units of the pose's translation.
+    ``normals`` (K, N, 3) are those of the planes that are tried. Likeness (N,) is the largest
+    correlation, from -1 to 1; contrast (N,) is a standard deviation of grey values.
+    """
+    if len(points) == 0:
+        return np.empty(0, np.float32), np.empty(0, np.float32)
+    distances = np.linalg.norm(points, axis=1)
+    axes = _patch_axes(points / distances[:, None], second_from_first.inverse().translation)
+    steps = np.full(len(points), _STEP)
+    patches, contrasts = _centred(first.values(_rays(axes, _PATCH), steps))
+    weighted = patches * (_WEIGHTS / np.maximum(contrasts, 1e-3)[:, None])
+    rays = _rays(axes, _WINDOW)
+    best = np.full(len(points), -1.0, np.float32)
+    for normal in normals:
+        seen = _on_plane(rays, axes[:, 0], normal) * distances[:, None, None]
+        seen = seen @ second_from_first.rotation.T + second_from_first.translation
+        ranges = np.linalg.norm(seen[:, len(_WINDOW) // 2], axis=1)
+        windows = second.values(seen, _STEP * distances / np.maximum(ranges, 1e-9))
+        best = np.maximum(best, _largest_correlation(windows, weighted))
+    return best, contrasts
+
+
+def _patch_axes(directions: Array, other_center: Array) -> Array:
+    """Direction of each point, then towards the other camera and across, shape (N, 3, 3)."""
+    along = other_center - (directions @ other_center)[:, None] * directions
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    return np.stack([directions, along, np.cross(directions, along)], axis=1)
+
+
+def _rays(axes: Array, grid: Array) -> Array:
+    """Rays (N, K, 3) through a grid on the plane that each direction is the normal of."""
+    rays: Array = axes[:, None, 0] + grid @ axes[:, 1:]
+    return rays
+
+
+def _on_plane(rays: Array, directions: Array, normal: Array) -> Array:
+    """Rays lengthened to the planes through the ends of the directions."""
+    facing = np.abs(np.sum(normal * directions, axis=1)) > _FLATTEST
+    normal = np.where(facing[:, None], normal, directions)
+    along = np.sum(normal * directions, axis=1)[:, None]
+    across = (rays @ normal[:, :, None])[:, :, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depths = np.clip(np.nan_to_num(along / across, nan=3.0), 0.3, 3.0)
+    on_plane: Array = rays * depths[:, :, None]
+    return on_plane
+
+
+def _centred(values: Floats) -> tuple[Floats, Floats]:
+    """Values less their weighted mean, and their weighted standard deviation."""
+    centred = values - (values @ _WEIGHTS)[:, None]
+    return centred, np.sqrt(np.square(centred) @ _WEIGHTS)
+
+
+def _largest_correlation(windows: Floats, weighted: Floats) -> Floats:
+    shaped = windows.reshape(-1, *_WINDOW_SHAPE)
+    cut = np.lib.stride_tricks.sliding_window_view(shaped, (_SIDE, _SIDE), axis=(1, 2))
+    values = cut.reshape(len(windows), -1, _SIDE * _SIDE)
+    means = values @ _WEIGHTS
+    variances = np.square(values) @ _WEIGHTS - means * means
+    products = np.matmul(values, weighted[:, :, None])[:, :, 0]
+    correlations: Floats = products / np.sqrt(np.maximum(variances, 1e-2))
+    return np.asarray(correlations.max(axis=1), np.float32)

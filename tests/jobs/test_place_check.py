@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pairs whose surroundings look different are refused, by made evidence."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from epi360.jobs.place_check import ANOTHER_PLACE, COPY, judge_places
+from epi360.jobs.place_evidence import OWN, Evidence, Sightings
+
+NUM_CELLS = 20
+
+
+def sightings(rng, witnesses, share, *, num=200, beyond=-0.1):
+    """Points that some pairs know, of which a share is found; all are visible by default."""
+    count = num if len(witnesses) else 0
+    places = np.arange(count) % NUM_CELLS
+    same = rng.random(NUM_CELLS) < share  # what lies together is one surface
+    found = np.where(same[places], rng.random(count) < 0.97, rng.random(count) < 0.1)
+    names = rng.choice(witnesses, count) if count else np.empty(0, np.int64)
+    return Sightings(
+        names.astype(np.int64),
+        places,
+        np.zeros(count, np.int64),
+        found,
+        np.array([OWN]),
+        np.full((count, 1), beyond),
+    )
+
+
+def nothing():
+    return sightings(np.random.default_rng(0), [], 1.0)
+
+
+def evidence_on(pairs, shares, *, seed=0, one_sided=(), **options):
+    """All pairs that share an image witness for each other."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for row, (pair, share) in enumerate(zip(pairs, shares, strict=True)):
+        sides = []
+        for side in (0, 1):
+            near = [k for k, other in enumerate(pairs) if k != row and pair[side] in other]
+            silent = share is None or (side == 1 and row in one_sided)
+            sides.append(nothing() if silent else sightings(rng, near, share, **options))
+        for made, offset in zip(sides, (0, 1000), strict=True):
+            made.cells[:] += offset
+        found.append(Evidence((sides[0], sides[1]), (nothing(), nothing())))
+    return found
+
+
+def twin_rooms():
+    """Two rooms of four panoramas; all pairs, and which are within a room."""
+    pairs = list(combinations(range(8), 2))
+    return pairs, np.array([a // 4 == b // 4 for a, b in pairs])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_where_all_looks_the_same_nothing_is_refused(seed):
+    pairs = list(combinations(range(6), 2))
+    verdicts = judge_places(pairs, evidence_on(pairs, [1.0] * len(pairs), seed=seed))
+    assert not any(verdict.refused for verdict in verdicts)
+    assert min(verdict.share for verdict in verdicts) > 0.8
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6])
+@pytest.mark.parametrize("seed", range(5))
+def test_pairs_of_twin_rooms_are_refused_and_hardly_any_of_one_room(share, seed):
+    pairs, is_right = twin_rooms()
+    found = evidence_on(pairs, np.where(is_right, 1.0, share), seed=seed)
+    verdicts = judge_places(pairs, found)
+    kept = np.array([not verdict.refused for verdict in verdicts])
+    assert not kept[~is_right].any()
+    assert np.sum(~kept[is_right]) <= 1
+    assert all(each.refused.startswith((ANOTHER_PLACE, COPY)) for each in verdicts if each.refused)
+
+
+def test_a_pair_about_which_nothing_is_known_is_refused_only_where_copies_are():
+    pairs, is_right = twin_rooms()
+    shares = [None, *np.where(is_right, 1.0, 0.4)[1:]]
+    assert judge_places(pairs, evidence_on(pairs, shares))[0].refused.startswith(COPY)
+    shares = [None, *[1.0] * (len(pairs) - 1)]
+    verdicts = judge_places(pairs, evidence_on(pairs, shares))
+    assert not verdicts[0].refused and np.isnan(verdicts[0].share)
+
+
+def test_what_only_one_of_both_views_shows_speaks_for_no_pair():
+    pairs, is_right = twin_rooms()
+    shares = np.where(is_right, 1.0, 0.4)
+    found = evidence_on(pairs, shares, one_sided=[0])
+    assert judge_places(pairs, found)[0].refused.startswith(COPY)
+    assert not judge_places(pairs, evidence_on(pairs, shares))[0].refused
+
+
+def test_points_that_something_may_hide_say_nothing():
+    pairs = list(combinations(range(5), 2))
+    found = evidence_on(pairs, [0.2] * len(pairs), beyond=0.5)
+    assert {verdict.num_places for verdict in judge_places(pairs, found)} == {0}
+
+
+def test_somebody_who_walks_about_does_not_refuse_pairs():
+    pairs = list(combinations(range(6), 2))
+    found = evidence_on(pairs, [0.92] * len(pairs))
+    assert not any(verdict.refused for verdict in judge_places(pairs, found))
+
+
+def test_the_reason_counts_places():
+    pairs, is_right = twin_rooms()
+    verdicts = judge_places(pairs, evidence_on(pairs, np.where(is_right, 1.0, 0.3)))
+    worst = verdicts[int(np.argmin(is_right))]
+    assert f"of {worst.num_places} parts of the views" in worst.refused
+    assert worst.probability < 0.01
+
+
+def test_an_empty_folder_has_no_verdicts():
+    assert judge_places([], []) == ()

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rendered rooms that are copies of each other: `match_images` tells them apart."""
+
+import pytest
+from rendered_views import write_views
+from twin_rooms import exposed_and_visited, truth, write_rooms
+
+from epi360 import rotation_error_deg, translation_error_deg
+from epi360.jobs import place_job
+from epi360.jobs.image_set import find_images
+from epi360.jobs.matching import MatchOptions, match_images
+from epi360.report.match_table import describe_match, pairs_csv
+
+ALL = MatchOptions(pairs="exhaustive")
+
+
+def is_right(verdict):
+    pose, wanted = verdict.cam2_from_cam1, truth(verdict.image1, verdict.image2)
+    errors = rotation_error_deg(pose, wanted), translation_error_deg(pose, wanted)
+    return max(errors) < 2
+
+
+def in_one_room(verdict):
+    return verdict.image1[0] == verdict.image2[0]
+
+
+@pytest.fixture(scope="module", params=[None, exposed_and_visited])
+def run(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rooms")
+    return match_images(write_rooms(folder / "a", changed=request.param), folder / "out", ALL)
+
+
+def test_pairs_of_one_room_are_accepted_and_right(run):
+    pairs = [verdict for verdict in run.verdicts if in_one_room(verdict)]
+    assert len(pairs) == 6
+    assert all(verdict.accepted and is_right(verdict) for verdict in pairs)
+
+
+def test_pairs_of_twin_rooms_are_refused_though_their_matches_agree(run):
+    between = [v for v in run.verdicts if not in_one_room(v) and v.status == "ok"]
+    assert len(between) >= 5
+    assert min(verdict.probability for verdict in between) > 0.95
+    assert all(verdict.refused.startswith("shows another place") for verdict in between)
+
+
+def test_the_table_and_the_summary_say_why(run):
+    assert "parts of the views that both cameras must see look the same" in pairs_csv(run).decode()
+    assert "shows another place" in describe_match(run)
+
+
+def test_one_room_loses_no_pair_to_other_exposures_and_people(tmp_path):
+    images = write_rooms(tmp_path / "a", letters="a", changed=exposed_and_visited)
+    run = match_images(images, tmp_path / "out", ALL)
+    assert all(verdict.accepted and is_right(verdict) for verdict in run.verdicts)
+
+
+def test_a_second_run_says_the_same_on_one_thread(tmp_path):
+    images = write_rooms(tmp_path / "a")
+    runs = [
+        match_images(images, tmp_path / "out", MatchOptions(pairs="exhaustive", num_threads=count))
+        for count in (2, 1)
+    ]
+    assert pairs_csv(runs[0]) == pairs_csv(runs[1])
+
+
+def test_a_picture_that_is_gone_costs_only_the_check(tmp_path, monkeypatch):
+    write_views(tmp_path / "a")
+    expected = match_images(find_images(tmp_path / "a"), tmp_path / "first", ALL)
+
+    def lost(path):
+        raise OSError("gone")
+
+    monkeypatch.setattr(place_job, "read_image", lost)
+    run = match_images(find_images(tmp_path / "a"), tmp_path / "second", ALL)
+    assert [v.accepted for v in run.verdicts] == [v.accepted for v in expected.verdicts]
