@@ -15,6 +15,7 @@ from ray_workers import busy_workers, wait_until_gone
 from rendered_views import NAMES, write_views
 
 import epi360
+from epi360 import cli
 from epi360.jobs import match_job, match_on_ray, ray_tasks
 from epi360.jobs.image_set import find_images
 from epi360.jobs.level_folder import Level
@@ -240,6 +241,27 @@ def test_a_cluster_that_does_not_answer_is_said(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127\.0\.0\.1:1"):
         match_images(find_images(folder), tmp_path, engine="ray", address="127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--address", "auto"], "--address goes with --engine ray"),
+        (["--engine", "ray", "--num-threads", "2"], "--num-threads goes with --engine local"),
+    ],
+)
+def test_options_of_the_other_engine_are_refused(folder, tmp_path, capsys, words, message):
+    output = tmp_path / "out"
+    assert cli.main(["match", str(folder), "--output", str(output), *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_without_ray_the_message_says_what_to_install(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    output = tmp_path / "out"
+    assert cli.main(["match", str(folder), "--output", str(output), "--engine", "ray"]) == 2
+    assert "pip install 'epi360[cluster]'" in capsys.readouterr().err
 
 
 def test_an_unknown_engine_is_refused(folder, tmp_path):
