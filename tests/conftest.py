@@ -42,3 +42,16 @@ def room_run(room_folder, tmp_path_factory):
     output = tmp_path_factory.mktemp("run") / "out"
     options = MapOptions(MatchOptions(num_threads=1), mapper_threads=1)
     return output, map_images(find_images(room_folder[0]), output, options)
+
+
+@pytest.fixture(scope="session")
+def ray_session():
+    """Address of a Ray of two CPUs that all tests share: its start takes the longest."""
+    ray = pytest.importorskip("ray")
+    if not Path("/proc/self/stat").exists():
+        pytest.skip("finds Ray's workers in /proc")
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": "CRITICAL"}
+    session = ray.init(address="local", num_cpus=2, object_store_memory=80 * 2**20, **quiet)
+    yield session.address_info["gcs_address"]
+    ray.shutdown()

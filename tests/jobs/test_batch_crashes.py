@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ray_workers import busy_workers, wait_until_gone
 
 import epi360
+from epi360.jobs import ray_tasks
 from epi360.jobs.batch import BatchJob, MatchSource, ray_engine, run_batch
 from epi360.synthetic import two_view_scene
 
@@ -257,51 +259,6 @@ def test_a_full_disk_leaves_the_finished_parts(growing_matches, small_disk):
     assert len(list(Path(f"{output}.parts").iterdir())) == 3
 
 
-@pytest.fixture(scope="module")
-def ray_session():
-    """Address of a Ray of two CPUs that all tests share."""
-    ray = pytest.importorskip("ray")
-    if not Path("/proc/self/stat").exists():
-        pytest.skip("finds Ray's workers in /proc")
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    quiet = {"include_dashboard": False, "log_to_driver": False, "logging_level": "CRITICAL"}
-    session = ray.init(address="local", num_cpus=2, object_store_memory=80 * 2**20, **quiet)
-    yield session.address_info["gcs_address"]
-    ray.shutdown()
-
-
-def living_processes():
-    """Parent of every process; one that has ended and that nobody has asked for is not alive."""
-    parents = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-            except OSError:  # it has ended meanwhile
-                continue
-            if state != "Z":
-                parents[int(entry.name)] = int(parent)
-    return parents
-
-
-def descendants(pid):
-    parents, found, below = living_processes(), [], {pid}
-    while below:
-        below = {child for child, parent in parents.items() if parent in below}
-        found += below
-    return found
-
-
-def busy_workers(pid):
-    def title(worker):
-        try:
-            return Path(f"/proc/{worker}/cmdline").read_bytes()
-        except OSError:
-            return b""
-
-    return [worker for worker in descendants(pid) if title(worker).startswith(b"ray::_estimate")]
-
-
 @pytest.mark.slow
 def test_the_run_goes_on_when_ray_workers_are_killed(
     matches_in_one_group, uninterrupted, ray_session, tmp_path
@@ -327,7 +284,7 @@ def test_the_run_goes_on_when_ray_workers_are_killed(
 
 @pytest.mark.slow
 def test_a_part_that_kills_every_worker_ends_the_run(matches, ray_session, tmp_path, monkeypatch):
-    monkeypatch.setattr(ray_engine, "_MAX_RETRIES", 1)
+    monkeypatch.setattr(ray_tasks, "_MAX_RETRIES", 1)
     output, ended = tmp_path / "poses.parquet", threading.Event()
 
     def kill_all():
@@ -409,10 +366,3 @@ def test_killed_and_interrupted_drivers_of_ray_lose_nothing(
     code, said = outcome(start(matches, output))
     assert code == 0, said
     assert_is_whole(output, uninterrupted[0], finished)
-
-
-def wait_until_gone(processes, *, timeout_s=30.0):
-    deadline = time.monotonic() + timeout_s
-    while living_processes().keys() & processes:
-        assert time.monotonic() < deadline, "workers outlive their driver"
-        time.sleep(0.05)

@@ -14,12 +14,12 @@ from epi360.cameras.upright import elevation_deg, tilt_deg
 from epi360.cli import SUCCESS, main
 from epi360.cli.command import WRONG_USE
 from epi360.interop.gpano import gpano_packet, with_gpano
-from epi360.jobs import match_job, matching
+from epi360.jobs import match_job, matching, pair_work
 from epi360.jobs.image_set import find_images
 from epi360.jobs.level_folder import Level, find_level
-from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_store import Verdict
 from epi360.jobs.matching import MatchOptions, load_matches, match_images
+from epi360.jobs.pair_work import PairWork
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
 
@@ -104,7 +104,7 @@ def tour(tmp_path_factory):
 @pytest.fixture
 def bad_first_look(monkeypatch):
     """The first phase loses a pair and tilts another."""
-    judge = MatchJob._verified_pair
+    judge = PairWork._verified_pair
 
     def judge_badly(job, pair, matched, result, prior):
         verified = judge(job, pair, matched, result, prior)
@@ -118,7 +118,7 @@ def bad_first_look(monkeypatch):
             verdict = replace(verified.verdict, cam2_from_cam1=tilted, probability=0.9)
         return replace(verified, verdict=verdict)
 
-    monkeypatch.setattr(MatchJob, "_verified_pair", judge_badly)
+    monkeypatch.setattr(PairWork, "_verified_pair", judge_badly)
     monkeypatch.setattr("epi360.jobs.level_folder._FEWEST_POSES", 4)  # of the six pairs
 
 
@@ -126,13 +126,13 @@ def bad_first_look(monkeypatch):
 def priors(monkeypatch):
     """Number of pairs and prior of every estimate from now on."""
     calls = []
-    estimate = match_job.estimate_relative_poses
+    estimate = pair_work.estimate_relative_poses
 
     def noted(pairs, **options):
         calls.append((len(pairs), options.get("gravity_sigma_deg")))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(match_job, "estimate_relative_poses", noted)
+    monkeypatch.setattr(pair_work, "estimate_relative_poses", noted)
     return calls
 
 
@@ -168,7 +168,7 @@ def test_a_level_folder_finds_the_pairs_that_the_first_look_lost(tour, tmp_path,
 def test_a_run_that_is_stopped_in_the_second_phase_goes_on_to_the_same_bytes(
     tour, tmp_path, bad_first_look, priors, monkeypatch, calls_before_the_stop
 ):
-    monkeypatch.setattr(match_job, "_PAIRS_PER_THREAD", 2)
+    monkeypatch.setattr(match_job, "PAIRS_PER_PART", 2)
     options = MatchOptions(num_threads=1)
     whole = match_images(tour, tmp_path / "whole", options)
     seen = []
@@ -197,7 +197,7 @@ def test_a_run_that_is_stopped_in_the_second_phase_goes_on_to_the_same_bytes(
 def test_a_doubted_pose_that_the_others_confirm_is_the_pose_of_the_pair(
     tour, tmp_path, bad_first_look, monkeypatch
 ):
-    judge = MatchJob._verified_pair
+    judge = PairWork._verified_pair
 
     def judge_doubtfully(job, pair, matched, result, prior):
         verified = judge(job, pair, matched, result, prior)
@@ -211,7 +211,7 @@ def test_a_doubted_pose_that_the_others_confirm_is_the_pose_of_the_pair(
         )
         return replace(verified, verdict=doubted)
 
-    monkeypatch.setattr(MatchJob, "_verified_pair", judge_doubtfully)
+    monkeypatch.setattr(PairWork, "_verified_pair", judge_doubtfully)
     run = match_images(tour, tmp_path)
     (found,) = [verdict for verdict in run.verdicts if verdict.confirmed]
     assert (found.image1, found.image2) == tuple(NAMES[index] for index in LOST)
@@ -288,13 +288,13 @@ def test_what_a_file_states_about_its_pitch_comes_first(tmp_path, monkeypatch):
         path = tmp_path / name
         path.write_bytes(with_gpano(path.read_bytes(), packet))
     given = []
-    estimate = match_job.estimate_relative_poses
+    estimate = pair_work.estimate_relative_poses
 
     def noted(pairs, **options):
         given.extend(zip(options["gravity1"], options["gravity2"], strict=True))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(match_job, "estimate_relative_poses", noted)
+    monkeypatch.setattr(pair_work, "estimate_relative_poses", noted)
     match_images(find_images(tmp_path), tmp_path / "out", MatchOptions(upright_deg=1.0))
     pitched = [0.0, np.cos(np.radians(10)), -np.sin(np.radians(10))]
     np.testing.assert_allclose(given[0], [pitched, pitched], atol=1e-12)

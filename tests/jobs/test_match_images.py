@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered_views import NAMES, image_set, pictures, truth, write_png, write_views
 
-from epi360.jobs import feature_cache, match_job, match_store, pair_selection
+from epi360.jobs import feature_cache, match_job, match_store, pair_selection, pair_work
 from epi360.jobs.matching import MatchOptions, load_matches, match_images
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
@@ -55,13 +55,13 @@ def extractions(monkeypatch):
 def verified(monkeypatch):
     """Number of pairs in each batch that is estimated from now on."""
     counts = []
-    estimate = match_job.estimate_relative_poses
+    estimate = pair_work.estimate_relative_poses
 
     def counted(pairs, **options):
         counts.append(len(pairs))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(match_job, "estimate_relative_poses", counted)
+    monkeypatch.setattr(pair_work, "estimate_relative_poses", counted)
     return counts
 
 
@@ -144,15 +144,41 @@ def test_threads_do_not_show(run, folder, tmp_path):
     assert pairs_csv(other) == pairs_csv(run)
 
 
+def stored(output):
+    return {path.relative_to(output): path.read_bytes() for path in output.glob("*/*.npz")}
+
+
+def test_files_are_the_same_on_any_number_of_threads(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(match_job, "PAIRS_PER_PART", 2)
+    for num_threads in (1, 5):  # one part at once, and all three
+        output = tmp_path / str(num_threads)
+        match_images(image_set(folder), output, MatchOptions(num_threads=num_threads))
+    assert len(list((tmp_path / "1" / "pairs").iterdir())) == 3
+    assert stored(tmp_path / "1") == stored(tmp_path / "5")
+
+
+def test_parts_of_another_size_are_used(run, folder, tmp_path, monkeypatch, verified):
+    # As a version before has left them: its parts were larger the more threads there were.
+    with monkeypatch.context() as patched:
+        patched.setattr(match_job, "PAIRS_PER_PART", 4)
+        with pytest.raises(KeyboardInterrupt):
+            match_images(image_set(folder), tmp_path, progress=stop_after(1))
+    verified.clear()
+    again = match_images(image_set(folder), tmp_path)
+    assert again.num_found == 4
+    assert verified[0] == 2
+    assert pairs_csv(again) == pairs_csv(run)
+
+
 @pytest.mark.parametrize("stage", ["features", "pairs"])
 def test_an_interrupted_run_goes_on_to_the_same_bytes(
     run, folder, tmp_path, monkeypatch, verified, stage
 ):
-    monkeypatch.setattr(match_job, "_PAIRS_PER_THREAD", 2)
+    monkeypatch.setattr(match_job, "PAIRS_PER_PART", 2)
     options = MatchOptions(num_threads=1)
     with pytest.raises(KeyboardInterrupt):
         match_images(image_set(folder), tmp_path, options, progress=stop_after(2, stage))
-    before = {path: path.read_bytes() for path in tmp_path.glob("*/*.npz")}
+    before = stored(tmp_path)
     assert before
     with pytest.raises(FileNotFoundError, match="no complete result"):
         load_matches(tmp_path)
@@ -162,7 +188,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(
         image_set(folder), tmp_path, options, progress=lambda *call: done.append(call)
     )
     assert pairs_csv(again) == pairs_csv(run)
-    assert before.items() <= {path: path.read_bytes() for path in tmp_path.glob("*/*.npz")}.items()
+    assert before.items() <= stored(tmp_path).items()
     if stage == "pairs":
         assert next(call for call in done if call[0] == "pairs") == ("pairs", 4, 6)
         assert again.num_found == 4
@@ -299,7 +325,7 @@ def test_other_pairs_need_no_restart(views, tmp_path):
 def test_weak_matches_get_a_second_look_with_all_key_points(views, tmp_path, monkeypatch):
     images = image_set(views, NAMES[:2])
     first = match_images(images, tmp_path / "a").verdicts[0]
-    monkeypatch.setattr(match_job, "CONTRAST_THRESHOLD", 0.9)  # nothing is strong
+    monkeypatch.setattr(pair_work, "CONTRAST_THRESHOLD", 0.9)  # nothing is strong
     second = match_images(images, tmp_path / "b").verdicts[0]
     assert second.accepted
     assert second.num_matches > first.num_matches

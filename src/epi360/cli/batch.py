@@ -6,11 +6,12 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -35,10 +36,6 @@ class BatchInput:
 class BatchOptions:
     """How the work is done."""
 
-    engine: Literal["local", "ray"] = "local"
-    """Run on threads of this machine, or on Ray (local by default)."""
-    address: str | None = None
-    """With Ray: address of a cluster."""
     num_threads: Annotated[int | None, Parameter(name=("--num-threads", "--threads"))] = None
     """Threads of the local engine; one per core by default. --threads is the older name."""
     seed: int = 0
@@ -62,6 +59,7 @@ def batch(
     write_database: str | None = None,
     given: BatchInput = NO_MORE_INPUT,
     options: BatchOptions = DEFAULT_OPTIONS,
+    engine: EngineOptions = LOCAL_ENGINE,
     report: Path | None = None,
 ) -> int:
     """Relative poses of many pairs of images, from their matches.
@@ -92,19 +90,16 @@ def batch(
 
     if report is not None:
         check_report(report)
-    if options.address is not None and options.engine != "ray":
-        raise ValueError("--address goes with --engine ray")
-    if options.num_threads is not None and options.engine != "local":
-        raise ValueError("--num-threads goes with --engine local; Ray takes all cores it is given")
+    engine.check(options.num_threads)
     job = BatchJob(
         _source(source, given, options), output, seed=options.seed, upright_deg=options.upright
     )
     with show_bars() as progress:
         summary = run_batch(
             job,
-            engine=options.engine,
+            engine=engine.engine,
             num_threads=options.num_threads,
-            address=options.address,
+            address=engine.address,
             database=write_database,
             progress=progress,
         )

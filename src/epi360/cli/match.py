@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.frames import folder_of
 from epi360.cli.report_option import check_report
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from epi360.jobs.image_set import ImageSet
     from epi360.jobs.matching import MatchOptions, MatchRun
     from epi360.report.folder_page import MapShown
+    from epi360.runs.remote_path import AnyPath
 
 PairsChoice = Literal["auto", "exhaustive", "sequential", "retrieval", "near"] | Path
 
@@ -71,6 +74,7 @@ class MatchWork:
     name."""
 
 
+_URL = re.compile(r"[a-z][a-z0-9+]+:/")  # a Path has one slash of the two
 NO_INPUT, DEFAULT_WORK = MatchInput(), MatchWork()
 
 
@@ -81,7 +85,8 @@ def match(
     *,
     given: MatchInput = NO_INPUT,
     work: MatchWork = DEFAULT_WORK,
-    output: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
+    engine: EngineOptions = LOCAL_ENGINE,
+    output: Annotated[str | None, Parameter(group=Group("Output", sort_key=3))] = None,
     restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
     report: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
 ) -> int:
@@ -97,8 +102,8 @@ def match(
         Panoramas, or images of the given camera; sub-folders too. Or a video, whose frames are
         chosen as epi360 frames does and written into OUTPUT/frames.
     output
-        Folder for the results. Default: NAME-epi360 in the current folder, beside the images where
-        that is inside them.
+        Folder for the results; may be a URL of an object store. Default: NAME-epi360 in the current
+        folder, beside the images where that is inside them.
     restart
         Throw away the pairs in the output that were made with other options, and a video's frames.
     report
@@ -112,16 +117,26 @@ def match(
     """
     from epi360.jobs.image_set import find_images
     from epi360.jobs.matching import match_images
+    from epi360.runs.remote_path import path_of
 
     if report is not None:
         check_report(report)
+    engine.check(work.num_threads)
     options = match_options(given, work)
-    output = default_output(folder) if output is None else output
-    folder = images_of(folder, output, given, restart=restart)
+    target = default_output(folder) if output is None else path_of(output)
+    folder = images_of(folder, target, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
-        run = match_images(images, output, options, restart=restart, progress=progress)
+        run = match_images(
+            images,
+            target,
+            options,
+            restart=restart,
+            progress=progress,
+            engine=engine.engine,
+            address=engine.address,
+        )
     _report(run, images.skipped, time.monotonic() - begun)
     if report is not None:
         write_report(report, run, images)
@@ -167,8 +182,20 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
         )
 
 
-def images_of(folder: Path, output: Path, given: MatchInput, *, restart: bool) -> Path:
+def images_of(folder: Path, output: AnyPath, given: MatchInput, *, restart: bool) -> Path:
     """Return the folder of the images; the frames of a video are written into the output."""
+    if _URL.match(str(folder)) and not folder.exists():
+        raise ValueError(
+            f"images must be in a folder of this machine, or on a disk that all machines see, got "
+            f"{folder}; only --output may be a URL"
+        )
+    if not isinstance(output, Path):
+        if folder.is_file():
+            raise ValueError(
+                f"the frames of {folder} need a folder, got --output {output}; choose them with "
+                "epi360 frames first"
+            )
+        return folder
     return folder_of(
         folder,
         output,
@@ -203,7 +230,7 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
     print(f"wrote {table}", flush=True)
 
 
-def write_pairs_table(run: MatchRun) -> Path:
+def write_pairs_table(run: MatchRun) -> AnyPath:
     """Write pairs.csv, a row a pair, and return its path."""
     from epi360.report.match_table import pairs_csv
     from epi360.runs.whole_files import write_file

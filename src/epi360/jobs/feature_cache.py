@@ -16,6 +16,7 @@ from epi360.jobs.image_set import SourceImage
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.made_from import fingerprint
+from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
@@ -54,7 +55,7 @@ class FeatureCache:
     147 bytes a key point in all.
     """
 
-    folder: Path
+    folder: AnyPath
     options: ExtractionOptions
     digests: FileDigests = field(default_factory=FileDigests)
 
@@ -96,7 +97,7 @@ class FeatureCache:
         last = camera.width - 1, camera.height - 1
         columns, rows = np.clip(found.pixels.astype(int), 0, last).T
         arrays[COLORS] = picture[rows, columns]
-        write_file(self._path(key), npz_bytes(arrays))
+        write_file(self.path(key), npz_bytes(arrays))
         return _as_found(arrays)
 
     def load(self, key: str) -> SiftKeypoints | None:
@@ -105,10 +106,11 @@ class FeatureCache:
         return None if arrays is None else _as_found(arrays)
 
     def _read(self, key: str) -> Arrays | None:
-        arrays = read_arrays(self._path(key))
+        arrays = read_arrays(self.path(key))
         return arrays if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
 
-    def _path(self, key: str) -> Path:
+    def path(self, key: str) -> AnyPath:
+        """Path of the file of a key."""
         return self.folder / f"{key}.npz"
 
 

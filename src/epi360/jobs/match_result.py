@@ -7,6 +7,7 @@ import dataclasses
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cache
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -32,14 +33,16 @@ from epi360.jobs.match_store import (
 from epi360.jobs.stored_graph import StoredImages, StoredPairs
 from epi360.poses import Pose
 from epi360.runs.arrays import Arrays, read_arrays
+from epi360.runs.input_files import as_file
 from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record, write_record
+from epi360.runs.remote_path import AnyPath, RemotePath, path_of
 
 Colors = dict[str, NDArray[np.uint8]]
 
 
 def write_index(
-    folder: Path,
+    folder: AnyPath,
     images: ImageSet,
     keys: Mapping[str, str],
     pairs: Iterable[tuple[str, str]],
@@ -72,8 +75,8 @@ def write_index(
     write_record(folder / IMAGES, index)
 
 
-def load_matches(folder: Path) -> MatchGraph:
-    """Images, key points and verified pairs that `match_images` left in a folder.
+def load_matches(folder: str | PathLike[str] | RemotePath) -> MatchGraph:
+    """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
     Every pair has a geometry: look at its status.
 
@@ -84,7 +87,7 @@ def load_matches(folder: Path) -> MatchGraph:
     ValueError
         If a file is damaged.
     """
-    return _load(Path(folder), None)
+    return _load(path_of(folder), None)
 
 
 def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
@@ -108,16 +111,17 @@ def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
 def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
     """What `load_matches` gives, and the RGB of the key points of each image by its name."""
     colors: Colors = {}
-    return _load(Path(folder), colors), colors
+    return _load(path_of(folder), colors), colors
 
 
-def _load(folder: Path, colors: Colors | None) -> MatchGraph:
+def _load(folder: AnyPath, colors: Colors | None) -> MatchGraph:
     """Graph of a folder; its colours are added to those given."""
     if not (folder / IMAGES).is_file():
         raise FileNotFoundError(
             f"{folder} holds no complete result of epi360 match; run it with this --output first"
         )
-    cameras = load_cameras(folder / CAMERAS)
+    with as_file(folder / CAMERAS) as file:
+        cameras = load_cameras(file)
     try:
         index = json.loads((folder / IMAGES).read_bytes())
         keys = {image["name"]: image["key"] for image in index["images"]}
@@ -144,7 +148,7 @@ def _load(folder: Path, colors: Colors | None) -> MatchGraph:
 
 
 def _places(
-    folder: Path, store: StoredPairs, needed: Set[Keys], level: Level | None
+    folder: AnyPath, store: StoredPairs, needed: Set[Keys], level: Level | None
 ) -> dict[Keys, tuple[int, int]]:
     """Parts and rows of the pairs, which the store keeps; each file is read once."""
     later: dict[Keys, tuple[tuple[int, int], Verdict]] = {}
@@ -162,7 +166,7 @@ def _places(
 
 
 def _rows(
-    folder: Path, store: StoredPairs, needed: Set[Keys], sub_folder: str
+    folder: AnyPath, store: StoredPairs, needed: Set[Keys], sub_folder: str
 ) -> Iterator[tuple[Keys, tuple[int, int], Arrays]]:
     """Needed pairs of a sub-folder: keys, number of the part with row, arrays of the part."""
     for arrays in part_arrays(folder, sub_folder):
@@ -176,7 +180,7 @@ def _rows(
 _AGAIN = "run epi360 match with this --output again, it redoes what is missing"
 
 
-def _arrays_of(folder: Path, name: str, key: str) -> Arrays:
+def _arrays_of(folder: AnyPath, name: str, key: str) -> Arrays:
     arrays = read_arrays(inside(folder / FEATURES, f"{key}.npz"))
     if arrays is None:
         raise ValueError(f"the key points of {name} are missing or damaged; {_AGAIN}")

@@ -19,10 +19,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,6 +32,8 @@ from epi360.jobs.frame_source import FRAMES_RECORD
 from epi360.poses import Pose
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.made_from import fingerprint, first_difference, read_record, write_record
+from epi360.runs.remote_path import AnyPath
+from epi360.runs.storage import remove_folder
 from epi360.runs.whole_files import write_file
 
 FORMAT = 2
@@ -80,7 +80,7 @@ class VerifiedPair:
     inlier_mask: NDArray[np.bool_]
 
 
-def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> None:
+def open_output(folder: AnyPath, options: Mapping[str, Any], *, restart: bool) -> None:
     """Make the output folder, or check that its pairs were made with these options.
 
     With ``restart``, pairs that were made with others are thrown away instead of refusing them.
@@ -91,7 +91,7 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
         (folder / IMAGES).unlink(missing_ok=True)
         for pairs in (folder / PAIRS, *folder.glob(f"{LEVEL_PAIRS}*")):
             if pairs.is_dir():
-                shutil.rmtree(pairs)
+                remove_folder(str(pairs))
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
@@ -101,11 +101,11 @@ def open_output(folder: Path, options: Mapping[str, Any], *, restart: bool) -> N
         (folder / part).mkdir(exist_ok=True)
 
 
-def _is_no_result(path: Path) -> bool:
+def _is_no_result(path: AnyPath) -> bool:
     return path.name.startswith(".") or (path / FRAMES_RECORD).is_file()
 
 
-def _marker(folder: Path) -> dict[str, Any] | None:
+def _marker(folder: AnyPath) -> dict[str, Any] | None:
     """Content of the marker, None where there is nothing but hidden files and a video's frames."""
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"output must be a folder, {folder} is a file")
@@ -122,7 +122,7 @@ def _marker(folder: Path) -> dict[str, Any] | None:
     return found
 
 
-def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+def _check_same(folder: AnyPath, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     flat = [{**record, **record["options"]} for record in (found, wanted)]
     del flat[1]["options"]
     different = first_difference(*flat)
@@ -134,8 +134,8 @@ def _check_same(folder: Path, found: Mapping[str, Any], wanted: Mapping[str, Any
         )
 
 
-def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) -> None:
-    """Keep finished pairs, at least one, in a file of their own in this sub-folder."""
+def write_part(folder: AnyPath, pairs: Sequence[VerifiedPair], store: str = PAIRS) -> str:
+    """Keep finished pairs, at least one, in a file of this sub-folder, whose name is returned."""
     verdicts = [pair.verdict for pair in pairs]
     matches = np.concatenate([pair.matches for pair in pairs])
     arrays = {
@@ -150,31 +150,48 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) 
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
     }
     content = npz_bytes(arrays)
+    name = f"part-{fingerprint(content)}.npz"
     (folder / store).mkdir(exist_ok=True)
-    write_file(folder / store / f"part-{fingerprint(content)}.npz", content)
+    write_file(folder / store / name, content)
+    return name
 
 
-def read_parts(folder: Path, store: str = PAIRS) -> Iterable[VerifiedPair]:
+def read_parts(folder: AnyPath, store: str = PAIRS) -> Iterable[VerifiedPair]:
     """Pairs that are finished, in no order; one may come twice, the same each time.
 
     A damaged part counts as not done.
     """
-    for part in pairs_by_part(folder, store):
-        yield from part
-
-
-def pairs_by_part(folder: Path, store: str = PAIRS) -> Iterable[list[VerifiedPair]]:
-    """Finished pairs as `read_parts` gives them, those of one part together."""
     for arrays in part_arrays(folder, store):
-        yield [pair_of_part(arrays, row) for row in range(len(arrays["keys"]))]
+        yield from _pairs_of(arrays)
 
 
-def part_arrays(folder: Path, store: str = PAIRS) -> Iterator[Arrays]:
+def read_part(folder: AnyPath, name: str, store: str = PAIRS) -> list[VerifiedPair]:
+    """Pairs of the part of this name; none where it is damaged."""
+    arrays = read_arrays(folder / store / name)
+    return [] if arrays is None else _pairs_of(arrays)
+
+
+def keys_by_part(folder: AnyPath, store: str = PAIRS) -> Iterator[tuple[str, list[Keys]]]:
+    """Name of each whole part, and the keys of its pairs."""
+    for name, arrays in _named_parts(folder, store):
+        yield name, [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
+
+
+def part_arrays(folder: AnyPath, store: str = PAIRS) -> Iterator[Arrays]:
     """Arrays of each whole part, see `write_part`; `pair_of_part` makes its pairs of them."""
-    for path in sorted((folder / store).glob("part-*.npz")):
-        arrays = read_arrays(path)
+    for _, arrays in _named_parts(folder, store):
+        yield arrays
+
+
+def _named_parts(folder: AnyPath, store: str) -> Iterator[tuple[str, Arrays]]:
+    for name in sorted(path.name for path in (folder / store).glob("part-*.npz")):
+        arrays = read_arrays(folder / store / name)
         if arrays is not None:
-            yield arrays
+            yield name, arrays
+
+
+def _pairs_of(arrays: Arrays) -> list[VerifiedPair]:
+    return [pair_of_part(arrays, row) for row in range(len(arrays["keys"]))]
 
 
 def _numbers(verdict: Verdict) -> list[float]:

@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
+from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.graph_check import check_graph, closing
 from epi360.jobs.image_set import ImageSet
 from epi360.jobs.level_folder import Level, find_level
+from epi360.jobs.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_result import load_matches, write_index
 from epi360.jobs.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
@@ -28,10 +33,13 @@ from epi360.jobs.pair_selection import (
     select_pairs,
     ways_of,
 )
+from epi360.jobs.pair_work import MatchInputs, PairWork
 from epi360.jobs.place_check import PLACE_CONFIRMED, PlaceVerdict
 from epi360.jobs.place_job import check_places
+from epi360.jobs.threads import num_cores
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
+from epi360.runs.remote_path import AnyPath, RemotePath, path_of
 
 __all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_images"]
 
@@ -97,7 +105,7 @@ class PairVerdict(Verdict):
 class MatchRun:
     """What a run of `match_images` found."""
 
-    folder: Path  # what `load_matches` takes
+    folder: AnyPath  # what `load_matches` takes
     how: str  # how the pairs were chosen, in words
     images: tuple[str, ...]  # names of all images
     verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
@@ -110,19 +118,22 @@ class MatchRun:
 
 def match_images(
     images: ImageSet,
-    output: Path,
+    output: str | PathLike[str] | RemotePath,
     options: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     *,
     first_pairs: Sequence[Pair] = (),
     restart: bool = False,
     progress: Progress = no_progress,
+    engine: Engine = "local",
+    address: str | None = None,
 ) -> MatchRun:
     """Verified poses of pairs of images; what an earlier run has finished is used.
 
-    ``output`` keeps key points and pairs. With ``restart``, pairs in it that were made with other
-    options are thrown away instead of refusing them; features that still fit are kept.
-    ``progress`` is told of the stages "images", "features", "retrieval", "pairs", in a level folder
-    "level pairs", and "places" where accepted pairs of panoramas have surroundings to look at.
+    ``output``, a folder or a URL that fsspec understands, keeps key points and pairs. With
+    ``restart``, pairs in it that were made with other options are thrown away instead of refusing
+    them; features that still fit are kept. ``progress`` is told of the stages "images", "features",
+    "retrieval", "pairs", in a level folder "level pairs", and "places" where accepted pairs of
+    panoramas have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
@@ -135,6 +146,11 @@ def match_images(
     costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
     `judge_places`, and the pairs are held against each other, see `check_graph`.
 
+    The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
+    default one that is started on this machine). There, each image and each part of the pairs is a
+    task, which writes its file into the output. Both write the same bytes, on any number of
+    threads, and one goes on with what the other has left.
+
     Raises
     ------
     ValueError
@@ -144,7 +160,15 @@ def match_images(
     OSError
         If the output cannot be written.
     """
-    job = _open_job(images, Path(output), options, restart, progress)
+    check_engine(engine)
+    work = _open_work(images, path_of(output), options, restart)
+    with open_engine(work, engine, address) as opened:
+        return _match(images, MatchJob(work, opened, progress), options, first_pairs)
+
+
+def _match(
+    images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
+) -> MatchRun:
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = _verified(few, job) if few else ({}, 0)
@@ -153,7 +177,7 @@ def match_images(
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few
     else:
-        more = more_pairs(images, job, options.positions, options.radius, progress)
+        more = more_pairs(images, job, options.positions, options.radius, job.progress)
         how, pairs = select_pairs(
             images.images, options.pairs, options.overlap, options.neighbors, more
         )
@@ -183,7 +207,9 @@ def match_images(
     )
 
 
-def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> ExtractionOptions:
+def open_match_output(
+    output: AnyPath, options: MatchOptions, *, restart: bool
+) -> ExtractionOptions:
     """Open the output folder of `match_images`, or refuse it; how key points are found for it."""
     extraction = ExtractionOptions(
         options.max_width, options.max_features, float(options.mask_nadir_deg)
@@ -193,22 +219,38 @@ def open_match_output(output: Path, options: MatchOptions, *, restart: bool) -> 
     return extraction
 
 
-def _open_job(
-    images: ImageSet, output: Path, options: MatchOptions, restart: bool, progress: Progress
-) -> MatchJob:
-    """Open the output folder, or refuse it, and return the job that works in it."""
+def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart: bool) -> PairWork:
+    """Open the output folder, or refuse it, and return the work that is done in it."""
     extraction = open_match_output(output, options, restart=restart)
-    digests = FileDigests(output / DIGESTS)
-    cache = FeatureCache(output / FEATURES, extraction, digests)
-    return MatchJob(
-        images,
-        output,
-        cache,
+    inputs = MatchInputs(
+        images=dict(enumerate(images.images)),
+        cameras=dict(enumerate(images.cameras[image.camera] for image in images.images)),
+        keys={},
+        output=output,
+        cache=FeatureCache(output / FEATURES, extraction, FileDigests(output / DIGESTS)),
         seed=options.seed,
-        num_threads=options.num_threads,
-        progress=progress,
         upright_deg=options.upright_deg,
     )
+    return PairWork(inputs, options.num_threads or num_cores())
+
+
+@contextmanager
+def open_engine(work: PairWork, engine: Engine, address: str | None) -> Iterator[MatchEngine]:
+    """Engine of this name; a Ray session is closed at the end, see `ray_session`."""
+    if engine == "local":
+        yield LocalEngine(work)
+        return
+    from epi360.jobs.match_on_ray import RayEngine
+    from epi360.jobs.ray_tasks import import_ray, ray_session
+
+    ray = import_ray("matching on Ray")
+    with ExitStack() as sessions:
+
+        def connect() -> Any:
+            sessions.enter_context(ray_session(ray, address))
+            return ray
+
+        yield RayEngine(work, connect)
 
 
 def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:

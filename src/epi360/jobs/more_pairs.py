@@ -34,7 +34,7 @@ def more_pairs(
             len(images.images),
             count,
             without=known,
-            num_threads=job.num_threads,
+            num_threads=job.work.num_threads,
             progress=progress,
         )
         return f"retrieval, {count} that look alike", pairs

@@ -9,12 +9,13 @@ from functools import lru_cache, partial
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.level_folder import Level
-from epi360.jobs.match_job import MatchJob, on_threads
+from epi360.jobs.match_job import MatchJob
 from epi360.jobs.match_store import PAIRS, Keys, Verdict, VerifiedPair, read_parts
 from epi360.jobs.pair_selection import Pair
 from epi360.jobs.place_check import PlaceVerdict, judge_places
 from epi360.jobs.place_evidence import Evidence, Surroundings
 from epi360.jobs.shared_points import PosedPair
+from epi360.jobs.threads import on_threads
 
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
 _FEWEST_PAIRS, _MOST_PAIRS = 3, 10_000
@@ -63,7 +64,7 @@ def _gathered(job: MatchJob, known: Surroundings) -> dict[int, Evidence]:
         except (OSError, ValueError):  # a picture is gone
             return None
 
-    for count, (row, each) in enumerate(on_threads(look, rows, job.num_threads), start=1):
+    for count, (row, each) in enumerate(on_threads(look, rows, job.work.num_threads), start=1):
         job.progress("places", count, len(rows))
         if each is not None:
             found[row] = each

@@ -21,7 +21,7 @@ from epi360.features.visual_words import (
     rarity,
     signature,
 )
-from epi360.jobs.match_job import on_threads
+from epi360.jobs.threads import on_threads
 from epi360.progress import Progress, no_progress
 
 Pair = tuple[int, int]
@@ -60,7 +60,7 @@ def alike_pairs(
         return [found[index] for index in range(num_images)]
 
     progress("retrieval", 0, 2 * num_images)
-    # Each of our threads multiplies descriptors, as those of `MatchJob` do.
+    # Each of our threads multiplies descriptors, as those of `PairWork` do.
     with threadpool_limits(1, user_api="blas"):
         words = learn_words(np.concatenate(for_each(sampled, 0)))
         looks = _Looks(for_each(lambda k: signature(descriptors_of(k), words), num_images))

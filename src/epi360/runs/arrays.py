@@ -2,11 +2,12 @@
 """Arrays in npz files that are whole or count as missing."""
 
 import io
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from epi360.runs.remote_path import AnyPath
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -18,7 +19,7 @@ def npz_bytes(arrays: Arrays) -> bytes:
     return file.getvalue()
 
 
-def read_arrays(path: Path) -> Arrays | None:
+def read_arrays(path: AnyPath) -> Arrays | None:
     """All arrays of an npz file; None if it is missing or its checksums show damage."""
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:

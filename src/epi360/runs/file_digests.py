@@ -9,6 +9,7 @@ from pathlib import Path
 
 from epi360.runs.input_files import read_file
 from epi360.runs.made_from import read_record
+from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 # A file that changed so shortly before it was read may change again within the same tick of its
@@ -24,7 +25,7 @@ class FileDigests:
     which nobody can set, are the same.
     """
 
-    def __init__(self, memory: Path | None = None) -> None:
+    def __init__(self, memory: AnyPath | None = None) -> None:
         self._memory = memory
         self._known: dict[str, Entry] = {}
         self._read: dict[str, Entry] = {}
@@ -50,4 +51,4 @@ class FileDigests:
     def save(self) -> None:
         """Keep what this run has read."""
         if self._memory is not None and self._read != self._known:
-            write_file(self._memory, json.dumps(self._read).encode())
+            write_file(self._memory, json.dumps(self._read, sort_keys=True).encode())

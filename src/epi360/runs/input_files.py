@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
+from epi360.runs.remote_path import AnyPath, RemotePath
 from epi360.runs.whole_files import PathLike
 
 LARGEST_INPUT = 2**34  # bytes, 16 GB: more than any memory that is asked to hold a text
@@ -68,24 +69,31 @@ def is_pipe(file: IO[bytes]) -> bool:
 
 
 @contextmanager
-def as_file(path: Path) -> Iterator[Path]:
-    """Path of a file or folder; a pipe is copied to a temporary file for the time of the block."""
+def as_file(path: AnyPath) -> Iterator[Path]:
+    """Path of a file or folder; for the block, a pipe or a file behind a URL is copied."""
     try:
-        piped = stat.S_ISFIFO(path.stat().st_mode)
+        piped = isinstance(path, Path) and stat.S_ISFIFO(path.stat().st_mode)
     except OSError:
         piped = False  # whoever reads it says why
-    if not piped:
+    if isinstance(path, Path) and not piped:
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="epi360-") as folder:
         copy = Path(folder) / "input"
-        with open_input(path) as pipe, copy.open("wb") as file:
-            for block in _blocks(path, pipe, LARGEST_INPUT):
-                file.write(block)
+        _copy(path, copy)
         try:
             yield copy
         except ValueError as error:
             raise ValueError(str(error).replace(str(copy), str(path))) from error
+
+
+def _copy(path: AnyPath, copy: Path) -> None:
+    if isinstance(path, RemotePath):
+        copy.write_bytes(path.read_bytes())
+        return
+    with open_input(path) as pipe, copy.open("wb") as file:
+        for block in _blocks(path, pipe, LARGEST_INPUT):
+            file.write(block)
 
 
 def _opener(path: str, flags: int) -> int:

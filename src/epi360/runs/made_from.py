@@ -4,11 +4,11 @@
 import json
 from collections.abc import Mapping
 from hashlib import blake2b
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 
@@ -51,12 +51,12 @@ def json_bytes(record: Mapping[str, Any]) -> bytes:
     return (json.dumps(record, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def write_record(path: Path, record: Mapping[str, Any]) -> None:
+def write_record(path: AnyPath, record: Mapping[str, Any]) -> None:
     """Write a record as a JSON file."""
     write_file(path, json_bytes(record))
 
 
-def read_record(path: Path, *, remedy: str) -> dict[str, Any] | None:
+def read_record(path: AnyPath, *, remedy: str) -> dict[str, Any] | None:
     """Record of a JSON file, None where there is none; ValueError with the remedy if damaged."""
     try:
         record = json.loads(path.read_bytes())

@@ -10,19 +10,15 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, cast
 
-from epi360.extras import extra_library
 from epi360.runs.input_files import check_is_file
 from epi360.runs.made_from import fingerprint
+from epi360.runs.remote_path import filesystem_of
+from epi360.runs.remote_path import is_remote as is_remote
 from epi360.runs.whole_files import whole_file
 
 _NUM_SAMPLES, _SAMPLE_BYTES = 16, 4096
-
-
-def is_remote(path: str) -> bool:
-    """Whether a path is a URL; ``file://`` is a file of this machine."""
-    return "://" in path and not path.startswith("file://")
 
 
 def local_path(path: str) -> Path:
@@ -33,7 +29,7 @@ def local_path(path: str) -> Path:
 def exists(path: str) -> bool:
     """Whether there is such a file or folder."""
     if is_remote(path):
-        files, name = _filesystem(path)
+        files, name = filesystem_of(path)
         return bool(files.exists(name))
     return local_path(path).exists()
 
@@ -42,7 +38,7 @@ def exists(path: str) -> bool:
 def open_read(path: str) -> Iterator[IO[bytes]]:
     """Open a file for reading."""
     if is_remote(path):
-        files, name = _filesystem(path)
+        files, name = filesystem_of(path)
         # The reader asks for large pieces of several places in turn: reading ahead would fetch
         # most of the file several times.
         with files.open(name, "rb", cache_type="none") as file:
@@ -64,7 +60,7 @@ def write_whole(path: str) -> Iterator[IO[bytes]]:
         temporary = Path(folder) / "file"
         with temporary.open("wb") as file:
             yield file
-        files, name = _filesystem(path)
+        files, name = filesystem_of(path)
         files.makedirs(name.rpartition("/")[0], exist_ok=True)
         files.put_file(str(temporary), name)
 
@@ -72,7 +68,7 @@ def write_whole(path: str) -> Iterator[IO[bytes]]:
 def read_ranges(path: str, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
     """Bytes of some places of a file, each from the first to before the last."""
     if is_remote(path):
-        files, name = _filesystem(path)
+        files, name = filesystem_of(path)
         starts, ends = [start for start, _ in ranges], [end for _, end in ranges]
         return cast("list[bytes]", files.cat_ranges([name] * len(ranges), starts, ends))
     pieces = []
@@ -86,7 +82,7 @@ def read_ranges(path: str, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
 def file_size(path: str) -> int:
     """Bytes of a file."""
     if is_remote(path):
-        files, name = _filesystem(path)
+        files, name = filesystem_of(path)
         return int(files.size(name))
     return local_path(path).stat().st_size
 
@@ -103,7 +99,7 @@ def fingerprint_of_file(path: str, extra: Iterable[object] = ()) -> str:
 def names_in(folder: str) -> list[str]:
     """Names of the files in a folder, sorted; none where there is no such folder."""
     if is_remote(folder):
-        files, name = _filesystem(folder)
+        files, name = filesystem_of(folder)
         if not files.exists(name):
             return []
         return sorted(str(entry).rpartition("/")[2] for entry in files.ls(name, detail=False))
@@ -116,15 +112,7 @@ def remove_folder(folder: str) -> None:
     if not exists(folder):
         return
     if is_remote(folder):
-        files, name = _filesystem(folder)
+        files, name = filesystem_of(folder)
         files.rm(name, recursive=True)
         return
     shutil.rmtree(local_path(folder))
-
-
-def _filesystem(url: str) -> tuple[Any, str]:
-    core = extra_library("fsspec.core", extra="batch", purpose="paths with ://")
-    files, name = core.url_to_fs(url)
-    # Another machine may have written since this process last listed the folder.
-    files.invalidate_cache()
-    return files, name

@@ -18,6 +18,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import IO
 
+from epi360.runs.remote_path import RemotePath
+
 PathLike = str | os.PathLike[str]
 
 # Two machines may write into one folder, and each has processes of its own. What SQLite puts beside
@@ -26,8 +28,11 @@ _TEMPORARY = re.compile(r"\.epi360-([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.tmp(-\w+)?")
 _ENDS = ("", "-journal", "-wal", "-shm")
 
 
-def write_file(path: PathLike, data: bytes) -> None:
+def write_file(path: PathLike | RemotePath, data: bytes) -> None:
     """Write a file whole or not at all; a device or pipe is written to, missing folders stay so."""
+    if isinstance(path, RemotePath):
+        path.write_bytes(data)
+        return
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():  # renaming would replace /dev/null
         target.write_bytes(data)

@@ -8,17 +8,15 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, get_args
 
 from epi360.jobs.batch.inputs import check_names, open_matches
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
 from epi360.jobs.batch.local_engine import estimate_parts_locally
 from epi360.jobs.batch.parts import count_statuses, output_is_there
+from epi360.jobs.engines import Engine, check_engine
 from epi360.progress import Progress, no_progress
 from epi360.runs import storage
 from epi360.runs.lock import only_run
-
-Engine = Literal["local", "ray"]
 
 
 @dataclass(frozen=True)
@@ -57,8 +55,7 @@ def run_batch(
     OSError
         If a file cannot be written. Finished parts stay.
     """
-    if engine not in get_args(Engine):
-        raise ValueError(f"engine must be one of {', '.join(get_args(Engine))}, got {engine!r}")
+    check_engine(engine)
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
     # Nobody can lock a URL. Files appear whole there too: two runs at once cannot mix poses.
