@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 from _data import Matches, load_set, read_poses
 from _methods import Pycolmap
-from _trust_records import LISTED, Judged, errors_of, sigmas_of
+from _trust_records import LISTED, Judged, errors_of, found_pose, sigmas_of
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
 from epi360.jobs.image_set import find_images
+from epi360.jobs.match_store import Verdict
 from epi360.jobs.matching import MatchOptions, load_matches, match_images
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
@@ -121,12 +122,17 @@ def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> 
             verdict.accepted,
             float(getattr(verdict, "probability", math.nan)),
             verdict.num_inliers,
-            *errors_of(verdict.cam2_from_cam1, truth),
+            *errors_of(_found_pose(verdict), truth),
             verdict.rotation_sigma_deg,
             verdict.translation_sigma_deg,
         )
     if plan.with_peer:
         yield from _peer_verdicts(plan, _peer_tasks(name, output, truth_of))
+
+
+def _found_pose(verdict: Verdict) -> Pose:
+    """The pose, or the one that was refused though it is more probable than not."""
+    return verdict.cam2_from_cam1 if verdict.status != "too_few_inliers" else verdict.doubted
 
 
 def _peer_tasks(name: str, output: Path, truth_of: TruthOf) -> Iterator[_PeerTask]:
@@ -193,7 +199,7 @@ def _judge_learned(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
         result.success,
         float(getattr(result, "probability", math.nan)),
         result.num_inliers,
-        *errors_of(result.cam2_from_cam1, task.truth),
+        *errors_of(found_pose(result), task.truth),
         *sigmas_of(result.covariance),
     )
 

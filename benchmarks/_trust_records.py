@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation import RelativePoseResult
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 RIGHT_DEG, WRONG_DEG = 5.0, 10.0
@@ -18,7 +19,6 @@ RIGHT_DEG, WRONG_DEG = 5.0, 10.0
 FINDABLE_OVERLAP = 0.3
 LISTED = "listed"
 PRECISIONS = (1.0, 0.995, 0.99, 0.95, 0.9)
-PROBABILITY_EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0)
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,13 @@ def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:
     return rotation_error_deg(pose, truth), translation_error_deg(pose, truth)
 
 
+def found_pose(result: RelativePoseResult) -> Pose:
+    """The pose, or the one that was refused though it is more probable than not."""
+    if result.status == "too_few_inliers" and result.alternatives:
+        return result.alternatives[0]
+    return result.cam2_from_cam1
+
+
 def sigmas_of(covariance: NDArray[np.float64]) -> tuple[float, float]:
     """One sigma in degrees of rotation and direction, over all axes."""
     variances = np.diag(covariance)
@@ -159,27 +166,6 @@ def right_at(ranked: Sequence[Judged], level: float) -> int:
     precision = 1.0 - wrong / np.arange(1, len(ranked) + 1)
     good = np.flatnonzero(last_of_score & (precision >= level))
     return int(right[good[-1]]) if len(good) else 0
-
-
-def reliability_rows(judged: Sequence[Judged]) -> list[list[str]]:
-    """Table of stated probabilities against the shares that are right and not wrong."""
-    rows = [["set", "method", "stated", "poses", "mean stated", "right", "not wrong"]]
-    for name, method, runs in _groups(judged):
-        stated = [run for run in runs if run.has_pose and not math.isnan(run.probability)]
-        for low, high in zip(PROBABILITY_EDGES[:-1], PROBABILITY_EDGES[1:], strict=True):
-            top = high == PROBABILITY_EDGES[-1]
-            held = [
-                r for r in stated if low <= r.probability < high or (top and r.probability == 1)
-            ]
-            if held:
-                mean = np.mean([run.probability for run in held])
-                shares = [
-                    np.mean([_right(r) for r in held]),
-                    np.mean([not _wrong(r) for r in held]),
-                ]
-                cells = [f"{low:g} to {high:g}", str(len(held)), f"{mean:.4f}"]
-                rows.append([name, method, *cells, *(f"{share:.1%}" for share in shares)])
-    return rows
 
 
 def wrong_lines(judged: Sequence[Judged], method: str) -> list[str]:

@@ -28,9 +28,9 @@ from _trust_records import (
     count_rows,
     precision_rows,
     relation_rows,
-    reliability_rows,
     wrong_lines,
 )
+from _trust_reliability import draw_reliability, held, held_rows, stated_probabilities
 from _trust_synthetic import Trial, cell_trials, degenerate_trials, trial_rows
 
 from epi360.report.files import check_writable
@@ -51,7 +51,11 @@ def main() -> int:
     """Run the benchmark as the command line says; exit code 2 for wrong use."""
     options = _parse_options()
     try:
-        for path, name in ((options.json, "--json"), (options.markdown, "--markdown")):
+        for path, name in (
+            (options.json, "--json"),
+            (options.markdown, "--markdown"),
+            (options.reliability, "--reliability"),
+        ):
             if path is not None:
                 check_writable(path, name=name)
         check_picture(options.picture)
@@ -82,6 +86,7 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of homes, problems and sampling (0)")
     parser.add_argument("--jobs", type=_positive, default=2, help="processes or threads (2)")
     parser.add_argument("--list-wrong", action="store_true", help="print each wrong pose of ours")
+    parser.add_argument("--reliability", type=Path, help="PNG file for the reliability diagram")
     parser.add_argument("--json", type=Path, help="file for every verdict")
     parser.add_argument("--markdown", type=Path, help="file for the tables")
     add_picture_option(parser)
@@ -138,7 +143,8 @@ def _run(
         else:
             done = list(_trials(name, plan, options))
             trials += done
-            print(f"\n{text_table(trial_rows(done))}", flush=True)
+            for table in _tables([], done):
+                print(f"\n{text_table(table)}", flush=True)
     return judged, trials
 
 
@@ -149,10 +155,9 @@ def _trials(name: str, plan: Plan, options: argparse.Namespace) -> Iterator[Tria
 
 
 def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:
-    tables = [
-        make(judged) for make in (count_rows, relation_rows, precision_rows, reliability_rows)
-    ]
-    return [table for table in [*tables, trial_rows(trials)] if len(table) > 1]
+    tables = [make(judged) for make in (count_rows, relation_rows, precision_rows)]
+    tables += [trial_rows(trials), held_rows(held(stated_probabilities(judged, trials)))]
+    return [table for table in tables if len(table) > 1]
 
 
 def _print_judged(judged: list[Judged], *, list_wrong: bool) -> None:
@@ -171,6 +176,8 @@ def _write(
     if options.json is not None:
         document = {**facts, "verdicts": [run.record() for run in judged]}
         write_file(options.json, json.dumps(document, indent=1, allow_nan=False).encode())
+    if options.reliability is not None:
+        draw_reliability(held(stated_probabilities(judged, trials)), options.reliability)
     if options.markdown is not None:
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
         blocks = [lines, *(markdown_table(table) for table in _tables(judged, trials))]

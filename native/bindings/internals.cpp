@@ -36,6 +36,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("rotation_support", &Evidence::rotation_support)
       .def_rw("rotation_log10_false_alarms", &Evidence::rotation_log10_false_alarms)
       .def_rw("rotation_rejection", &Evidence::rotation_rejection)
+      .def_rw("rotation_log_ratio", &Evidence::rotation_log_ratio)
       .def_rw("turn_sigma", &Evidence::turn_sigma)
       .def_rw("rotation_sigma", &Evidence::rotation_sigma)
       .def_rw("direction_sigma", &Evidence::direction_sigma)
@@ -46,6 +47,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("log_prior", &Evidence::log_prior)
       .def_rw("rival_probability", &Evidence::rival_probability)
       .def_rw("rival_evidence", &Evidence::rival_evidence)
+      .def_rw("plane_share", &Evidence::plane_share)
       .def_rw("has_twin", &Evidence::has_twin)
       .def_rw("num_distinct", &Evidence::num_distinct)
       .def_rw("min_num_inliers", &Evidence::min_num_inliers)
@@ -55,6 +57,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("match_coverage", &Evidence::match_coverage)
       .def_rw("noise", &Evidence::noise)
       .def_rw("max_noise", &Evidence::max_noise);
+  m.def("explain", [](const Evidence& evidence) { return explain(evidence); }, "evidence"_a);
   m.def(
       "judge",
       [](const Evidence& evidence) {

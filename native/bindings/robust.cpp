@@ -90,6 +90,7 @@ void bind_result(nb::module_& m) {
       .def_prop_ro("noise", [](const PairResult& r) { return r.robust.evidence.noise; })
       .def_prop_ro("threshold", [](const PairResult& r) { return r.robust.threshold; })
       .def_prop_ro("probability", [](const PairResult& r) { return r.robust.probability; })
+      .def_prop_ro("explanations", [](const PairResult& r) { return explain(r.robust.evidence); })
       .def_prop_ro("log_ratio", [](const PairResult& r) { return r.robust.evidence.log_ratio; })
       .def_prop_ro("regional_sigma",
                    [](const PairResult& r) { return r.robust.evidence.regional_sigma; })
@@ -140,6 +141,12 @@ void bind_robust(nb::module_& m) {
       .def_prop_ro("code", [](const Warning& w) { return name_of(w.code); })
       .def_ro("value", &Warning::value)
       .def_ro("reference", &Warning::reference);
+  nb::class_<Explanations>(m, "Explanations")
+      .def_ro("nothing", &Explanations::nothing)
+      .def_ro("rotation", &Explanations::rotation)
+      .def_ro("surface", &Explanations::surface)
+      .def_ro("motion", &Explanations::motion)
+      .def_ro("rival", &Explanations::rival);
   bind_result(m);
   nb::class_<Pair>(m, "Pair").def(
       "__init__",

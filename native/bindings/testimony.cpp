@@ -18,11 +18,19 @@ void bind_testimony(nb::module_& m) {
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double gate, double density,
          const std::string& residual, std::uint64_t seed) {
         const Testimony found = testimony(to_matches(b1, b2), residual_named(residual),
-                                          to_pose(R, t), scale, gate, density, seed);
+                                          to_pose(R, t), scale, gate, density, PosePrior{}, seed);
         return nb::make_tuple(found.log_ratio, found.direction_sigma);
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, nb::kw_only(), "scale"_a,
       "gate"_a, "density"_a, "residual"_a = "sampson", "seed"_a = 0);
+  m.def(
+      "rotation_log_ratio",
+      [](Bearings b1, Bearings b2, Matrix3 R, double scale, double gate, double share,
+         std::uint64_t seed) {
+        return rotation_log_ratio(to_matches(b1, b2), to_matrix(R), scale, gate, share, seed);
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, nb::kw_only(), "scale"_a, "gate"_a, "share"_a,
+      "seed"_a = 0);
   m.def(
       "shared_error_covariance",
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double least) {
@@ -47,9 +55,12 @@ void bind_testimony(nb::module_& m) {
       "upright_poses",
       [](Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gravity2, int most) {
         const auto direction = [](const Vector3& g) { return Eigen::Vector3d(g(0), g(1), g(2)); };
+        PosePrior prior;
+        prior.has_gravity = true;
+        prior.gravity1 = direction(gravity1);
+        prior.gravity2 = direction(gravity2);
         nb::list poses;
-        for (const RelativePose& pose :
-             upright_poses(to_matches(b1, b2), direction(gravity1), direction(gravity2), most)) {
+        for (const RelativePose& pose : upright_poses(to_matches(b1, b2), prior, most)) {
           poses.append(pose_tuple(pose));
         }
         return poses;

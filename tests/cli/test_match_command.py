@@ -72,6 +72,8 @@ def test_upright_panoramas_are_said_to_be_in_the_table(here):
         (row,) = csv.DictReader(file)
     assert row["prior"] == "upright"
     assert float(row["probability"]) > 0.85
+    explanations = [float(row[name]) for name in COLUMNS if name.startswith("probability_")]
+    assert len(explanations) == 5 and sum(explanations) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_no_pose_at_all_is_an_honest_failure(here, capsys):

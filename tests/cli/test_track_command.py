@@ -180,19 +180,42 @@ def _full_after_three(table, row):
         table.error = f"{table.path}: {os.strerror(errno.ENOSPC)}"
 
 
-def test_interrupted_run_writes_what_it_has(tmp_path, monkeypatch):
-    write_frames(tmp_path / "frames", 10)
+@pytest.fixture
+def interrupt_at(monkeypatch):
+    """Call it with the name of a frame: there somebody presses Ctrl-C."""
     add = track_job._Run._add
 
-    def interrupted(run, frame):
-        if frame.name == "007.png":
-            raise KeyboardInterrupt
-        return add(run, frame)
+    def interrupt(name):
+        def interrupted(run, frame):
+            if frame.name == name:
+                raise KeyboardInterrupt
+            return add(run, frame)
 
-    monkeypatch.setattr(track_job._Run, "_add", interrupted)
+        monkeypatch.setattr(track_job._Run, "_add", interrupted)
+
+    return interrupt
+
+
+def test_interrupted_run_writes_what_it_has(tmp_path, interrupt_at):
+    write_frames(tmp_path / "frames", 10)
+    interrupt_at("007.png")
     assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 130
     assert len(stamps_of(tmp_path / "out")) == 7
     assert len(rows_of(tmp_path / "out")) == 7
+    assert log_of(tmp_path / "out")["track"] == "interrupted"
+
+
+@pytest.mark.parametrize("count", [0, 7])
+def test_interrupted_run_writes_its_report(tmp_path, interrupt_at, count):
+    write_frames(tmp_path / "frames", 10)
+    interrupt_at(f"{count:03d}.png")
+    page = tmp_path / "way.html"
+    words = ["--out", str(tmp_path / "out"), "--report", str(page)]
+    assert main(["track", str(tmp_path / "frames"), *words]) == 130
+    text = page.read_text(encoding="utf-8")
+    assert f"The run was interrupted after {count} frames." in text
+    data = json.loads(text.partition('id="data">')[2].partition("</script>")[0])
+    assert len(data["names"]) == count
     assert log_of(tmp_path / "out")["track"] == "interrupted"
 
 

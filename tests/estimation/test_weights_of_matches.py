@@ -85,3 +85,19 @@ def test_one_match_that_outweighs_all_others_proves_nothing():
     weights[0] = 1e5
     result = estimate_relative_pose(scene.bearings1, scene.bearings2, weights=weights)
     assert not result.success
+
+
+@pytest.mark.parametrize("loss", ["squared", "huber", "cauchy", "geman_mcclure", "mixture"])
+@pytest.mark.parametrize("residual", ["sampson", "solarte2021"])
+def test_uneven_weights_widen_the_covariance_as_fewer_matches_do(loss, residual):
+    if residual == "solarte2021" and loss == "mixture":
+        pytest.skip("the mixture is not one of its losses")
+    even, uneven = [], []
+    for seed in range(30):
+        scene = noisy_scene(seed, 0.2, 0.0, num_matches=200)
+        # A tenth of the matches weighs a hundred times as much: about 22 say as much as all.
+        weights = np.where(np.random.default_rng(seed).random(200) < 0.1, 100.0, 1.0)
+        arguments = scene.bearings1, scene.bearings2, scene.cam2_from_cam1, residual, loss
+        even.append(np.trace(refine_pose(*arguments).covariance))
+        uneven.append(np.trace(refine_pose(*arguments, weights=weights).covariance))
+    assert 5.0 < np.median(uneven) / np.median(even) < 16.0

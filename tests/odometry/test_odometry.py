@@ -46,6 +46,33 @@ def test_points_are_seen_where_they_are():
     assert np.median(np.degrees(errors)) < 0.2  # 0.3 pixels
 
 
+def seen_errors_rad(key_frames, positions):
+    """Angle between each bearing of the key frames and the landmark that it shows."""
+    errors = []
+    for each in key_frames:
+        rays = positions(each.ids) @ each.rotation.T + each.translation
+        across = np.linalg.norm(np.cross(each.bearings, rays), axis=1)
+        errors.append(np.arctan2(across, np.einsum("ni,ni->n", each.bearings, rays)))
+    return errors
+
+
+def test_adjusting_the_whole_map_never_raises_its_own_cost():
+    odometry = Odometry(CAMERA)
+    for image in frames():
+        odometry.add_frame(image)
+    segment = odometry._segments[0]
+    scale_rad = 2.0 * segment.noise.sigma_rad  # of Cauchy's loss
+    used = [each.is_used.copy() for each in odometry.key_frames()]
+    before = seen_errors_rad(odometry.key_frames(), segment.map.positions_of)
+    odometry.finish()
+    after = seen_errors_rad(odometry.key_frames(), segment.map.positions_of)
+    costs = np.zeros(2)
+    for rows, *pair in zip(used, before, after, strict=True):
+        known = rows & np.isfinite(pair).all(axis=0)
+        costs += [np.log1p((errors[known] / scale_rad) ** 2).sum() for errors in pair]
+    assert costs[1] < costs[0]
+
+
 def test_frames_that_waited_have_their_poses_afterwards():
     odometry = Odometry(CAMERA)
     first = [odometry.add_frame(image) for image in frames()]
@@ -132,6 +159,20 @@ def test_frozen_picture_is_named_and_has_the_pose_of_the_one_before():
     positions = odometry.trajectory().positions
     assert len(positions) == len(images)
     np.testing.assert_allclose(positions[6:9], positions[[5, 5, 5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("after", [1, 2])
+def test_frozen_picture_at_the_start_is_no_key_frame_and_has_the_pose_of_the_one_before(after):
+    images = list(frames()[:10])
+    images[after:after] = [images[after - 1]] * 4
+    odometry = tracked(images)
+    assert statuses(odometry) == ["tracked"] * len(images)
+    repeats = set(range(after, after + 4))
+    assert not repeats & {each.index for each in odometry.key_frames()}
+    positions = odometry.trajectory().positions
+    np.testing.assert_allclose(positions[after : after + 4], positions[[after - 1] * 4], atol=1e-12)
+    walked = [index for index in range(len(images)) if index not in repeats]
+    assert error_share(positions[walked], range(10)) < SMALL_ERROR
 
 
 @pytest.mark.parametrize("stamp", [0.1, float("nan"), None])
@@ -245,3 +286,22 @@ def test_rotation_between_sees_through_things_that_move():
     rotation, left = rotation_between(bearings, seen)
     np.testing.assert_allclose(rotation, turn, atol=1e-6)
     assert np.median(left) < 1e-6
+
+
+def test_frames_keep_their_distance_in_the_unit_of_their_key_frame():
+    odometry = tracked(frames()[:10])
+    segment = odometry._segments[0]
+    last = len(segment.map.key_frames) - 1
+    index = segment.last_key_frame.index + 1
+    shift = np.array([0.1, 0.2, 0.3])
+
+    def offset():
+        key_pose = segment.last_key_frame.cam_from_world
+        return (segment.pose_of(index) @ key_pose.inverse()).translation
+
+    segment.grow(np.full(last + 1, 2.0))
+    step = Pose(np.eye(3), shift)
+    segment.add_frame(index, step @ segment.last_key_frame.cam_from_world, 50)
+    np.testing.assert_allclose(offset(), shift, atol=1e-12)
+    segment.grow(np.full(last + 1, 3.0))
+    np.testing.assert_allclose(offset(), 3.0 * shift, atol=1e-12)

@@ -3,11 +3,13 @@
 
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
+from epi360.estimation import Explanations
 from epi360.poses import Pose
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.records import pair_record, truth_record, write_json
@@ -43,6 +45,15 @@ def test_what_is_not_determined_is_null(make_result):
         "quaternion_wxyz": [None] * 4,
         "translation": [None] * 3,
     }
+
+
+def test_the_record_names_the_explanations_and_those_unknown_are_null(make_result):
+    known = replace(make_result("ok", CAMERA), explanations=Explanations(0.1, 0.0, 0.2, 0.7, 0.0))
+    assert pair_record(known)["explanations"] == {
+        "nothing": 0.1, "rotation": 0.0, "surface": 0.2, "motion": 0.7, "rival": 0.0,
+    }  # fmt: skip
+    unknown = replace(known, explanations=Explanations())
+    assert set(pair_record(unknown)["explanations"].values()) == {None}
 
 
 def test_the_record_holds_the_numbers_and_the_matches(make_result):

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a person reads about a pair."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from epi360.cameras import Equirectangular
+from epi360.estimation import Explanations
 from epi360.poses import Pose
 from epi360.report.text import (
     describe_direction,
+    describe_explanations,
     describe_pair,
     describe_status,
     pose_sigmas_deg,
@@ -25,6 +29,16 @@ def test_no_status_ever_reads_nan(make_result, any_status, truth):
     assert "nan" not in text.lower()
     assert text.startswith(f"Status        {any_status}: ")
     assert all(len(line) <= 100 for line in text.split("\n\n")[0].splitlines())
+
+
+def test_explanations_are_named_from_the_likeliest_on_where_there_is_doubt(make_result):
+    doubtful = Explanations(nothing=0.29, rotation=0.0, surface=1e-5, motion=0.7, rival=0.00999)
+    words = "this pose (70.0 %), the images have nothing in common (29.0 %), another pose (1.0 %)"
+    assert describe_explanations(doubtful) == words
+    result = replace(make_result("too_few_inliers", CAMERA), explanations=doubtful)
+    assert " ".join(describe_pair(result).split()).count(words) == 1
+    assert describe_explanations(Explanations(0.0, 0.0, 0.0005, 0.9995, 0.0)) == ""
+    assert describe_explanations(Explanations()) == ""
 
 
 def test_every_status_has_a_sentence(any_status):

@@ -42,9 +42,10 @@ bool is_better(const RobustResult& later, const RobustResult& earlier) {
 // The estimate of one set of matches, from its search to its verdict.
 class Estimate {
  public:
+  // `known` says where down is, also to a search that gravity does not guide.
   Estimate(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
-           std::uint64_t seed)
-      : m_(m), options_(options), prior_(priors.pose), random_(seed), seed_(seed) {
+           const PosePrior& known, std::uint64_t seed)
+      : m_(m), options_(options), prior_(priors.pose), known_(known), random_(seed), seed_(seed) {
     start_over();
     if (status() == Status::kTooFewMatches) return;
     SearchResult found = search_poses(m, options, priors, random_);
@@ -62,8 +63,7 @@ class Estimate {
     narrow.scale = kNarrow;
     std::fill(std::begin(narrow.share), std::end(narrow.share), 0.0);
     narrow.share[0] = 0.3;
-    for (const RelativePose& pose :
-         upright_poses(m_, prior_.gravity1, prior_.gravity2, kUprightPoses)) {
+    for (const RelativePose& pose : upright_poses(m_, prior_, kUprightPoses)) {
       candidates.polish(pose, kPolishings, kPolished);
       candidates.polish(candidates.annealed(pose, narrow.scale), kPolishings, kPolished, &narrow);
     }
@@ -142,8 +142,8 @@ class Estimate {
       Evidence evidence;
       listen(candidate.cam2_from_cam1, candidate.loss.scale, gate_of_mixture(candidate.loss),
              kTypicalDensity, evidence);
-      if (probability_of_pose(evidence) <= highest) continue;
-      highest = probability_of_pose(evidence);
+      if (probability_by_regions(evidence) <= highest) continue;
+      highest = probability_by_regions(evidence);
       best = k;
     }
     if (!candidates.empty()) candidates.prefer(best);
@@ -155,7 +155,8 @@ class Estimate {
 
   void listen(const RelativePose& pose, double scale, double gate, double density,
               Evidence& evidence) {
-    const Testimony said = testimony(m_, options_.residual, pose, scale, gate, density, seed_);
+    const Testimony said =
+        testimony(m_, options_.residual, pose, scale, gate, density, known_, seed_);
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
     evidence.num_regions = said.num_regions;
@@ -178,10 +179,10 @@ class Estimate {
     RotationFit rotation;
     const auto find_rotation = [&] {
       rotation = best_rotation(m_, gate, random_);
+      rotation.wrong = chance.rotation_share(rotation.R, gate);
       evidence.rotation_support = rotation.support;
-      evidence.rotation_log10_false_alarms =
-          log10_false_alarms(evidence.num_effective, rotation.support,
-                             chance.rotation_share(rotation.R, gate), kRotationSample);
+      evidence.rotation_log10_false_alarms = log10_false_alarms(
+          evidence.num_effective, rotation.support, rotation.wrong, kRotationSample);
     };
     if (candidates.empty() ||
         rotation_possible(m_, result_.inlier, evidence.support, gate, random_)) {
@@ -215,15 +216,18 @@ class Estimate {
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
     evidence.log_prior = log_prior_of(prior_);
-    result_.probability = probability_of_pose(evidence);
     const Rival rival = find_rival(m_, candidates, result_.cam2_from_cam1, uncertainty.covariance,
                                    result_.inlier, gate);
+    evidence.plane_share = rival.plane_share;
     evidence.has_twin = rival.has_twin;
+    if (rival.cam2_from_cam1) {
+      Evidence other;
+      listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+      evidence.rival_probability = probability_by_regions(other);
+      evidence.rival_evidence = rival.evidence;
+    }
+    result_.probability = probability_of_pose(evidence);
     if (!rival.cam2_from_cam1) return;
-    Evidence other;
-    listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
-    evidence.rival_probability = probability_of_pose(other);
-    evidence.rival_evidence = rival.evidence;
     if (status() == Status::kPlanarAmbiguous) result_.alternatives = {*rival.cam2_from_cam1};
   }
 
@@ -257,6 +261,8 @@ class Estimate {
     const Uncertainty uncertainty = rotation_uncertainty(m_, r.inlier, r.residuals);
     r.scale = uncertainty.scale;
     r.covariance = uncertainty.covariance;
+    r.evidence.rotation_log_ratio =
+        rotation_log_ratio(m_, rotation.R, r.scale, r.threshold, rotation.wrong, seed_);
     r.evidence.turn_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
     r.parallax = median_parallax(m_, r.cam2_from_cam1, r.inlier.data());
     r.probability = RobustResult::kNaN;
@@ -264,7 +270,7 @@ class Estimate {
 
   const Matches& m_;
   const RobustOptions& options_;
-  const PosePrior prior_;
+  const PosePrior prior_, known_;
   Random random_;
   std::uint64_t seed_;
   std::vector<unsigned char> dropped_;
@@ -317,14 +323,14 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     std::size_t num_matches, double max_noise) {
-  Estimate estimate(m, options, priors, seed);
+  Estimate estimate(m, options, priors, priors.pose, seed);
   if (priors.pose.has_gravity) estimate.try_upright_poses();
   RobustResult result;
   if (priors.pose.has_gravity && !estimate.has_answer()) {
     MatchPriors free = priors;
     free.pose = PosePrior{};
     result = estimate.take();
-    Estimate again(m, options, free, seed);
+    Estimate again(m, options, free, priors.pose, seed);
     again.judge_by(priors.pose);
     const int num_iterations = result.num_iterations;
     RobustResult other = again.take();

@@ -27,8 +27,10 @@ struct RobustResult {
   double probability = 0.0;  // that the pose is right; of a rotation NaN
   int num_iterations = 0;
   double parallax = kNaN;  // radians, median over inliers
-  Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance;
-  Eigen::Matrix<double, 3, 2, Eigen::RowMajor> translation_basis;
+  Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance =
+      Eigen::Matrix<double, 5, 5, Eigen::RowMajor>::Zero();
+  Eigen::Matrix<double, 3, 2, Eigen::RowMajor> translation_basis =
+      Eigen::Matrix<double, 3, 2, Eigen::RowMajor>::Zero();
   std::vector<RelativePose> alternatives;
 };
 

@@ -27,10 +27,9 @@ Rival find_rival(const Matches& m, Candidates& candidates, const RelativePose& p
                  const std::vector<unsigned char>& inlier, double gate) {
   Rival rival;
   const double evidence = candidates.best().evidence;
-  double share = 0.0;
-  const Eigen::Vector3d plane = fit_plane(m, pose, inlier, 1.5 * gate, &share);
+  const Eigen::Vector3d plane = fit_plane(m, pose, inlier, 1.5 * gate, &rival.plane_share);
   RelativePose twin;
-  if (is_planar(share) && twin_pose(pose, plane, &twin)) {
+  if (is_planar(rival.plane_share) && twin_pose(pose, plane, &twin)) {
     candidates.polish(twin, 50, 1e-8);
     rival.has_twin = true;
   }

@@ -15,6 +15,7 @@ struct Rival {
   std::optional<RelativePose> cam2_from_cam1;  // none was found
   LossModel loss;                              // its mixture
   double evidence = 0.0;                       // its log-likelihood minus that of the best pose
+  double plane_share = 0.0;                    // of the inliers on one plane
   bool has_twin = false;  // the inliers lie on a plane, which has a second pose by geometry
 };
 

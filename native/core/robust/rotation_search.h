@@ -38,11 +38,13 @@ class RotationProblem {
   std::vector<double> residuals_, weights_;
 };
 
-// A rotation, the residuals of all matches under it, and the weight of those within the gate.
+// A rotation, the residuals of all matches under it, the weight of those within the gate, and the
+// share of wrong matches that lie there.
 struct RotationFit {
   Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
   std::vector<double> residuals;
   int support = 0;
+  double wrong = 1.0;
 };
 
 // The rotation that explains most matches.

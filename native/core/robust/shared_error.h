@@ -19,8 +19,8 @@ namespace epi360 {
 // residuals is tau^2 K_ij with K_ij = k(b1_i, b1_j) u1_i . u1_j + k(b2_i, b2_j) u2_i . u2_j, where
 // u are the gradients of the residual by the two bearings, scaled to |u1|^2 + |u2|^2 = 1. tau^2 is
 // estimated by the method of moments from r^T K r of the residuals left by the fit, the matches of
-// one cell together, and counts if it is significant; at least (least * scale)^2 is assumed, as the longest waves of the field are
-// those that the fit takes for motion and hides.
+// one cell together, and counts if it is significant; at least (least * scale)^2 is assumed, as the
+// longest waves of the field are those that the fit takes for motion and hides.
 //
 // at: residuals and Jacobians at the pose, weights zero for matches that do not count.
 Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_cam1,

@@ -19,24 +19,23 @@ namespace {
 
 constexpr std::size_t kMostWitnesses = 512;  // more are thinned out at random
 constexpr double kFixed = 1.0 * kDegree;     // of what stands still, if stitched or bent
+constexpr double kUnderfoot = 0.866;         // cosine of 30 degrees
 constexpr double kFreeInformation = 1.0;     // per radian^2: what is known without matches
 
 // For each match the share of exchanged partners of its neighbourhoods, in either view, with which
-// it would be an inlier too.
-std::vector<double> agreement_by_exchange(const Matches& m, Residual residual,
-                                          const RelativePose& pose, double gate) {
-  std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0), residuals, in_front;
+// it would be an inlier too; `agree` marks the inliers of other matches.
+template <typename Agree>
+std::vector<double> agreement_by_exchange(const Matches& m, const Agree& agree) {
+  std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0);
+  std::vector<unsigned char> agrees;
   for (int view = 1; view <= 2; ++view) {
     const Exchange e = exchanged_partners(m, view);
     const Matches exchanged =
         view == 1 ? paired_matches(m, e.own, e.other) : paired_matches(m, e.other, e.own);
-    residuals.resize(exchanged.padded);
-    in_front.resize(exchanged.padded);
-    compute_residuals(exchanged, residual, plain(pose), std::min(gate, kLargestWrongParallax),
-                      residuals.data(), in_front.data());
+    agrees.resize(exchanged.padded);
+    agree(exchanged, agrees);
     for (std::size_t k = 0; k < e.own.size(); ++k) {
-      const bool agrees = (in_front[k] > 0.5) & (std::abs(residuals[k]) < gate);
-      agreeing[e.own[k]] += agrees;
+      agreeing[e.own[k]] += agrees[k];
       tried[e.own[k]] += 1.0;
     }
   }
@@ -60,7 +59,38 @@ void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double g
   for (const std::size_t i : fixed) weights[i] = 0.0;
 }
 
+// The likeliest share of right matches, by expectation maximisation.
+double share_of_right(const std::vector<double>& weights, const std::vector<double>& odds,
+                      double total) {
+  if (!(total > 0.0)) return 0.0;
+  double share = 0.3;
+  for (int round = 0; round < 30; ++round) {
+    double sum = 0.0;
+    for (std::size_t i = 0; i < odds.size(); ++i) {
+      sum += weights[i] * share * odds[i] / (share * odds[i] + 1.0 - share);
+    }
+    const double next = std::min(std::max(sum / total, 1e-6), 0.98);
+    const bool settled = std::abs(next - share) < 1e-3 * share;
+    share = next;
+    if (settled) break;
+  }
+  return share;
+}
+
 }  // namespace
+
+std::vector<double> votes_of(const Matches& m, const PosePrior& prior) {
+  std::vector<double> votes = region_weights(m);
+  if (!prior.has_gravity) return votes;
+  std::vector<std::size_t> underfoot;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const double down1 = prior.gravity1.dot(view1(m, i)), down2 = prior.gravity2.dot(view2(m, i));
+    if (std::min(down1, down2) > kUnderfoot) underfoot.push_back(i);
+  }
+  if (2 * underfoot.size() >= m.size) return votes;
+  for (const std::size_t i : underfoot) votes[i] = 0.0;
+  return votes;
+}
 
 Matches witnesses(const Matches& m, std::uint64_t seed) {
   if (m.size <= kMostWitnesses) return m;
@@ -76,11 +106,21 @@ Matches witnesses(const Matches& m, std::uint64_t seed) {
 }
 
 Testimony testimony(const Matches& all, Residual residual, const RelativePose& pose, double scale,
-                    double gate, double density, std::uint64_t seed) {
+                    double gate, double density, const PosePrior& prior, std::uint64_t seed) {
   const Matches m = witnesses(all, seed);
   const double sigma = std::max(scale, kSmallestScale);
-  const std::vector<double> exchanged = agreement_by_exchange(m, residual, pose, gate);
-  std::vector<double> weights = region_weights(m);
+  std::vector<double> residuals, in_front;
+  const std::vector<double> exchanged =
+      agreement_by_exchange(m, [&](const Matches& other, std::vector<unsigned char>& agrees) {
+        residuals.resize(other.padded);
+        in_front.resize(other.padded);
+        compute_residuals(other, residual, plain(pose), std::min(gate, kLargestWrongParallax),
+                          residuals.data(), in_front.data());
+        for (std::size_t k = 0; k < other.size; ++k) {
+          agrees[k] = (in_front[k] > 0.5) & (std::abs(residuals[k]) < gate);
+        }
+      });
+  std::vector<double> weights = votes_of(m, prior);
 
   Linearisation at;
   at.resize(m.padded);
@@ -97,17 +137,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
     odds[i] = right / std::max(density, exchanged[i] / (2.0 * gate));
     total += weights[i];
   }
-  double share = 0.3;
-  for (int round = 0; round < 30; ++round) {  // expectation maximisation of one number
-    double sum = 0.0;
-    for (std::size_t i = 0; i < m.size; ++i) {
-      sum += weights[i] * share * odds[i] / (share * odds[i] + 1.0 - share);
-    }
-    const double next = std::min(std::max(sum / total, 1e-6), 0.98);
-    const bool settled = std::abs(next - share) < 1e-3 * share;
-    share = next;
-    if (settled) break;
-  }
+  const double share = share_of_right(weights, odds, total);
   Testimony result;
   std::fill(at.weights.begin(), at.weights.end(), 0.0);
   for (std::size_t i = 0; i < m.size; ++i) {
@@ -126,6 +156,38 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
   const Matrix5 covariance = inverse(information);
   result.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
   return result;
+}
+
+double rotation_log_ratio(const Matches& all, const Eigen::Matrix3d& R, double scale, double gate,
+                          double wrong, std::uint64_t seed) {
+  const Matches m = witnesses(all, seed);
+  const double sigma = std::max(scale, kSmallestScale);
+  const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = R;
+  std::vector<double> residuals;
+  const std::vector<double> exchanged =
+      agreement_by_exchange(m, [&](const Matches& other, std::vector<unsigned char>& agrees) {
+        residuals.resize(other.padded);
+        compute_rotation_residuals(other, rows.data(), residuals.data());
+        for (std::size_t k = 0; k < other.size; ++k) agrees[k] = residuals[k] < gate;
+      });
+  const std::vector<double> weights = region_weights(m);
+  residuals.resize(m.padded);
+  compute_rotation_residuals(m, rows.data(), residuals.data());
+  // Right ones scatter as two Gaussian components do; wrong ones fill the disc of the gate evenly.
+  std::vector<double> odds(m.size);
+  double total = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const double z = residuals[i] / sigma, reach = gate / sigma;
+    const double within = std::max(wrong, exchanged[i]);
+    odds[i] = 0.5 * reach * reach / within * std::exp(-0.5 * z * z);
+    total += weights[i];
+  }
+  const double share = share_of_right(weights, odds, total);
+  double log_ratio = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    log_ratio += weights[i] * std::log(share * odds[i] + 1.0 - share);
+  }
+  return log_ratio;
 }
 
 }  // namespace epi360

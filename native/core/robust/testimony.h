@@ -12,6 +12,7 @@
 
 #include "core/matches.h"
 #include "core/pose.h"
+#include "core/refinement/pose_prior.h"
 #include "core/residuals/residuals.h"
 
 namespace epi360 {
@@ -32,6 +33,17 @@ Matches witnesses(const Matches& m, std::uint64_t seed);
 // scale, gate: standard deviation and limit of the inliers' residuals; density: of the residuals of
 // wrong matches, per radian.
 Testimony testimony(const Matches& m, Residual residual, const RelativePose& cam2_from_cam1,
-                    double scale, double gate, double density, std::uint64_t seed);
+                    double scale, double gate, double density, const PosePrior& prior,
+                    std::uint64_t seed);
+
+// Vote of each match: one for a region, and none, if gravity is known, for what both views see
+// within 30 degrees of straight down. There a panorama shows what carries the camera, and seldom a
+// piece of ground that both stand on; unless most matches lie there.
+std::vector<double> votes_of(const Matches& m, const PosePrior& prior);
+
+// The log-likelihood ratio alone, for a rotation without translation: scale and gate as above of
+// the angles between R b1 and b2 over sqrt 2, `share` of wrong matches inside the gate.
+double rotation_log_ratio(const Matches& m, const Eigen::Matrix3d& R, double scale, double gate,
+                          double share, std::uint64_t seed);
 
 }  // namespace epi360

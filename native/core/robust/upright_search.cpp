@@ -7,7 +7,6 @@
 #include "core/bearings.h"
 #include "core/constants.h"
 #include "core/robust/heading_scores.h"
-#include "core/robust/neighbourhoods.h"
 #include "core/robust/testimony.h"
 #include "core/solvers/upright.h"
 
@@ -40,10 +39,10 @@ Level best_direction(const LevelMatches& m, double heading, TurnedMatches& turne
   return best;
 }
 
-LevelMatches levelled(const Matches& m, const Eigen::Matrix3d& upright1,
+LevelMatches levelled(const Matches& m, const PosePrior& prior, const Eigen::Matrix3d& upright1,
                       const Eigen::Matrix3d& upright2) {
   LevelMatches out(m.size);
-  const std::vector<double> weights = region_weights(m);
+  const std::vector<double> votes = votes_of(m, prior);
   for (std::size_t i = 0; i < m.size; ++i) {
     const Eigen::Vector3d a = upright1 * view1(m, i), b = upright2 * view2(m, i);
     out.x1[i] = a.x();
@@ -52,18 +51,18 @@ LevelMatches levelled(const Matches& m, const Eigen::Matrix3d& upright1,
     out.x2[i] = b.x();
     out.y2[i] = b.y();
     out.z2[i] = b.z();
-    out.weight[i] = weights[i];
+    out.weight[i] = votes[i];
   }
   return out;
 }
 
 }  // namespace
 
-std::vector<RelativePose> upright_poses(const Matches& all, const Eigen::Vector3d& gravity1,
-                                        const Eigen::Vector3d& gravity2, int most) {
+std::vector<RelativePose> upright_poses(const Matches& all, const PosePrior& prior, int most) {
   const Matches m = witnesses(all, 0);
-  const Eigen::Matrix3d upright1 = upright_from(gravity1), upright2 = upright_from(gravity2);
-  const LevelMatches matches = levelled(m, upright1, upright2);
+  const Eigen::Matrix3d upright1 = upright_from(prior.gravity1);
+  const Eigen::Matrix3d upright2 = upright_from(prior.gravity2);
+  const LevelMatches matches = levelled(m, prior, upright1, upright2);
   TurnedMatches turned(matches.padded());
   std::vector<Level> levels;
   for (int k = 0; k < kHeadings; ++k) {

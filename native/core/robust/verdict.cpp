@@ -9,27 +9,36 @@
 namespace epi360 {
 namespace {
 
-constexpr double kFalseAlarms = -3.0;    // log10; accepted below
+// A pose or a rotation is said if it is so much more probable than each other explanation alone.
+constexpr double kAccepted = 0.85;
+constexpr double kAcceptedLogOdds = 1.7346010553881064;  // of it
+
+// Error rates of the tests, at which what they test is as probable as kAccepted says.
+constexpr double kFalseAlarms = -3.0;    // log10: poses with so many inliers that chance makes
 constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
 constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
-// A translation is claimed where the inliers reject the rotation alone, once in 30,000 falsely if
-// noise is Gaussian, and know its direction.
-constexpr double kRotationRejected = 4.0;
+// Standard deviations: once in 30,000 true rotations are rejected if noise is Gaussian, and once in
+// 700 true planes.
+constexpr double kRotationRejected = 4.0, kPlaneRejected = 3.0;
+constexpr double kRivalRejected = 6.0;  // log-likelihood that a second pose lacks
+
+// What the matches must determine.
 constexpr double kUnknownDirection = 25.0 * kDegree, kUnknownRotation = 20.0 * kDegree;
 constexpr double kKnownRotation = 5.0 * kDegree;
+constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
 // Median parallax in units of the noise, under which a rotation is tried: a pure rotation
 // shows 1.7.
 constexpr double kSmallParallax = 4.0;
+constexpr double kPlaneShare = 0.9;  // of the inliers on one plane, that make it a surface
+constexpr double kRivalProbability = 0.5;
+
 // Logistic regression of right poses against wrong ones of real pairs (benchmarks/trust.py), on the
-// log-likelihood ratio of the regions and the logarithm of the direction's standard deviation.
+// log-likelihood ratio of the regions and the logarithm of the direction's standard deviation. The
+// ratio counts a ninth: neighbouring regions are wrong together.
 constexpr double kLogOdds = -2.7, kLogOddsPerRatio = 0.11, kLogOddsPerSigma = -1.2;
 constexpr double kLogOddsPerMajority = 6.0;
-constexpr double kLeastProbability = 0.85;
-constexpr double kFewestRegions = 4.5;  // five unknowns need five witnesses
-constexpr double kPlaneShare = 0.9;     // of the inliers on one plane
-constexpr double kPlaneSpread = 3.0;    // standard deviations of the log-likelihood ratio
-constexpr double kRivalProbability = 0.5;
-constexpr double kRivalEvidence = -6.0;  // a second pose this likely (log) makes a pair ambiguous
+constexpr double kCertain = 50.0;  // log-odds beyond which numbers tell nothing
+
 // A wrong pose on real images rested on 5 of 48 cells while the matches covered 21; the poorest
 // right one covers 8 of 25. A lens that sees little covers little with all of its matches.
 constexpr double kPatchCells = 6.0 / 48.0, kPatchShare = 0.35;
@@ -39,35 +48,85 @@ constexpr double kPatchRelativeSpread = 0.2;  // of that of all matches
 constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
 
-bool is_rotation(const Evidence& e) {
-  // Where it moved a little, but nobody can tell where to, the rotation is what can be said.
-  const bool is_all = e.direction_sigma > kUnknownDirection && e.rotation_sigma < kKnownRotation;
-  return rotation_explains(e) && (e.rotation_rejection < kRotationRejected || is_all);
+// Log-odds from standard deviations: those of the likelihoods of a Gaussian, the odds of what is
+// accepted at the limit of a test.
+double log_odds_of_test(double deviations, double limit) {
+  return 0.5 * (deviations * std::abs(deviations) - limit * limit) + kAcceptedLogOdds;
 }
+
+// Log-odds against background alone, from the false alarms that chance makes.
+double log_odds_by_chance(double log10_false_alarms) {
+  return kAcceptedLogOdds - std::log(10.0) * (log10_false_alarms - kFalseAlarms);
+}
+
+double bounded(double log_odds) { return std::min(std::max(log_odds, -kCertain), kCertain); }
 
 // Share of the matches that agree, beyond one half: repeated structures rarely make up most of
 // them.
-double majority_of(const Evidence& e) {
+double majority_of(const Evidence& e, int support) {
   if (e.num_effective <= 0) return 0.0;
-  return std::max(0.0, static_cast<double>(e.support) / e.num_effective - 0.5);
+  return std::max(0.0, static_cast<double>(support) / e.num_effective - 0.5);
+}
+
+double log_odds_by_regions(const Evidence& e) {
+  return kLogOdds + kLogOddsPerRatio * e.log_ratio +
+         kLogOddsPerSigma * std::log(std::max(e.regional_sigma, 1e-6) / kDegree) +
+         kLogOddsPerMajority * majority_of(e, e.support) + e.log_prior;
 }
 
 bool is_chance(const Evidence& e) {
   return e.log10_false_alarms > kFalseAlarms || e.chance > kLargestChance;
 }
 
+double log_odds_of_pose(const Evidence& e) {
+  if (e.chance > kLargestChance) return -kCertain;
+  return bounded(std::min(log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms)));
+}
+
+// Of a rotation that the inliers do not reject, against background alone.
+double log_odds_of_rotation(const Evidence& e) {
+  const double by_regions = kLogOdds + kLogOddsPerRatio * e.rotation_log_ratio +
+                            kLogOddsPerMajority * majority_of(e, e.rotation_support);
+  return bounded(std::min(by_regions, log_odds_by_chance(e.rotation_log10_false_alarms)));
+}
+
+// Of the pose that was found over a second one; two that are equally likely are equally probable.
+// On a plane both are right but for noise, whose log-likelihoods differ by about the root of the
+// number of matches.
+double log_odds_over_rival(const Evidence& e) {
+  if (e.has_twin) {
+    const double lack = std::max(-e.rival_evidence - kRivalRejected, 0.0);
+    const double deviations = lack / std::sqrt(std::max(e.support, 1));
+    return bounded(kAcceptedLogOdds * std::pow(deviations / kPlaneRejected, 2.0));
+  }
+  // With gravity known, a pose that the regions do not believe in is no rival either.
+  if (e.has_prior && !(e.rival_probability > kRivalProbability)) return kCertain;
+  return bounded(-e.rival_evidence * kAcceptedLogOdds / kRivalRejected);
+}
+
+// Of one surface over a general scene: standard deviations by which the inliers off it are fewer or
+// more than a surface may have.
+double log_odds_of_surface(const Evidence& e) {
+  const double n = std::max(e.support, 1), off = (1.0 - kPlaneShare) * n;
+  const double excess = ((1.0 - e.plane_share) * n - off) / std::sqrt(kPlaneShare * off);
+  return bounded(-0.5 * excess * std::abs(excess));
+}
+
+double found(const Explanations& x) { return x.motion + x.surface; }
+
+// Whether the first of two explanations is probable enough beside the second.
+bool beats(double first, double second) { return first >= kAccepted * (first + second); }
+
+bool is_rotation(const Evidence& e, const Explanations& x) {
+  if (!rotation_explains(e)) return false;
+  // Where it moved a little, but nobody can tell where to, the rotation is what can be said.
+  const bool is_all = e.direction_sigma > kUnknownDirection && e.rotation_sigma < kKnownRotation;
+  return !beats(found(x), x.rotation) || is_all;
+}
+
 bool is_undetermined(const Evidence& e) {
   return e.direction_sigma > kUnknownDirection || e.rotation_sigma > kUnknownRotation ||
          e.num_regions < kFewestRegions;
-}
-
-// On a plane both poses are right but for noise, whose log-likelihoods differ by about the root of
-// the number of matches; elsewhere a rival must be nearly as likely.
-bool has_rival(const Evidence& e) {
-  const double spread = e.has_twin ? kPlaneSpread * std::sqrt(static_cast<double>(e.support)) : 0.0;
-  // With gravity known, a pose that the regions do not believe in is no rival either.
-  const bool is_probable = !e.has_prior || e.rival_probability > kRivalProbability;
-  return e.rival_evidence > kRivalEvidence - spread && is_probable;
 }
 
 bool is_patch(const Evidence& e) {
@@ -79,7 +138,8 @@ bool is_patch(const Evidence& e) {
 
 Status status_of(const Evidence& e) {
   if (e.num_usable < fewest_matches(e.sample_size)) return Status::kTooFewMatches;
-  const bool rotation = is_rotation(e);
+  const Explanations x = explain(e);
+  const bool rotation = is_rotation(e, x);
   if (!rotation && is_chance(e)) return Status::kTooFewInliers;
   if (e.num_distinct < e.min_num_inliers) return Status::kTooFewInliers;
   if (is_patch(e)) return Status::kConcentratedInliers;
@@ -87,8 +147,8 @@ Status status_of(const Evidence& e) {
     return e.turn_sigma > kUnknownRotation ? Status::kConcentratedInliers : Status::kPureRotation;
   }
   if (is_undetermined(e)) return Status::kConcentratedInliers;
-  if (!(probability_of_pose(e) >= kLeastProbability)) return Status::kTooFewInliers;
-  return has_rival(e) ? Status::kPlanarAmbiguous : Status::kOk;
+  if (!beats(found(x), x.nothing)) return Status::kTooFewInliers;
+  return beats(found(x), x.rival) ? Status::kOk : Status::kPlanarAmbiguous;
 }
 
 }  // namespace
@@ -147,11 +207,36 @@ bool lacks_direction(const Evidence& e) {
 
 bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallParallax * e.scale; }
 
-double probability_of_pose(const Evidence& e) {
-  const double log_odds = kLogOdds + kLogOddsPerRatio * e.log_ratio +
-                          kLogOddsPerSigma * std::log(std::max(e.regional_sigma, 1e-6) / kDegree) +
-                          kLogOddsPerMajority * majority_of(e) + e.log_prior;
-  return 1.0 / (1.0 + std::exp(-log_odds));
+Explanations explain(const Evidence& e) {
+  if (e.num_usable < fewest_matches(e.sample_size)) return {};
+  double pose = log_odds_of_pose(e), rotation = -Evidence::kInfinity;
+  if (rotation_explains(e)) {
+    const double over_rotation = bounded(log_odds_of_test(e.rotation_rejection, kRotationRejected));
+    if (e.rotation_rejection < kRotationRejected) {  // it says what is to be said
+      rotation = log_odds_of_rotation(e);
+      pose = std::min(pose, rotation + over_rotation);
+    } else {
+      rotation = pose - over_rotation;
+    }
+  }
+  const double rival = pose - log_odds_over_rival(e);
+  const double highest = std::max({0.0, pose, rotation, rival});
+  const double surface_share = 1.0 / (1.0 + std::exp(-log_odds_of_surface(e)));
+  Explanations x;
+  x.nothing = std::exp(-highest);
+  x.rotation = std::exp(rotation - highest);
+  x.surface = surface_share * std::exp(pose - highest);
+  x.motion = (1.0 - surface_share) * std::exp(pose - highest);
+  x.rival = std::exp(rival - highest);
+  const double sum = x.nothing + x.rotation + x.surface + x.motion + x.rival;
+  for (double* each : {&x.nothing, &x.rotation, &x.surface, &x.motion, &x.rival}) *each /= sum;
+  return x;
+}
+
+double probability_of_pose(const Evidence& e) { return found(explain(e)); }
+
+double probability_by_regions(const Evidence& e) {
+  return 1.0 / (1.0 + std::exp(-log_odds_by_regions(e)));
 }
 
 bool is_planar(double share_on_plane) { return share_on_plane > kPlaneShare; }

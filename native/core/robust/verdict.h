@@ -70,10 +70,15 @@ struct Evidence {
   double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
   bool has_prior = false;  // gravity is known
 
+  // What the matches say of the rotation alone, where it is the answer: log-likelihood ratio, as
+  // above.
+  double rotation_log_ratio = kInfinity;
+
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Whether
-  // the inliers lie on a plane, so that there is such a pose by geometry.
+  // probable the regions make it. Share of the inliers on one plane, and whether it is so large that
+  // there is such a pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0;
+  double plane_share = 0.0;
   bool has_twin = false;
 
   // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
@@ -86,6 +91,18 @@ struct Evidence {
   // Noise of the bearings, and the limit that the user knows (0: none).
   double noise = kNaN, max_noise = 0.0;
 };
+
+// What the matches may be, with the probability of each explanation; they sum to one.
+struct Explanations {
+  double nothing = 1.0;   // background alone: the views have nothing in common
+  double rotation = 0.0;  // the camera only turned
+  double surface = 0.0;   // one surface, seen from the pose that was found
+  double motion = 0.0;    // a general scene, seen from that pose
+  double rival = 0.0;     // another pose
+};
+
+// The explanations compared on the evidence so far.
+Explanations explain(const Evidence& evidence);
 
 // Status and warnings on the evidence so far.
 Verdict judge(const Evidence& evidence);
@@ -109,8 +126,11 @@ bool lacks_direction(const Evidence& evidence);
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
 
-// Probability that the pose is right, from what the regions say of it and its prior.
+// Probability that the pose is right, be it of a surface or of a general scene.
 double probability_of_pose(const Evidence& evidence);
+
+// Probability of a pose against background alone, from what the regions say of it and its prior.
+double probability_by_regions(const Evidence& evidence);
 
 // Whether inliers of which this share lies on one plane may have a twin pose.
 bool is_planar(double share_on_plane);

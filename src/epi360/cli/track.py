@@ -101,8 +101,7 @@ def track(
     """
     from epi360.jobs.track_job import track_frames
 
-    if report is not None:
-        check_report(report)
+    page = None if report is None else _Page(report, source)
     options = _options(given, work)
     out = _default_output(source) if out is None else out
     watchers: list[Watcher] = []
@@ -110,22 +109,40 @@ def track(
         from epi360.jobs.track_view import TrackView
 
         watchers.append(TrackView(window=view, recording=recording))
-    pictures = None
-    if report is not None:
-        from epi360.report.track_pictures import TrackPictures
-
-        pictures = TrackPictures()
-        watchers.append(pictures)
+    if page is not None:
+        watchers.append(page.pictures)
     with show_bars() as progress:
-        run = track_frames(source, out, options, progress=progress, watchers=watchers)
+        run = track_frames(
+            source,
+            out,
+            options,
+            progress=progress,
+            watchers=watchers,
+            interrupted=None if page is None else page.write,
+        )
     print(_describe(run), flush=True)
-    if report is not None and pictures is not None:
-        from epi360.report.track_page import write_track_report
-
-        write_track_report(report, source.resolve().name, run, pictures)
-        print(f"wrote {report}", flush=True)
+    if page is not None:
+        page.write(run)
+        print(f"wrote {page.path}", flush=True)
     tracked = run.counts["tracked"]
     return SUCCESS if tracked and not run.written.failed else FAILURE
+
+
+class _Page:
+    """The report of a sequence, which an interrupted run writes too."""
+
+    def __init__(self, path: Path, source: Path) -> None:
+        from epi360.report.track_pictures import TrackPictures
+
+        check_report(path)
+        self.path, self._name = path, source.resolve().name
+        self.pictures = TrackPictures()
+
+    def write(self, run: TrackRun) -> None:
+        """Write the page."""
+        from epi360.report.track_page import write_track_report
+
+        write_track_report(self.path, self._name, run, self.pictures)
 
 
 def _options(given: TrackInput, work: TrackWork) -> TrackOptions:

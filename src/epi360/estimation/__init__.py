@@ -8,13 +8,14 @@ from epi360.estimation.options import RansacOptions
 from epi360.estimation.paper import paper_pose
 from epi360.estimation.paper_reference import PAPER_METHODS, paper_pose_reference
 from epi360.estimation.refinement import RefinementResult, refine_pose, refine_pose_reference
-from epi360.estimation.result import ImagePairResult, RelativePoseResult, Status
+from epi360.estimation.result import Explanations, ImagePairResult, RelativePoseResult, Status
 from epi360.estimation.robust import estimate_relative_pose, estimate_relative_poses
 from epi360.estimation.weights import residual_weights
 
 __all__ = [
     "PAPER_METHODS",
     "AbsolutePoseResult",
+    "Explanations",
     "ImagePairResult",
     "RansacOptions",
     "RefinementResult",

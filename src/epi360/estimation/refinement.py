@@ -58,7 +58,8 @@ class RefinementResult:
         Sum of the loss; for the mixture -2 scale^2 times the log-likelihood.
     covariance : ndarray, shape (5, 5)
         Radians squared, parameters as in ``RelativePoseResult`` whatever the parameterization: the
-        inverse normal equations times the residual variance; for robust losses and `reweight` the
+        inverse normal equations times the residual variance, which divides by the number of matches
+        of equal weight that say as much, less five; for robust losses and `reweight` the
         M-estimator's sandwich, with the scale of the weights held; for "solarte2021" the sandwich
         too, because its residuals have different variances. The scale of the weights does not
         matter.
@@ -264,7 +265,9 @@ def _refined_in_numpy(
 
 
 def _variance(weighted_squares: float, weights: Array) -> float:
-    return weighted_squares / max(int((weights > 0.0).sum()) - 5, 1)
+    # As many matches of equal weight say as much (Kish 1965); five of them fix the pose.
+    num_effective = float(weights.sum()) / unit_of_weights(weights)
+    return weighted_squares / max(num_effective - 5.0, 1.0)
 
 
 def _check_names(residual: str, loss: str, reweight: str | None, parameterization: str) -> None:

@@ -23,6 +23,31 @@ Status = Literal[
 
 
 @dataclass(frozen=True)
+class Explanations:
+    """Probabilities of what the matches of two views may be; they sum to one.
+
+    Attributes
+    ----------
+    nothing : float
+        Background alone: the views have nothing in common. 1 where there are too few matches.
+    rotation : float
+        The camera only turned.
+    surface : float
+        One surface, nearly a plane, seen from the pose that was found.
+    motion : float
+        A general scene, seen from the pose that was found.
+    rival : float
+        Another pose; of a plane it may be the second one that its homography has.
+    """
+
+    nothing: float = math.nan
+    rotation: float = math.nan
+    surface: float = math.nan
+    motion: float = math.nan
+    rival: float = math.nan
+
+
+@dataclass(frozen=True)
 class RelativePoseResult:
     """Relative pose of two central cameras and the evidence for it.
 
@@ -60,7 +85,10 @@ class RelativePoseResult:
         B: the two tangent directions at t.
     probability : float
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
-        status says of it; NaN after a pure rotation, 0 where no pose was found.
+        status says of it: the sum of ``surface`` and ``motion`` of the explanations. NaN after a
+        pure rotation, 0 where no pose was found.
+    explanations : Explanations
+        Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose
         Other poses that explain the matches about as well. Where the pose is refused because it is
         not probable enough or its inliers do not determine it: the pose that was found, first.
@@ -83,6 +111,7 @@ class RelativePoseResult:
     alternatives: tuple[Pose, ...] = ()
     warnings: tuple[str, ...] = ()
     probability: float = math.nan
+    explanations: Explanations = Explanations()
 
     @property
     def success(self) -> bool:

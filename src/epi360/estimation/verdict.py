@@ -12,7 +12,7 @@ import numpy as np
 
 from epi360 import _core
 from epi360.epipolar.essential import essential_from_pose
-from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.result import Explanations, RelativePoseResult
 from epi360.poses import Pose
 
 _HAS_TRANSLATION = ("ok", "planar_ambiguous")
@@ -39,6 +39,7 @@ def result_of(answer: _core.PairResult) -> RelativePoseResult:
         alternatives=tuple(Pose(R, t) for R, t in answer.alternatives),
         warnings=tuple(_sentence(warning) for warning in answer.warnings),
         probability=answer.probability,
+        explanations=_explanations(answer.explanations),
     )
 
 
@@ -48,6 +49,10 @@ def noise_in_pixels(result: RelativePoseResult, pixel_deg: float) -> RelativePos
     in_pixels = _noise_sentence(result.noise_deg / pixel_deg, "pixels")
     warnings = (in_pixels if each == in_degrees else each for each in result.warnings)
     return replace(result, warnings=tuple(warnings))
+
+
+def _explanations(found: _core.Explanations) -> Explanations:
+    return Explanations(found.nothing, found.rotation, found.surface, found.motion, found.rival)
 
 
 def _sentence(warning: _core.Warning) -> str:

@@ -288,6 +288,7 @@ class MatchJob:
             rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
             translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
             probability=result.probability,
+            explanations=result.explanations,
             floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
             prior=prior,
             cam2_from_cam1=result.cam2_from_cam1,

@@ -18,6 +18,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation import Explanations
 from epi360.extras import package_version
 from epi360.jobs.frame_source import FRAMES_RECORD
 from epi360.poses import Pose
@@ -55,6 +57,7 @@ class Verdict:
     translation_sigma_deg: float = np.nan
     probability: float = np.nan  # that a pose with translation is right; NaN where there is none
     floor_share: float = np.nan  # of the inliers that both images see below the horizon
+    explanations: Explanations = Explanations()  # of the matches of this pair alone
     prior: str = ""  # what was known of the pose beforehand, in words
     cam2_from_cam1: Pose = dataclasses.field(default_factory=Pose.nan)
     doubted: Pose = dataclasses.field(
@@ -141,6 +144,7 @@ def write_part(folder: Path, pairs: Sequence[VerifiedPair], store: str = PAIRS) 
         "warnings": np.array(["\n".join(verdict.warnings) for verdict in verdicts]),
         "prior": np.array([verdict.prior for verdict in verdicts]),
         "numbers": np.array([_numbers(verdict) for verdict in verdicts]),
+        "explanations": np.array([dataclasses.astuple(each.explanations) for each in verdicts]),
         "ends": np.cumsum([len(pair.matches) for pair in pairs]),
         "matches": matches.astype(np.min_scalar_type(matches.max(initial=0))),
         "inlier_mask": np.concatenate([pair.inlier_mask for pair in pairs]),
@@ -203,12 +207,19 @@ def pair_of_part(arrays: Arrays, row: int) -> VerifiedPair:
         translation_sigma_deg=float(translation_sigma),
         probability=float(probability),
         floor_share=float(floor_share),
+        explanations=_explanations_of_part(arrays, row),
         prior=str(arrays["prior"][row]),
         cam2_from_cam1=cam2_from_cam1,
         doubted=doubted,
     )
     key1, key2 = arrays["keys"][row]
     return VerifiedPair((str(key1), str(key2)), verdict, matches, mask)
+
+
+def _explanations_of_part(arrays: Arrays, row: int) -> Explanations:
+    if "explanations" not in arrays:  # older parts do not say
+        return Explanations(*[math.nan] * 5)
+    return Explanations(*arrays["explanations"][row].tolist())
 
 
 def matches_of_part(arrays: Arrays, row: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -8,7 +8,7 @@ import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -84,6 +84,7 @@ class TrackRun:
     seconds: float
     messages: tuple[str, ...]  # sentences about single frames, with their numbers
     written: files.Written
+    was_interrupted: bool = False
 
     @property
     def counts(self) -> Counter[str]:
@@ -98,12 +99,14 @@ def track_frames(
     *,
     progress: Progress = no_progress,
     watchers: Sequence[Watcher] = (),
+    interrupted: Callable[[TrackRun], None] | None = None,
 ) -> TrackRun:
     """Track the frames of a video or folder, and write trajectory, map and log into ``output``.
 
     Rows of ``frames.csv`` are written while frames come in, and the trajectory every ten seconds;
     at the end all files are written whole. A frame that cannot be read is counted and named, and
-    the run goes on. An interrupted run writes what it has.
+    the run goes on. An interrupted run writes what it has, and hands it to ``interrupted`` before
+    it raises KeyboardInterrupt.
 
     Raises
     ------
@@ -131,7 +134,9 @@ def track_frames(
     try:
         run.track(progress)
     except KeyboardInterrupt:
-        run.finish(progress, interrupted=True)
+        found = run.finish(progress, interrupted=True)
+        if interrupted is not None:
+            interrupted(found)
         raise
     return run.finish(progress)
 
@@ -247,10 +252,11 @@ class _Run:
             time.perf_counter() - self._begun,
             tuple(self._messages),
             written,
+            interrupted,
         )
         for watcher in self._watchers:
             watcher.close(self.odometry)
-        log = json.dumps(_log(run, self._options, interrupted), indent=1).encode()
+        log = json.dumps(_log(run, self._options), indent=1).encode()
         written.attempt(files.LOG, lambda: write_file(self._output / files.LOG, log))
         return run
 
@@ -353,13 +359,13 @@ def _write_pictures(
             return
 
 
-def _log(run: TrackRun, options: TrackOptions, interrupted: bool) -> dict[str, Any]:
+def _log(run: TrackRun, options: TrackOptions) -> dict[str, Any]:
     """What the JSON log says."""
     tracked = [result.index for result in run.results if result.status == "tracked"]
     recorded = asdict(replace(options, mask=None))
     recorded["mask"] = None if options.mask is None else str(options.mask)
     return {
-        "track": "interrupted" if interrupted else "done",
+        "track": "interrupted" if run.was_interrupted else "done",
         "num_frames": len(run.results),
         "statuses": dict(run.counts),
         "first_tracked": tracked[0] if tracked else None,

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,10 @@ from epi360.odometry import FrameResult, Odometry
 
 _PICTURE_WIDTH = 512  # of the frames in a recording: the file stays a few MB a minute
 _MAP_EVERY = 10  # key frames between two looks at all points, which would fill the file
+_PORT = 9876  # of Rerun's viewer
+_MOST_SECONDS = 30.0  # that the end of a run waits for a viewer which has stopped answering
+_DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+_INSTEAD = "leave it out, and open what --recording FILE.rrd writes on a machine with a display"
 
 
 class TrackView:
@@ -31,6 +38,8 @@ class TrackView:
     ------
     ImportError
         If rerun-sdk is missing.
+    ValueError
+        If a window is asked for where there is no display, or the viewer does not open.
     """
 
     def __init__(self, *, window: bool, recording: Path | None) -> None:
@@ -38,8 +47,8 @@ class TrackView:
         self._stream = self._rr.RecordingStream("epi360 track")
         sinks = []
         if window:
-            self._stream.spawn(connect=False)
-            sinks.append(self._rr.GrpcSink())
+            _open_viewer(self._stream)
+            sinks.append(self._rr.GrpcSink(f"rerun+http://127.0.0.1:{_PORT}/proxy"))
         if recording is not None:
             sinks.append(self._rr.FileSink(str(recording)))
         self._stream.set_sinks(*sinks)
@@ -78,5 +87,28 @@ class TrackView:
     def close(self, odometry: Odometry) -> None:
         """Log the final map and bring everything to the file."""
         self.log_map(odometry)
-        self._stream.flush()
+        try:
+            self._stream.flush(timeout_sec=_MOST_SECONDS)
+        except RuntimeError:  # the window was closed meanwhile, which must not end the run
+            pass
         self._stream.disconnect()
+
+
+def _open_viewer(stream: Any) -> None:
+    """Open Rerun's viewer; without a display it would start and end again without a word."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _DISPLAYS):
+        raise ValueError(f"--view opens a window, and there is no display here: {_INSTEAD}")
+    try:
+        stream.spawn(port=_PORT, connect=False)
+    except RuntimeError as error:  # its program is missing
+        raise ValueError(f"--view cannot open Rerun's viewer: {error}") from None
+    if not _is_listening():
+        raise ValueError(f"--view: Rerun's viewer did not open a window here: {_INSTEAD}")
+
+
+def _is_listening() -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", _PORT), timeout=1.0).close()
+    except OSError:
+        return False
+    return True

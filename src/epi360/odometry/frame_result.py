@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -112,13 +112,16 @@ class FrameTracks:
     ids: NDArray[np.int64]
     bearings: Array
     pixels: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    is_repeat: bool = False  # the picture is that of the frame before: no view of its own
 
     def thinned(self, count: int) -> FrameTracks:
         """Tracks with the lowest identities, which have been followed longest."""
         if len(self.ids) <= count:
             return self
         rows = np.argsort(self.ids, kind="stable")[:count]
-        return FrameTracks(self.index, self.ids[rows], self.bearings[rows], self.pixels[rows])
+        return replace(
+            self, ids=self.ids[rows], bearings=self.bearings[rows], pixels=self.pixels[rows]
+        )
 
 
 def shared_rows(

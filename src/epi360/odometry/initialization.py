@@ -82,7 +82,7 @@ class Waiting:
     def repeat(self, index: int) -> None:
         """Keep a frame that shows the picture of the last one."""
         if self.frames:
-            self.keep(replace(self.frames[-1], index=index))
+            self.keep(replace(self.frames[-1], index=index, is_repeat=True))
 
     def _compared(self, tracks: FrameTracks, before: FrameTracks | None) -> Start:
         assert self._reference is not None
@@ -143,7 +143,11 @@ class Waiting:
         old = self._reference.index
         for frame in self.frames:
             shared = len(shared_rows(frame.ids, tracks.ids)[0])
-            if frame.index > old and shared >= max(_FEWEST_TRACKS, 0.6 * len(frame.ids)):
+            if (
+                frame.index > old
+                and not frame.is_repeat
+                and shared >= max(_FEWEST_TRACKS, 0.6 * len(frame.ids))
+            ):
                 self._reference = frame
                 return Start("waiting", f"the wait goes on from frame {frame.index}")
         self._restart(tracks)

@@ -125,8 +125,10 @@ class SparseMap:
         rows = self._rows(own)
         self._same_as[rows] = known
         self._positions[rows] = np.nan
+        is_joined = np.zeros(len(self._strikes), np.bool_)
+        is_joined[rows] = True
         for key_frame in self.key_frames:
-            if np.isin(key_frame.ids, own).any():
+            if is_joined[self._rows(key_frame.ids)].any():
                 key_frame.ids = self.landmarks_of(key_frame.ids)
                 _use_each_once(key_frame)
 

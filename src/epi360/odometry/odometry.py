@@ -21,22 +21,20 @@ from epi360.odometry.frame_result import (
     FrameTracks,
     MapPoints,
     Trajectory,
-    shared_rows,
 )
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
+from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
-from epi360.odometry.pictures import PictureWatch, camera_of_width
+from epi360.odometry.pictures import PictureWatch, camera_of_width, mask_for, usable_at
 from epi360.odometry.recognition import Recognition
-from epi360.odometry.results import updated_results
+from epi360.odometry.results import joined, no_points, trajectory_of, updated_results
 from epi360.odometry.segment import Segment
-from epi360.odometry.turning import nearest_rotation, rotation_between
 from epi360.poses import Pose
 from epi360.two_view import smallest_pixel_deg
 
 _TRIES = 4  # frames in a row that are looked for in the map; afterwards one of so many is
-_FEWEST_TO_TURN = 20  # tracks that predict how the camera turns
 
 
 class Odometry:
@@ -91,8 +89,7 @@ class Odometry:
         usable = None if mask is None else read_mask(mask, (camera.height, camera.width))
         working = camera_of_width(camera, self._options.max_width)
         if usable is not None and working != camera:
-            size = (working.width, working.height)
-            usable = cv2.resize(usable.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+            usable = mask_for(working, usable)
         self._tracker = FrameTracker(working, usable, max_points=self._options.max_points)
         self._watch = PictureWatch(camera, working, usable)
         self._working, self._usable = working, usable
@@ -109,9 +106,7 @@ class Odometry:
         self._first_gray: NDArray[np.uint8] | None = None  # picture of the frame that waits first
         self._is_lost, self._num_lost = False, 0
         self._clock = FrameClock()
-        self._before: FrameTracks | None = None
-        self._turn: NDArray[np.float64] | None = None  # cam_now_from_before of the last frame
-        self._recent: list[int] = []  # the last two frames with a pose, if nothing lies between
+        self._motion = Motion()
 
     def add_frame(
         self,
@@ -148,25 +143,24 @@ class Odometry:
         fitted, misfit = self._watch.fitted(picture)
         if fitted is None:
             return self._lost(frame, misfit)
-        frame = replace(frame, message=_joined(frame.message, misfit))
+        frame = replace(frame, message=joined(frame.message, misfit))
         gray = np.asarray(cv2.cvtColor(fitted, cv2.COLOR_RGB2GRAY), np.uint8)
         verdict = self._watch.verdict(gray)
         if verdict == "blank":
             return self._lost(frame, "is blank")
         if verdict == "frozen" and self._results:
             return self._repeated(frame)
-        tracked = self._tracker.track(gray, self._turn)
+        tracked = self._tracker.track(gray, self._motion.turn)
         seen = np.ones(len(tracked.ids), np.bool_)
         if mask is not None:
-            seen = _is_white(mask, tracked.pixels * self._full_from_working)
+            seen = usable_at(mask, tracked.pixels * self._full_from_working)
         tracks = FrameTracks(
             frame.index,
             tracked.ids[seen],
             tracked.bearings[seen],
             tracked.pixels[seen] * self._full_from_working,
         )
-        self._predict_turn(tracks)
-        self._before = tracks
+        self._motion.look(tracks)
         num_tracked = int(np.count_nonzero(~tracked.is_new[seen]))
         frame = replace(frame, num_tracked=num_tracked)
         return self._kept(self._place(tracks, frame, fitted, gray))
@@ -203,12 +197,7 @@ class Odometry:
 
     def trajectory(self) -> Trajectory:
         """Poses of all frames that have one, as the map is now."""
-        tracked = [result for result in self.results() if result.status == "tracked"]
-        return Trajectory(
-            np.array([result.index for result in tracked], np.int64),
-            np.array([result.timestamp_s for result in tracked]),
-            tuple(result.cam_from_world for result in tracked),
-        )
+        return trajectory_of(self.results())
 
     def key_frames(self) -> list[KeyFrame]:
         """Key frames of the map; empty before it begins."""
@@ -216,12 +205,7 @@ class Odometry:
 
     def points(self) -> MapPoints:
         """Landmarks of the map and where its key frames see them."""
-        if self._main is None:
-            empty = np.zeros(0, np.int64)
-            return MapPoints(
-                np.zeros((0, 3)), np.zeros((0, 3), np.uint8), empty, empty, np.zeros((0, 2))
-            )
-        return self._segments[self._main].points()
+        return no_points() if self._main is None else self._segments[self._main].points()
 
     def move_map(self, cam_from_world: Sequence[Pose], positions: NDArray[np.float64]) -> None:
         """Put key frames and points where another adjustment has found them; frames follow.
@@ -248,10 +232,8 @@ class Odometry:
 
     @property
     def _main(self) -> int | None:
-        if not self._segments:
-            return None
         sizes = [len(segment.frames) for segment in self._segments]
-        return int(np.argmax(sizes))
+        return sizes.index(max(sizes)) if sizes else None
 
     @property
     def _segment(self) -> Segment | None:
@@ -281,18 +263,20 @@ class Odometry:
         segment = self._segment
         if segment is None:
             return self._wait(tracks, frame, image, gray)
-        result = segment.locate(tracks, self._guess(segment))
+        guess = None if self._is_lost else self._motion.guess(segment)
+        result = segment.locate(tracks, guess)
         if result is None:
             if not self._is_lost:
                 self._is_lost, self._waiting = True, self._new_wait()
             segment, result = self._found_again(segment, tracks, gray)
         if result is None:
-            message = _joined(frame.message, "shows too little of the map")
+            message = joined(frame.message, "shows too little of the map")
             return self._wait(tracks, replace(frame, message=message), image, gray)
         if self._is_lost:
-            frame = replace(frame, message=_joined(frame.message, "the map is found again"))
+            frame = replace(frame, message=joined(frame.message, "the map is found again"))
             self._waited[self._active].extend(self._waiting.frames)
-            self._is_lost, self._num_lost, self._recent = False, 0, []
+            self._is_lost, self._num_lost = False, 0
+            self._motion.restart()
         segment.agree(tracks, result)
         pose, count = result.cam_from_world, int(result.inlier_mask.sum())
         is_key_frame = segment.wants_key_frame(tracks, pose, count)
@@ -302,10 +286,10 @@ class Odometry:
             old = segment.recognise(gray, tracks)
             if old is not None:
                 pose = segment.last_key_frame.cam_from_world
-                said = _joined(frame.message, f"closes a loop with frame {old}")
+                said = joined(frame.message, f"closes a loop with frame {old}")
                 frame = replace(frame, message=said, loop_frame=old)
         segment.add_frame(tracks.index, pose, count)
-        self._recent = [*self._recent[-1:], tracks.index]
+        self._motion.follow(tracks.index)
         return replace(
             frame,
             status="tracked",
@@ -326,7 +310,7 @@ class Odometry:
         if self._waiting.reference_index == tracks.index:
             self._first_index, self._first_gray = tracks.index, gray
         status: FrameStatus = "lost" if self._is_lost else start.status
-        message = frame.message if self._is_lost else _joined(frame.message, start.message)
+        message = frame.message if self._is_lost else joined(frame.message, start.message)
         frame = replace(frame, status=status, message=message)
         if not start.has_begun:
             return frame
@@ -368,9 +352,9 @@ class Odometry:
         self._active = len(self._segments)
         self._segments.append(segment)
         self._waited.append(waited)
-        self._is_lost, self._num_lost, self._recent = False, 0, [tracks.index]
-        if tracks.index - 1 in segment.frames:
-            self._recent = [tracks.index - 1, tracks.index]
+        self._is_lost, self._num_lost = False, 0
+        before = [tracks.index - 1] if tracks.index - 1 in segment.frames else []
+        self._motion.restart(*before, tracks.index)
         return segment
 
     def _found_again(
@@ -387,38 +371,16 @@ class Odometry:
                 return segment, result
         return active, None
 
-    def _guess(self, segment: Segment) -> Pose | None:
-        """Where the frame should be if the camera goes on, turned as its tracks have turned."""
-        if self._is_lost or not self._recent:
-            return None
-        last = segment.pose_of(self._recent[-1])
-        turn = np.eye(3) if self._turn is None else self._turn
-        center = -(last.rotation.T @ last.translation)
-        if len(self._recent) > 1:
-            before = segment.pose_of(self._recent[-2])
-            center = 2 * center + before.rotation.T @ before.translation
-        rotation = nearest_rotation(turn @ last.rotation)
-        return Pose(rotation, -(rotation @ center))
-
-    def _predict_turn(self, tracks: FrameTracks) -> None:
-        """How the camera has turned since the frame before; the next frame should turn alike."""
-        self._turn = None
-        if self._before is None:
-            return
-        rows1, rows2 = shared_rows(self._before.ids, tracks.ids)
-        if len(rows1) >= _FEWEST_TO_TURN:
-            self._turn, _ = rotation_between(self._before.bearings[rows1], tracks.bearings[rows2])
-
     def _repeated(self, frame: FrameResult) -> FrameResult:
         """Result of a frame that shows the picture of the one before."""
         before = self._results[-1]
-        said = _joined(frame.message, f"repeats the picture of frame {before.index}")
+        said = joined(frame.message, f"repeats the picture of frame {before.index}")
         segment = self._segment
         frame = replace(frame, message=said, num_inliers=before.num_inliers)
         if segment is not None and before.index in segment.frames and not self._is_lost:
             pose = segment.pose_of(before.index)
             segment.add_frame(frame.index, pose, before.num_inliers)
-            self._recent = [frame.index]
+            self._motion.restart(frame.index)
             return self._kept(replace(frame, status="tracked", cam_from_world=pose))
         if segment is None:
             self._waiting.repeat(frame.index)
@@ -428,8 +390,8 @@ class Odometry:
 
     def _lost(self, frame: FrameResult, reason: str) -> FrameResult:
         """Result of a frame that cannot be used; the next one is tracked from the one before."""
-        said = _joined(frame.message, reason)
-        self._recent = self._recent[-1:]
+        said = joined(frame.message, reason)
+        self._motion.skip()
         return self._kept(replace(frame, status="lost", message=said))
 
     def _kept(self, result: FrameResult) -> FrameResult:
@@ -437,14 +399,3 @@ class Odometry:
             result = replace(result, message=f"frame {result.index}: {result.message}")
         self._results.append(result)
         return result
-
-
-def _is_white(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
-    height, width = mask.shape
-    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
-    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
-    return np.asarray(mask[rows, columns])
-
-
-def _joined(*sentences: str) -> str:
-    return "; ".join(sentence for sentence in sentences if sentence)

@@ -75,3 +75,18 @@ def camera_of_width(camera: Camera, max_width: int) -> Camera:
             cy=camera.cy * down,
         )
     return replace(camera, width=width, height=height)
+
+
+def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mask in the size of a camera's pictures."""
+    size = (camera.width, camera.height)
+    resized = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(resized > 0)
+
+
+def usable_at(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) a mask leaves."""
+    height, width = mask.shape
+    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
+    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
+    return np.asarray(mask[rows, columns])

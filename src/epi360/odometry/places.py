@@ -22,6 +22,7 @@ Descriptors = NDArray[np.uint8]
 NUM_DESCRIPTORS = 300
 _NUM_WORDS, _NUM_LEARNING_FRAMES = 2048, 32
 _WORDS_PER_FRAME = _NUM_WORDS // _NUM_LEARNING_FRAMES
+_ROOTS = np.sqrt(np.arange(256.0))
 _NO_WORD = _NUM_WORDS  # fills rows with fewer words up; its weight is zero
 
 
@@ -74,17 +75,30 @@ class PlaceIndex:
             last = int(np.searchsorted(self._key_frames[: self._size], not_after, side="right"))
         if last == 0 or len(strongest) == 0 or count < 1:
             return []
-        inverse_frequency = self._inverse_document_frequency()
-        query = np.zeros(_NUM_WORDS + 1)
-        words, counts = self._bag(strongest)
-        query[words] = np.sqrt(counts) * inverse_frequency[words]
-        bags = self._words[:last]
-        weights = np.sqrt(self._counts[:last]) * inverse_frequency[bags]
-        lengths = np.linalg.norm(weights, axis=1) * np.linalg.norm(query)
-        products = np.einsum("kw,kw->k", weights, query[bags])
-        similarities = products / np.maximum(lengths, 1e-12)
+        similarities = self._similarities(*self._bag(strongest), last)
         order = np.argsort(-similarities, kind="stable")[:count]
         return [(int(self._key_frames[row]), float(similarities[row])) for row in order]
+
+    def similar_before(self, key_frame: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Key frames before one that is remembered, in order, with their similarities to it."""
+        row = int(np.searchsorted(self._key_frames[: self._size], key_frame))
+        used = self._words[row] != _NO_WORD
+        words, counts = self._words[row, used], self._counts[row, used]
+        return self._key_frames[:row], self._similarities(words, counts, row)
+
+    def _similarities(
+        self, words: NDArray[np.integer], counts: NDArray[np.integer], num_rows: int
+    ) -> NDArray[np.float64]:
+        """Similarity of a bag to the first rows; a weight is a count's root times a frequency."""
+        inverse_frequency = self._inverse_document_frequency()
+        query = np.zeros(_NUM_WORDS + 1)
+        query[words] = _ROOTS[counts] * inverse_frequency[words]
+        bags, roots = self._words[:num_rows], np.take(_ROOTS, self._counts[:num_rows])
+        weights = roots * np.take(inverse_frequency, bags)
+        products = np.einsum("kw,kw->k", weights, np.take(query, bags))
+        squares = np.einsum("kw,kw->k", weights, weights)
+        lengths = np.sqrt(squares) * np.linalg.norm(query)
+        return np.asarray(products / np.maximum(lengths, 1e-12))
 
     def _learn(self, strongest: Descriptors) -> None:
         """Take words of one of the first frames; their bags are made anew at every doubling."""

@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from epi360.odometry.frame_result import FrameResult
+import numpy as np
+
+from epi360.odometry.frame_result import FrameResult, MapPoints, Trajectory
 from epi360.odometry.segment import Segment
 from epi360.poses import Pose
 
@@ -48,3 +50,24 @@ def _updated(
         is_keyframe=False,
         message=f"{message} (in map {number}, which is not connected)",
     )
+
+
+def trajectory_of(results: Sequence[FrameResult]) -> Trajectory:
+    """Poses of the frames that have one."""
+    tracked = [result for result in results if result.status == "tracked"]
+    return Trajectory(
+        np.array([result.index for result in tracked], np.int64),
+        np.array([result.timestamp_s for result in tracked]),
+        tuple(result.cam_from_world for result in tracked),
+    )
+
+
+def no_points() -> MapPoints:
+    """Points of a map that has not begun."""
+    none = np.zeros(0, np.int64)
+    return MapPoints(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), none, none, np.zeros((0, 2)))
+
+
+def joined(*sentences: str) -> str:
+    """One message of those sentences that say something."""
+    return "; ".join(sentence for sentence in sentences if sentence)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypedDict
 
 import numpy as np
@@ -47,7 +47,7 @@ class PosedFrame:
     """A frame's pose relative to a key frame, which later adjustments move."""
 
     number: int  # of the key frame
-    frame_from_key: Pose
+    frame_from_key: Pose  # before loops have changed the key frame's unit of length
     num_inliers: int
 
 
@@ -66,6 +66,7 @@ class Segment:
         self.map = SparseMap()
         self.recognition = recognition
         self.frames: dict[int, PosedFrame] = {}
+        self._growth = np.ones(0)  # of the unit of each key frame by loops; later ones have one
         self._pixel_rad = pixel_rad
         self._options = options
         self._gravity = gravity
@@ -149,7 +150,9 @@ class Segment:
     def pose_of(self, index: int) -> Pose:
         """Pose of a frame as the map is now."""
         posed = self.frames[index]
-        return posed.frame_from_key @ self.map.key_frames[posed.number].cam_from_world
+        offset, growth = posed.frame_from_key, self._growth_of(posed.number)
+        grown = Pose(offset.rotation, growth * offset.translation)
+        return grown @ self.map.key_frames[posed.number].cam_from_world
 
     def wants_key_frame(self, tracks: FrameTracks, pose: Pose, num_inliers: int) -> bool:
         """Whether a frame shows enough that is new."""
@@ -263,6 +266,10 @@ class Segment:
                 number = numbers.get(frame.index, self._nearest(frame.index))
                 if abs(frame.index - last) != 1:
                     guess = self.map.key_frames[number].cam_from_world
+                if frame.is_repeat and frame.index - 1 in self.frames:
+                    self.frames[frame.index] = self.frames[frame.index - 1]
+                    last = frame.index
+                    continue
                 if frame.index in numbers:
                     guess = self.map.key_frames[number].cam_from_world
                     self._add_frame(frame.index, guess, number, self.map.num_seen_by(number))
@@ -275,16 +282,19 @@ class Segment:
 
     def grow(self, factors: Array) -> None:
         """Lengthen what frames are away from their key frames by a factor for each of these."""
-        for index, posed in self.frames.items():
-            offset = posed.frame_from_key
-            scaled = Pose(offset.rotation, offset.translation * factors[posed.number])
-            self.frames[index] = replace(posed, frame_from_key=scaled)
+        before = np.ones(len(factors))
+        before[: len(self._growth)] = self._growth
+        self._growth = before * factors
 
     def _insert_between(
         self, first: FrameTracks, last: FrameTracks, pose: Pose, waited: list[FrameTracks]
     ) -> None:
         """Make some frames between the first two key frames key frames too: more views of all."""
-        between = [frame for frame in waited if first.index < frame.index < last.index]
+        between = [
+            frame
+            for frame in waited
+            if first.index < frame.index < last.index and not frame.is_repeat
+        ]
         count = min(_FRAMES_BETWEEN, len(between))
         chosen = np.unique(np.linspace(0, len(between), count + 2)[1:-1].astype(int))
         for place in chosen:
@@ -297,8 +307,12 @@ class Segment:
                 self.map.add_key_frame(frame, result.cam_from_world)
 
     def _add_frame(self, index: int, pose: Pose, number: int, num_inliers: int) -> None:
-        key_pose = self.map.key_frames[number].cam_from_world
-        self.frames[index] = PosedFrame(number, pose @ key_pose.inverse(), num_inliers)
+        offset = pose @ self.map.key_frames[number].cam_from_world.inverse()
+        offset = Pose(offset.rotation, offset.translation / self._growth_of(number))
+        self.frames[index] = PosedFrame(number, offset, num_inliers)
+
+    def _growth_of(self, number: int) -> float:
+        return float(self._growth[number]) if number < len(self._growth) else 1.0
 
     def _nearest(self, index: int) -> int:
         distances = [abs(key_frame.index - index) for key_frame in self.map.key_frames]

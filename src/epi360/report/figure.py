@@ -28,6 +28,7 @@ from epi360.report.text import (
     CONVENTION,
     STATUS_SENTENCES,
     describe_direction,
+    describe_explanations,
     pose_sigmas_deg,
     rotation_axis_angle,
 )
@@ -279,7 +280,9 @@ def _title(result: ImagePairResult) -> tuple[str, str]:
         title = f"{rotation}, no translation and so no epipoles"
     elif not np.isfinite(pose.translation).all():
         title = "no pose"
-    reason = textwrap.fill(f"{detail}; {STATUS_SENTENCES[result.status]}", TEXT_COLUMNS)
+    explained = describe_explanations(result.explanations)
+    why = STATUS_SENTENCES[result.status] + (f"; explained by {explained}" if explained else "")
+    reason = textwrap.fill(f"{detail}; {why}", TEXT_COLUMNS)
     return f"{result.status}: {title}", reason
 
 

@@ -22,6 +22,7 @@ from epi360.report.html_page import Page, camera_record, escaped, picture_addres
 from epi360.report.match_table import CONTRADICTED, describe_level, rejection, verdict_reason
 from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
+from epi360.report.text import describe_explanations
 from epi360.report.webgl import MISSING, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 
@@ -210,6 +211,9 @@ def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:
         sentences.append(
             f"From the matches alone, the probability that the pose is right is {sure} %."
         )
+    explained = describe_explanations(verdict.explanations)
+    if explained:
+        sentences.append(f"What may explain the matches: {explained}.")
     if verdict.num_triangles:
         sentences.append(
             f"It forms {verdict.num_triangles} triangles with other pairs, and "

@@ -5,6 +5,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import astuple
 
 import numpy as np
 
@@ -15,7 +16,8 @@ COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
     "parallax_deg", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "rotation_sigma_deg",
     "translation_sigma_deg", "num_triangles", "num_contradicted", "warnings", "probability",
-    "prior",
+    "prior", "probability_nothing", "probability_rotation", "probability_surface",
+    "probability_motion", "probability_rival",
 )  # fmt: skip
 CONTRADICTED = "contradicted by other pairs"
 _MAX_LISTED = 10
@@ -24,8 +26,8 @@ _MAX_LISTED = 10
 def pairs_csv(run: MatchRun) -> bytes:
     """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
-    ``probability`` is that of the matches of the pair alone, ``prior`` what was known beforehand:
-    "upright", or in a level folder "level" or "level, one height".
+    ``probability`` and those of the explanations are by the matches of the pair alone, ``prior`` is
+    what was known beforehand: "upright", or in a level folder "level" or "level, one height".
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -49,6 +51,7 @@ def pairs_csv(run: MatchRun) -> bytes:
                 "; ".join(verdict.warnings),
                 _number(verdict.probability),
                 verdict.prior,
+                *map(_number, astuple(verdict.explanations)),
             ]
         )
     return text.getvalue().encode()

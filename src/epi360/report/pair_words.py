@@ -10,6 +10,7 @@ from epi360.poses import Pose
 from epi360.report.text import (
     STATUS_SENTENCES,
     describe_direction,
+    describe_explanations,
     pose_sigmas_deg,
     rotation_axis_angle,
 )
@@ -57,6 +58,7 @@ def evidence_of(result: RelativePoseResult, pixel_deg: float) -> list[Evidence]:
         *_parallax(result),
         *_coverage(result),
         *_probability(result),
+        *_explanations(result),
         *_alternatives(result),
     ]
     said = {each.sentence for each in evidence}
@@ -146,6 +148,12 @@ def _probability(result: RelativePoseResult) -> list[Evidence]:
     pose = "the pose" if result.success else "the pose which was found"
     text = f"The probability that {pose} is right is {amount} %."
     return [Evidence(probability >= SMALLEST_PROBABILITY, text)]
+
+
+def _explanations(result: RelativePoseResult) -> list[Evidence]:
+    explained = describe_explanations(result.explanations)
+    text = f"What may explain the matches: {explained}."
+    return [Evidence(result.success, text)] if explained else []
 
 
 def _alternatives(result: RelativePoseResult) -> list[Evidence]:

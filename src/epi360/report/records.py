@@ -4,6 +4,7 @@
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
         "warnings": list(result.warnings),
         "cam2_from_cam1": pose_record(result.cam2_from_cam1),
         "probability": result.probability,
+        "explanations": asdict(result.explanations),
         "rotation_sigma_deg": rotation_sigma_deg,
         "translation_sigma_deg": translation_sigma_deg,
         "covariance": result.covariance,
@@ -96,6 +98,8 @@ def _plain(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -2,11 +2,12 @@
 """A relative pose in plain words."""
 
 import textwrap
+from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation.result import RelativePoseResult, Status
+from epi360.estimation.result import Explanations, RelativePoseResult, Status
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
@@ -40,6 +41,16 @@ STATUS_SENTENCES: dict[Status, str] = {
 }
 
 
+EXPLANATION_WORDS = {
+    "nothing": "the images have nothing in common",
+    "rotation": "the camera only turned",
+    "surface": "this pose, of matches on one surface",
+    "motion": "this pose",
+    "rival": "another pose",
+}
+_DOUBT = 0.001  # an explanation less probable than this is not worth a word
+
+
 def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     """Plain-text lines that tell a person the pose, its uncertainty and the verdict.
 
@@ -61,6 +72,15 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
 def describe_status(status: Status) -> str:
     """Status with its reason and, where there is one, the remedy, in one line."""
     return f"{status}: {STATUS_SENTENCES[status]}"
+
+
+def describe_explanations(explanations: Explanations) -> str:
+    """The explanations of the matches with their probabilities; empty if there is no doubt."""
+    shares = asdict(explanations)
+    named = sorted(((p, name) for name, p in shares.items() if p >= _DOUBT), reverse=True)
+    if len(named) < 2:
+        return ""
+    return ", ".join(f"{EXPLANATION_WORDS[name]} ({100.0 * p:.1f} %)" for p, name in named)
 
 
 def describe_direction(direction: Array) -> str:
@@ -116,9 +136,11 @@ def _evidence_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
     noise = number_text(result.noise_deg, "{:.3f} deg per axis and view")
     parallax = number_text(result.parallax_deg, "{:.2f} deg, median over the inliers")
     coverage = number_text(result.sphere_coverage, "inliers in {:.0%} of the sphere")
+    explained = describe_explanations(result.explanations)
     return [
         ("Inliers", f"{result.num_inliers} of {result.num_matches} matches{share}, gate {gate}"),
         ("Probability", _probability_text(result.probability)),
+        *((("Explained by", explained),) if explained else ()),
         ("Noise", noise),
         ("Parallax", parallax),
         ("Coverage", coverage),

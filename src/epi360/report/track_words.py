@@ -59,8 +59,12 @@ def why_no_trajectory(run: TrackRun) -> str:
 def track_sentences(run: TrackRun) -> list[str]:
     """Return what became of a sequence, the most important first."""
     num_tracked = run.counts["tracked"]
+    ending = []
+    if run.was_interrupted:
+        ending = [f"The run was interrupted after {_count(len(run.results), 'frame')}."]
     if not num_tracked:
         return [
+            *ending,
             f"There is no trajectory: {why_no_trajectory(run)}.",
             *_stretch_words(run.results),
         ]
@@ -72,6 +76,7 @@ def track_sentences(run: TrackRun) -> list[str]:
             "is shown is the part with most frames."
         )
     return [
+        *ending,
         f"The camera was followed through {num_tracked} of {len(run.results)} frames, from frame "
         f"{first.index} on.{parts}",
         f"The map has {_count(run.num_key_frames, 'key frame')} and {run.num_points} points.",

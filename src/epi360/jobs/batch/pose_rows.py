@@ -6,12 +6,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from epi360.cameras.upright import DOWN
-from epi360.estimation import RelativePoseResult, estimate_relative_pose
+from epi360.estimation import Explanations, RelativePoseResult, estimate_relative_pose
 from epi360.estimation.robust import estimate_timed_poses
 from epi360.extras import extra_library
 from epi360.jobs.batch.sources import Array, PairMatches, pair_seed
@@ -48,6 +49,7 @@ def part_schema() -> Any:
             ("parallax_deg", number),
             ("seconds", number),
             ("probability", number),
+            *((f"probability_{field.name}", number) for field in fields(Explanations)),
             (INLIERS, arrow.binary()),
         ]
     )
@@ -87,6 +89,12 @@ def estimate_rows(
         "parallax_deg": [result.parallax_deg for result in results],
         "seconds": seconds,
         "probability": [result.probability for result in results],
+        **{
+            f"probability_{field.name}": [
+                getattr(each.explanations, field.name) for each in results
+            ]
+            for field in fields(Explanations)
+        },
         INLIERS: [np.packbits(result.inlier_mask).tobytes() for result in results],
     }
     return _table(columns)
