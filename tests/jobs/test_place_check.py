@@ -92,6 +92,15 @@ def test_what_only_one_of_both_views_shows_speaks_for_no_pair():
     assert not judge_places(pairs, evidence_on(pairs, shares))[0].refused
 
 
+def test_a_pair_that_is_not_believed_speaks_for_no_other():
+    pairs, is_right = twin_rooms()
+    pairs = [*pairs, (0, 8), (4, 8)]  # only these two know panorama 8
+    shares = [*np.where(is_right, 1.0, 0.4), 1.0, None]
+    assert judge_places(pairs, evidence_on(pairs, shares))[28].refused.startswith(COPY)
+    shares = [*[1.0] * 29, None]
+    assert not judge_places(pairs, evidence_on(pairs, shares))[28].refused
+
+
 def test_points_that_something_may_hide_say_nothing():
     pairs = list(combinations(range(5), 2))
     found = evidence_on(pairs, [0.2] * len(pairs), beyond=0.5)
