@@ -142,8 +142,8 @@ def fixed_to_the_camera_masked() -> Pair:
 
 
 def little_parallax() -> Pair:
-    """The camera moved by 3 mm."""
-    return seen(scene("living_room"), standing(0.2, 0.3), standing(0.203, 0.3, 10.0))
+    """The camera moved by 4 mm."""
+    return seen(scene("living_room"), standing(0.2, 0.3), standing(0.204, 0.3, 10.0))
 
 
 def part_of_the_scene() -> Pair:

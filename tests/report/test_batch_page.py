@@ -46,7 +46,12 @@ def write_poses(path, count, name="img {:06}.jpg"):
         "noise_deg": np.where(ok, 0.05 + 0.001 * (index % 50), nan),
         "parallax_deg": np.where(ok, 5.0, nan),
         "seconds": np.full(count, 0.002),
-        "probability": np.where(ok, np.where(unsure, 0.6, 0.9999), 0.0),
+        "probability": (right := np.where(ok, np.where(unsure, 0.6, 0.9999), 0.0)),
+        "probability_nothing": 1.0 - right,
+        "probability_rotation": np.zeros(count),
+        "probability_surface": np.zeros(count),
+        "probability_motion": right,
+        "probability_rival": np.zeros(count),
     }
     fields = [part_schema().field(each) for each in output_columns()]
     table = pyarrow.table(columns, schema=pyarrow.schema(fields))

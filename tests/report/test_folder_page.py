@@ -260,6 +260,8 @@ def test_100_images_and_1000_pairs_stay_below_30_megabytes_and_open_in_3_seconds
 def seconds_to_open(browser, path):
     begun = time.monotonic()
     show(browser, path)
-    rows = browser.execute_script("return document.querySelectorAll('.pairs tbody tr').length")
-    assert rows == 100
+    count = "return document.querySelectorAll('.pairs tbody tr').length"
+    while browser.execute_script(count) != 100 and time.monotonic() < begun + 60.0:
+        time.sleep(0.02)
+    assert browser.execute_script(count) == 100
     return time.monotonic() - begun
