@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, diags
 
+from epi360.features.visual_words import evenly_spread, rarity
+
 Array = NDArray[np.float64]
 Descriptors = NDArray[np.float32]
 
@@ -25,24 +27,24 @@ class ViewIndex:
     """Bags of words of the images of a map."""
 
     def __init__(self, descriptors: Iterable[Descriptors]) -> None:
-        chosen = [_in_bytes(_spread(each, _PER_IMAGE)) for each in descriptors]
+        chosen = [_in_bytes(evenly_spread(each, _PER_IMAGE)) for each in descriptors]
         everything = [each for each in chosen if len(each)]
         per_image = max(1, _NUM_WORDS // max(len(everything), 1))
         self._words = np.concatenate(
-            [_spread(_from_bytes(each), per_image) for each in everything]
+            [evenly_spread(_from_bytes(each), per_image) for each in everything]
             or [np.zeros((0, 1), np.float32)]
         )
         rows = [self._counted(_from_bytes(each)) for each in chosen]
         bags = csr_matrix(np.stack(rows)) if rows else csr_matrix((0, len(self._words)))
-        frequency = np.maximum(np.asarray((bags > 0).sum(axis=0)).ravel(), 1)
-        self._importance = np.log((len(chosen) + 1.0) / frequency)
+        num_with_word = np.asarray((bags > 0).sum(axis=0)).ravel()
+        self._importance = rarity(len(chosen), num_with_word)
         weighted = bags @ diags(self._importance)
         lengths = np.sqrt(np.asarray(weighted.multiply(weighted).sum(axis=1)).ravel())
         self._bags = diags(1.0 / np.maximum(lengths, 1e-12)) @ weighted
 
     def most_similar(self, descriptors: Descriptors) -> NDArray[np.int64]:
         """All images, the most similar first."""
-        bag = self._counted(_spread(descriptors, _PER_IMAGE)) * self._importance
+        bag = self._counted(evenly_spread(descriptors, _PER_IMAGE)) * self._importance
         return np.asarray(np.argsort(-(self._bags @ bag), kind="stable"))
 
     def _counted(self, descriptors: Descriptors) -> Array:
@@ -51,14 +53,6 @@ class ViewIndex:
             return np.zeros(len(self._words))
         nearest = np.asarray((descriptors @ self._words.T).argmax(axis=1))
         return np.asarray(np.sqrt(np.bincount(nearest, minlength=len(self._words))))
-
-
-def _spread(descriptors: Descriptors, count: int) -> Descriptors:
-    """At most so many, evenly from the list."""
-    if len(descriptors) <= count:
-        return descriptors
-    rows = np.linspace(0, len(descriptors) - 1, count).astype(int)
-    return np.asarray(descriptors[rows])
 
 
 def _in_bytes(descriptors: Descriptors) -> NDArray[np.int8]:
