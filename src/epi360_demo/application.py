@@ -24,7 +24,7 @@ _MAX_LOOKS = 2  # settings of sliders that are worked on at a time
 # Scripts and styles of the page, ours and those that we share with the report.
 _PAGE_FILES = {
     "demo.css": "epi360_demo", "pictures.js": "epi360_demo", "paper.js": "epi360_demo",
-    "geometry.js": "epi360.report", "ball.js": "epi360.report",
+    "colors.css": "epi360.report", "geometry.js": "epi360.report", "ball.js": "epi360.report",
 }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ _ICON = (
     'stroke="#fff" stroke-width="2"/></svg>'
 )
 _HEAD = (
+    '<link rel="stylesheet" href="/demo/colors.css">'
     '<link rel="stylesheet" href="/demo/demo.css">'
     + "".join(
         f'<script src="/demo/{name}"></script>'

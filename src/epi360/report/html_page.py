@@ -70,7 +70,7 @@ class Page:
         text = _TEMPLATE.format(
             policy=html.escape(_POLICY),
             title=escaped(self.title),
-            style=_package_file("report.css"),
+            style=_package_file("colors.css") + _package_file("report.css"),
             body=self.body,
             version=escaped(package_version()),
             credit=escaped(self.webgl.credit if self.webgl else ""),
