@@ -180,7 +180,7 @@ def _measure(num_points: int, options: argparse.Namespace) -> dict[str, list[flo
 
 
 def _microseconds(call: Call) -> float:
-    """Of one call, from as many as take two milliseconds."""
+    """Time of one call, from as many as take two milliseconds."""
     clock = CLOCK or time.perf_counter
     count, elapsed = 1, 0.0
     while True:

@@ -31,6 +31,16 @@ def points_around(rng, count, nearest=2.0, farthest=10.0):
     return directions(rng, count) * rng.uniform(nearest, farthest, (count, 1))
 
 
+def scene(seed, num_points=200, noise_rad=1e-3, outliers=0.0):
+    """A pose, points around it and their bearings, the first of which are wrong."""
+    rng = np.random.default_rng(seed)
+    pose, points = random_pose(rng), points_around(rng, num_points)
+    bearings = noisy(rng, seen_from(pose, points), noise_rad)
+    wrong = np.arange(num_points) < outliers * num_points
+    bearings[wrong] = directions(rng, wrong.sum())
+    return pose, points, bearings
+
+
 def walk(rng, num_frames, step=0.3):
     """Poses cam_from_world along a line, the camera turned at random."""
     centers = step * np.arange(num_frames)[:, None] * [1.0, 0.1, 0.2]

@@ -9,7 +9,6 @@ from command_line import assert_help_names
 from convert_scene import CAMERA, assert_same_poses, refused, scene
 
 from epi360.cameras import Equirectangular, KannalaBrandt
-from epi360.cli import main
 from epi360.interop import (
     MatchedImage,
     MatchedPair,
@@ -26,18 +25,6 @@ from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
 COLMAP = "colmap", "colmap-text"
-
-
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        code = main(["convert", *words])
-        out, err = capsys.readouterr()
-        return code, out.strip(), err.strip()
-
-    return run
 
 
 def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):

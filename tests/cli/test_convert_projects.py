@@ -1,25 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """epi360 convert: OpenSfM's project folders, and trajectories with times and names."""
 
-import pytest
 from convert_scene import assert_same_poses, refused, scene
 
-from epi360.cli import main
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.opensfm import write_opensfm
 from epi360.interop.tum import read_tum_trajectory
-
-
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        code = main(["convert", *words])
-        out, err = capsys.readouterr()
-        return code, out.strip(), err.strip()
-
-    return run
 
 
 def test_a_model_becomes_a_project_of_opensfm_and_comes_back(run, tmp_path):

@@ -5,19 +5,10 @@ import re
 
 import numpy as np
 import pytest
-from seen_points import directions, noisy, points_around, random_pose, seen_from
+from seen_points import directions, noisy, points_around, random_pose, scene, seen_from
 
 from epi360 import estimate_absolute_pose
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, vector_from_rotation
-
-
-def scene(seed, num_points=200, noise_rad=1e-3, outliers=0.0):
-    rng = np.random.default_rng(seed)
-    pose, points = random_pose(rng), points_around(rng, num_points)
-    bearings = noisy(rng, seen_from(pose, points), noise_rad)
-    wrong = np.arange(num_points) < outliers * num_points
-    bearings[wrong] = directions(rng, wrong.sum())
-    return pose, points, bearings
 
 
 def scaled_error(result, pose):

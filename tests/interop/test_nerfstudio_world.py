@@ -35,7 +35,7 @@ def test_tilted_worlds_are_saved_with_z_up(tmp_path):
 
 
 def test_a_face_that_looks_down_does_not_tilt_the_scene(tmp_path):
-    """Of five faces without "up", the mean of their own y axes would be off by 14 degrees."""
+    """Without "up", the mean of the five faces' own y axes would be off by 14 degrees."""
     path = tmp_path / "transforms.json"
     source = Reconstruction(
         {"p": Equirectangular(360, 180)},

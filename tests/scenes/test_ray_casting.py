@@ -40,7 +40,7 @@ def random_room(seed):
 
 
 def free_place(solids, seed):
-    """Of 500 random places the one farthest from all surfaces."""
+    """The place farthest from all surfaces, among 500 random ones."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(ROOM_CENTER - ROOM_HALVES, ROOM_CENTER + ROOM_HALVES, (500, 3))
     return places[np.argmax(solids.distances(places))]
