@@ -110,13 +110,15 @@ class LocalizationMap:
         found = self._index.most_similar(features.descriptors)
         return [self._with_points[k] for k in found]
 
-    def covisible(self, number: int) -> list[int]:
+    def covisible(self, number: int, least: int = 1) -> list[int]:
         """Other images that see points of an image, those with most of them first.
 
         Parameters
         ----------
         number : int
             Row of the image in the model.
+        least : int
+            Points that both must see.
         """
         seen = self.model.observations
         assert seen is not None
@@ -124,7 +126,7 @@ class LocalizationMap:
         counts = np.bincount(seen.images[shown], minlength=len(self.model.images))
         counts[number] = 0
         order = np.argsort(-counts, kind="stable")
-        return [int(k) for k in order[: np.count_nonzero(counts)]]
+        return [int(k) for k in order[: np.count_nonzero(counts >= max(least, 1))]]
 
     @cached_property
     def _with_points(self) -> list[int]:
@@ -132,13 +134,7 @@ class LocalizationMap:
 
     @cached_property
     def _index(self) -> ViewIndex:
-        return ViewIndex(self._described(number) for number in self._with_points)
-
-    def _described(self, number: int) -> NDArray[np.float32]:
-        """Descriptors of what the map knows: of all features where none has a point yet."""
-        if not self.source.are_of_the_points:
-            return self._features(number).descriptors
-        return self.view(number).known.descriptors
+        return ViewIndex(self._features(number).descriptors for number in self._with_points)
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]
