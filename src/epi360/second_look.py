@@ -11,7 +11,7 @@ from epi360.estimation import RelativePoseResult
 
 # One sigma, over all components, shared errors included, which more key points do not lessen.
 _PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.25, 0.75
-# Probability after a look with the stronger key points. Of 200 pairs of different places, 188 have
+# Probability after a look with the stronger key points. Of 200 pairs of different places, 189 have
 # less; all accepted pairs of five tours and a sequence (178) have at least 0.5, but for six that
 # only the prior of a level folder finds.
 _LEAST_HOPE = 0.05
