@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.features.images import usable_at
 from epi360.features.views import search_views
 
 DESCRIPTOR_BYTES = 32
@@ -78,9 +79,7 @@ def extract_binary_features(
     bearings = camera.bearings_from_pixels(all_pixels)
     usable = np.asarray(np.isfinite(bearings).all(axis=1))
     if mask is not None:
-        rows = np.clip(all_pixels[:, 1].astype(int), 0, height - 1)
-        columns = np.clip(all_pixels[:, 0].astype(int), 0, width - 1)
-        usable &= mask[rows, columns]
+        usable &= usable_at(mask, all_pixels)
     chosen = order[usable[order]][:max_features]
     return BinaryFeatures(bearings[chosen], np.concatenate(descriptors)[chosen])
 

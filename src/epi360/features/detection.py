@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
-from epi360.features.images import ImageSource, read_image, read_mask
+from epi360.features.images import ImageSource, read_image, read_mask, usable_at
 from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
 
 Array = NDArray[np.float64]
@@ -50,7 +50,11 @@ class Features:
 
     def first(self, count: int) -> Features:
         """Return the ``count`` strongest of what `extract_features` found."""
-        return Features(self.keypoints[:count], self.descriptors[:count], self.sizes_px[:count])
+        return self.chosen(slice(count))
+
+    def chosen(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Features:
+        """Return those of a mask, of indices or of a slice."""
+        return Features(self.keypoints[index], self.descriptors[index], self.sizes_px[index])
 
 
 def extract_features(
@@ -166,8 +170,19 @@ def find_keypoints(
     parts = [_searched(view, contrast_threshold, stretch) for view in views]
     found = _merged(parts, camera, stretch[0])
     usable = None if mask is None else read_mask(mask, (height, width))
-    kept = _kept(found, camera, usable, mask_nadir_deg, max_features)
-    return found.chosen(kept)
+    order = np.argsort(-found.strengths, kind="stable")
+    kept = order[usable_rows(found.pixels, camera, usable, mask_nadir_deg)[order]]
+    return found.chosen(kept[:max_features])
+
+
+def usable_rows(
+    pixels: Array, camera: Camera, mask: NDArray[np.bool_] | None, mask_nadir_deg: float
+) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) a mask leaves, less those so near straight down."""
+    usable = np.ones(len(pixels), bool) if mask is None else usable_at(mask, pixels)
+    if mask_nadir_deg > 0.0:
+        usable &= camera.bearings_from_pixels(pixels)[:, 1] < np.cos(np.radians(mask_nadir_deg))
+    return usable
 
 
 def check_options(max_width: int, mask_nadir_deg: float) -> None:
@@ -228,21 +243,3 @@ def _in_overlap(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
     y = np.abs(camera.bearings_from_pixels(pixels)[:, 1])
     low, high = np.sin(np.radians([FACE_LATITUDE_DEG - 0.5, STRIP_LATITUDE_DEG + 0.5]))
     return np.asarray((y > low) & (y < high))
-
-
-def _kept(
-    found: SiftKeypoints,
-    camera: Camera,
-    mask: NDArray[np.bool_] | None,
-    mask_nadir_deg: float,
-    max_features: int,
-) -> NDArray[np.int64]:
-    order = np.argsort(-found.strengths, kind="stable")
-    if mask is not None:
-        columns = np.clip(found.pixels[order, 0].astype(int), 0, camera.width - 1)
-        rows = np.clip(found.pixels[order, 1].astype(int), 0, camera.height - 1)
-        order = order[mask[rows, columns]]
-    if mask_nadir_deg > 0.0:
-        down = camera.bearings_from_pixels(found.pixels[order])[:, 1]
-        order = order[down < np.cos(np.radians(mask_nadir_deg))]
-    return order[:max_features]

@@ -91,6 +91,14 @@ def read_mask(
     return mask
 
 
+def usable_at(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) a mask (H, W) leaves."""
+    height, width = mask.shape
+    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
+    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
+    return np.asarray(mask[rows, columns])
+
+
 def nadir_mask(camera: Camera, degrees: float) -> NDArray[np.bool_]:
     """Pixels (H, W) whose centres are farther than an angle from straight down, (0, 1, 0).
 

@@ -14,6 +14,7 @@ from epi360.cameras import Camera
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
+from epi360.features.images import usable_at
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -27,7 +28,7 @@ from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
-from epi360.odometry.pictures import PictureWatch, camera_of_width, mask_for, usable_at
+from epi360.odometry.pictures import PictureWatch, camera_of_width, mask_for
 from epi360.odometry.recognition import Recognition
 from epi360.odometry.results import joined, no_points, trajectory_of, updated_results
 from epi360.odometry.segment import Segment

@@ -82,11 +82,3 @@ def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     size = (camera.width, camera.height)
     resized = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(resized > 0)
-
-
-def usable_at(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which pixels (N, 2) a mask leaves."""
-    height, width = mask.shape
-    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
-    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
-    return np.asarray(mask[rows, columns])

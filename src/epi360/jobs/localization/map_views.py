@@ -51,10 +51,7 @@ class MapView:
     @cached_property
     def known(self) -> Features:
         """Those features."""
-        found = self.features
-        return Features(
-            found.keypoints[self.rows], found.descriptors[self.rows], found.sizes_px[self.rows]
-        )
+        return self.features.chosen(self.rows)
 
 
 class LocalizationMap:
