@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """New images in a map of a rendered room: ours, COLMAP's, hloc's; and images of other places."""
 
+import dataclasses
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from mapped_room import CAMERA, write_picture
@@ -205,3 +208,20 @@ def test_a_map_that_colmap_made_from_its_own_sift(room_folder, new_image, tmp_pa
     result = epi360.localize_image(new_image, world)
     assert_right(result, world, truth, largest_deg=0.5, largest_m=0.03)
     assert result.num_inliers > 150
+
+
+def test_features_where_a_lens_sees_nothing_are_left_out(world, room_folder):
+    """Detectors that know no lens find key points outside its circle as well."""
+    narrow = dataclasses.replace(FISHEYE, max_angle_deg=80)
+    picture = furnished_room(0).render(FISHEYE, WORLD_FROM_NEW).image
+    found = world.source.of_new(picture, FISHEYE, None, 0.0)
+    outside = np.isnan(narrow.bearings_from_pixels(found.keypoints)[:, 0])
+    assert outside.sum() > 10
+    source = SimpleNamespace(
+        are_of_the_points=True, of_map=world.source.of_map, of_new=lambda *_: found
+    )
+    result = epi360.localize_image(
+        picture, epi360.LocalizationMap(world.model, source), camera=narrow
+    )
+    assert_right(result, world, room_folder[1], largest_deg=1.0, largest_m=0.05)
+    assert np.isfinite(narrow.bearings_from_pixels(result.keypoints)).all()

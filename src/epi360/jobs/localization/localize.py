@@ -185,6 +185,9 @@ def _localized(
     options: LocalizationOptions,
 ) -> LocalizationResult:
     bearings = camera.bearings_from_pixels(features.keypoints)
+    # Features of another program may lie where a lens sees nothing.
+    is_seen = np.isfinite(bearings[:, 0])
+    features, bearings = features.chosen(is_seen), bearings[is_seen]
     ranked = [
         number
         for number in world.similar_views(features)
