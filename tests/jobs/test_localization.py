@@ -148,6 +148,10 @@ def test_hloc_has_the_features_of_map_and_new_image(room_run, new_image, room_fo
     world = epi360.load_map(output / "sparse" / "0", features=tmp_path / "features.h5")
     result = epi360.localize_image(tmp_path / "query" / "new.png", world)
     assert_right(result, world, room_folder[1])
+    left = np.zeros((256, 512), bool)
+    left[:, :300] = True
+    masked = epi360.localize_image(tmp_path / "query" / "new.png", world, mask=left)
+    assert 0 < len(masked.keypoints) and masked.keypoints[:, 0].max() < 300
     write_picture(tmp_path / "other.png", new_image)
     with pytest.raises(ValueError, match="has no features of"):
         epi360.localize_image(tmp_path / "other.png", world)

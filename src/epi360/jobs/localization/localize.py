@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -156,10 +157,8 @@ def localize_image(
     begun = time.perf_counter()
     picture = read_image(image)
     camera = _camera_of(image, picture, camera, world)
-    if isinstance(image, str) or hasattr(image, "__fspath__"):
-        features = world.source.of_new(image, camera, mask, options.mask_nadir_deg)
-    else:
-        features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg)
+    path = os.fspath(image) if isinstance(image, str | os.PathLike) else None
+    features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg, path)
     found = _localized(features, camera, world, frozenset(without), options)
     return dataclasses.replace(found, seconds=time.perf_counter() - begun)
 
