@@ -152,6 +152,11 @@ def test_hloc_has_the_features_of_map_and_new_image(room_run, new_image, room_fo
     left[:, :300] = True
     masked = epi360.localize_image(tmp_path / "query" / "new.png", world, mask=left)
     assert 0 < len(masked.keypoints) and masked.keypoints[:, 0].max() < 300
+    with h5py.File(tmp_path / "features.h5", "a") as file:
+        del file["query/new.png"]["descriptors"]
+        file["query/new.png"]["descriptors"] = found.descriptors[:, :64].T
+    with pytest.raises(ValueError, match="128 numbers each, those of the new image 64"):
+        epi360.localize_image(tmp_path / "query" / "new.png", world)
     write_picture(tmp_path / "other.png", new_image)
     with pytest.raises(ValueError, match="has no features of"):
         epi360.localize_image(tmp_path / "other.png", world)
