@@ -2,14 +2,18 @@
 """New images in a map of a rendered room: ours, COLMAP's, hloc's; and images of other places."""
 
 import dataclasses
+import shutil
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from mapped_room import CAMERA, write_picture
 
 import epi360
 from epi360.cameras import KannalaBrandt
+from epi360.interop import write_colmap_model
+from epi360.jobs.localization.outputs import model_with
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 from epi360_scenes import furnished_room, scene
 
@@ -111,8 +115,6 @@ def test_the_index_finds_the_images_of_a_place_whatever_their_heading(world, roo
 
 def test_the_model_alone_with_its_database_is_enough(room_run, new_image, room_folder):
     """As COLMAP leaves it: descriptors in COLMAP's bytes, nothing of ours."""
-    import shutil
-
     foreign = room_run[0].parent / "foreign"
     shutil.copytree(room_run[0] / "sparse" / "0", foreign / "sparse" / "0")
     shutil.copy(room_run[0] / "database.db", foreign)
@@ -160,6 +162,32 @@ def test_hloc_has_the_features_of_map_and_new_image(room_run, new_image, room_fo
     write_picture(tmp_path / "other.png", new_image)
     with pytest.raises(ValueError, match="has no features of"):
         epi360.localize_image(tmp_path / "other.png", world)
+
+
+@pytest.mark.parametrize("source", ["ours", "database", "images"])
+def test_a_map_to_which_images_were_added_is_used_again(
+    source, room_run, new_image, room_folder, tmp_path
+):
+    """The new image has another camera, and its features are kept nowhere."""
+    output = tmp_path / "map"
+    shutil.copytree(room_run[0], output)
+    world = epi360.load_map(output)
+    small = cv2.resize(new_image, (448, 224), interpolation=cv2.INTER_AREA)
+    grown, _ = model_with(world.model, {"small.png": epi360.localize_image(small, world)})
+    assert len(grown.cameras) == 2 and len(grown.images) == len(world.model.images) + 1
+    path = (output if source == "ours" else tmp_path) / "sparse" / "grown"
+    write_colmap_model(path, grown)
+    given = {"database": {"database": output / "database.db"}, "images": {"images": room_folder[0]}}
+    again = epi360.load_map(path, **given.get(source, {}))
+    result = epi360.localize_image(new_image, again)
+    assert_right(result, again, room_folder[1])
+    assert "small.png" not in result.map_images
+
+
+def test_a_folder_without_the_images_of_the_map_is_refused(room_run, new_image, tmp_path):
+    world = epi360.load_map(room_run[0], images=tmp_path)
+    with pytest.raises(ValueError, match="has no features of .* and 5 other images"):
+        epi360.localize_image(new_image, world)
 
 
 def test_features_of_another_model_are_refused(room_run, new_image, tmp_path):

@@ -23,6 +23,7 @@ from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 
 Picture = NDArray[np.uint8]
+_REMEDY = "run epi360 map with this --output again"
 
 
 @dataclass(frozen=True)
@@ -81,24 +82,26 @@ class MatchedFolder(_Extracting):
     @classmethod
     def opened(cls, output: Path) -> MatchedFolder:
         """Read which key points the images of an output have, and how they were found."""
-        remedy = "run epi360 map with this --output again"
-        index = read_record(output / "images.json", remedy=remedy) or {}
-        made = (read_record(output / "epi360-match.json", remedy=remedy) or {}).get("options", {})
+        index = read_record(output / "images.json", remedy=_REMEDY) or {}
+        made = (read_record(output / "epi360-match.json", remedy=_REMEDY) or {}).get("options", {})
         try:
             keys = {image["name"]: image["key"] for image in index["images"]}
             settings = ExtractionSettings(
                 int(made["max_width"]), int(made["max_features"]), float(made["mask_nadir_deg"])
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{output / 'images.json'} is damaged: {error}; {remedy}") from None
+            raise ValueError(f"{output / 'images.json'} is damaged: {error}; {_REMEDY}") from None
         return cls(settings, output / "features", keys)
 
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
         if name not in self.keys:
             return None
-        found = keypoints_in_file(inside(self.folder, f"{self.keys[name]}.npz"))
-        return None if found is None else found.features()
+        path = inside(self.folder, f"{self.keys[name]}.npz")
+        found = keypoints_in_file(path)
+        if found is None:
+            raise ValueError(f"the features of {name} in {path} are missing or damaged; {_REMEDY}")
+        return found.features()
 
 
 @dataclass(frozen=True)
