@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import ImageSource, read_image, read_mask, usable_at
-from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
+from epi360.features.views import View, search_views
 
 Array = NDArray[np.float64]
 
@@ -225,21 +226,12 @@ def _repeated(
     part: SiftKeypoints, others: SiftKeypoints, camera: Camera, pixel: float
 ) -> NDArray[np.bool_]:
     """Which key points lie within a pixel of another view's of similar size."""
-    repeated = np.zeros(len(part.pixels), dtype=bool)
-    near1 = _in_overlap(part.pixels, camera)
-    near2 = _in_overlap(others.pixels, camera)
-    if not near1.any() or not near2.any():
-        return repeated
-    b1 = camera.bearings_from_pixels(part.pixels[near1])
-    b2 = camera.bearings_from_pixels(others.pixels[near2])
     chord = _DUPLICATE_PX * pixel * 2.0 * np.pi / camera.width
-    close = b1 @ b2.T > 1.0 - 0.5 * chord**2
-    ratio = part.sizes[near1][:, None] / others.sizes[near2][None, :]
-    repeated[near1] = (close & (ratio > 1 / 1.5) & (ratio < 1.5)).any(axis=1)
+    tree = cKDTree(camera.bearings_from_pixels(others.pixels))
+    near = tree.query_ball_point(camera.bearings_from_pixels(part.pixels), chord)
+    rows = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    twins = np.array([row for each in near for row in each], dtype=np.intp)
+    ratio = part.sizes[rows] / others.sizes[twins]
+    repeated = np.zeros(len(part.pixels), dtype=bool)
+    repeated[rows[(ratio > 1 / 1.5) & (ratio < 1.5)]] = True
     return repeated
-
-
-def _in_overlap(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
-    y = np.abs(camera.bearings_from_pixels(pixels)[:, 1])
-    low, high = np.sin(np.radians([FACE_LATITUDE_DEG - 0.5, STRIP_LATITUDE_DEG + 0.5]))
-    return np.asarray((y > low) & (y < high))
