@@ -275,6 +275,12 @@ def test_colour_and_grey_give_the_same_key_points(panorama, features):
     np.testing.assert_array_equal(colour.keypoints, features.keypoints)
 
 
+def test_a_strip_keeps_a_row_where_it_is_shrunk():
+    camera = Pinhole(10000, 1, 1000.0, 1000.0, 5000.0, 0.5)
+    strip = np.zeros((1, 10000), np.uint8)
+    assert len(extract_features(strip, camera)) == 0  # not an error of OpenCV
+
+
 @pytest.mark.parametrize("size", [(2, 1), (8, 4), (64, 32)])
 @pytest.mark.parametrize("grey", [0, 128, 255])
 def test_a_featureless_image_has_no_features(size, grey):

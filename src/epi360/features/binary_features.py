@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.features.images import usable_at
+from epi360.features.images import shrunk, usable_at
 from epi360.features.views import search_views
 
 DESCRIPTOR_BYTES = 32
@@ -54,12 +54,7 @@ def extract_binary_features(
 
     ``mask`` (H, W) is true where the picture may be used.
     """
-    height, width = grey.shape
-    scale = min(1.0, MAX_WIDTH / width)
-    if scale < 1.0:
-        size = (round(width * scale), round(height * scale))
-        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
+    grey, stretch = shrunk(grey, MAX_WIDTH)
     orb = cv2.ORB_create(  # type: ignore[attr-defined]
         nfeatures=max_features, fastThreshold=_FAST_THRESHOLD
     )

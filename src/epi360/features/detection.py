@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
-from epi360.features.images import ImageSource, read_image, read_mask, usable_at
+from epi360.features.images import ImageSource, read_image, read_mask, shrunk, usable_at
 from epi360.features.views import View, search_views
 
 Array = NDArray[np.float64]
@@ -161,13 +161,9 @@ def find_keypoints(
     picture = read_image(image)
     camera = find_camera(image, picture, camera, "image")
     height, width = picture.shape[:2]
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    scale = min(1.0, max_width / width)
-    if scale < 1.0:
-        size = (round(width * scale), round(height * scale))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
-    views = search_views(np.asarray(grey), camera)
+    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
+    grey, stretch = shrunk(grey, max_width)
+    views = search_views(grey, camera)
     parts = [_searched(view, contrast_threshold, stretch) for view in views]
     found = _merged(parts, camera, stretch[0])
     usable = None if mask is None else read_mask(mask, (height, width))

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.base import FocalCamera
 
 PictureVerdict = Literal["good", "blank", "frozen"]
 _SMALL = (128, 64)  # width and height at which pictures are compared: 0.1 ms a picture
@@ -55,26 +53,6 @@ class PictureWatch:
         if before is not None and float(np.abs(small - before).mean()) < _FROZEN:
             return "frozen"
         return "good"
-
-
-def camera_of_width(camera: Camera, max_width: int) -> Camera:
-    """Camera of the same pictures, made smaller where they are wider than this."""
-    if camera.width <= max_width:
-        return camera
-    width = max_width
-    height = round(camera.height * width / camera.width)
-    if isinstance(camera, FocalCamera):
-        across, down = width / camera.width, height / camera.height
-        return replace(
-            camera,
-            width=width,
-            height=height,
-            fx=camera.fx * across,
-            fy=camera.fy * down,
-            cx=camera.cx * across,
-            cy=camera.cy * down,
-        )
-    return replace(camera, width=width, height=height)
 
 
 def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
