@@ -49,9 +49,10 @@ class PictureWatch:
         small = cv2.resize(gray, _SMALL, interpolation=cv2.INTER_AREA).astype(np.float32)
         if float(small[self._usable].std()) < _BLANK:
             return "blank"
-        before, self._before = self._before, small
-        if before is not None and float(np.abs(small - before).mean()) < _FROZEN:
+        # Compared with the last one that was new: slow changes add up.
+        if self._before is not None and float(np.abs(small - self._before).mean()) < _FROZEN:
             return "frozen"
+        self._before = small
         return "good"
 
 
