@@ -127,7 +127,11 @@ def test_a_folder_whose_points_cannot_be_followed_is_no_sequence(tmp_path):
 
 def test_a_camera_that_stands_still_gives_no_poses_to_start_from(tmp_path):
     write_frames(tmp_path / "rgb", 6, same=True)
-    tracked = track_sequence(find_images(tmp_path / "rgb"), tmp_path)
+    told = []
+    tracked = track_sequence(
+        find_images(tmp_path / "rgb"), tmp_path, progress=lambda *said: told.append(said[1:])
+    )
+    assert told == [(done, tracked.num_frames) for done in range(tracked.num_frames + 1)]
     assert tracked.reason == "the camera has not moved far enough"
 
 

@@ -181,6 +181,7 @@ def _track(
     odometry = Odometry(frames.camera, mask=None if usable.all() else usable, seed=seed)
     names: list[str] = []
     num_jumps, most_jumps = 0, max(1.0, _MOST_JUMPS * len(images.images))
+    progress(STAGE, 0, max(frames.num_frames, 1))
     for frame in frames:
         names.append(frame.name)
         result = _added(odometry, frame, frames)
@@ -192,7 +193,8 @@ def _track(
                 seconds=time.perf_counter() - begun,
                 reason="points cannot be followed from image to image",
             )
-    progress(STAGE, len(names), len(names))
+    if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
+        progress(STAGE, len(names), len(names))
     odometry.finish()
     return _start_from(odometry, names, images, time.perf_counter() - begun)
 
