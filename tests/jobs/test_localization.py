@@ -173,10 +173,14 @@ def test_a_map_to_which_images_were_added_is_used_again(
     shutil.copytree(room_run[0], output)
     world = epi360.load_map(output)
     small = cv2.resize(new_image, (448, 224), interpolation=cv2.INTER_AREA)
-    grown, _ = model_with(world.model, {"small.png": epi360.localize_image(small, world)})
+    found = {"small.png": epi360.localize_image(small, world)}
+    grown, _ = model_with(world.model, found)
     assert len(grown.cameras) == 2 and len(grown.images) == len(world.model.images) + 1
     path = (output if source == "ours" else tmp_path) / "sparse" / "grown"
     write_colmap_model(path, grown)
+    for count in (1, 2):  # the same image once more
+        grown, names = model_with(grown, found)
+        assert names == {"small.png": "localized/" * count + "small.png"}
     given = {"database": {"database": output / "database.db"}, "images": {"images": room_folder[0]}}
     again = epi360.load_map(path, **given.get(source, {}))
     result = epi360.localize_image(new_image, again)
