@@ -143,6 +143,13 @@ def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, r
         np.testing.assert_array_equal(image.cam_from_world.matrix(), same.cam_from_world.matrix())
 
 
+def test_a_negative_seed_maps_as_well(room_folder, room_run, tmp_path):
+    output = tmp_path / "map"
+    options = MapOptions(MatchOptions(num_threads=1, seed=-1), mapper_threads=1)
+    run = map_images(find_images(room_folder[0]), output, options)
+    assert len(run.models[0].reconstruction.images) == 6
+
+
 def test_the_database_is_written_again_where_it_lacks_what_is_asked_for(
     room_folder, room_run, tmp_path
 ):

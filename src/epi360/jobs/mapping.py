@@ -161,9 +161,8 @@ def map_images(
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
-    mapper = MapperOptions(
-        options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
-    )
+    seed = options.match.seed % 2**31  # COLMAP takes no others
+    mapper = MapperOptions(options.mapper, options.refine_cameras, options.mapper_threads, seed)
     poses = given or ({} if tracked is None else tracked.cam_from_world)
     made_from = _fingerprint(graph, mapper, poses)
     was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
