@@ -227,6 +227,16 @@ def test_an_image_without_a_camera_is_refused(world):
         epi360.LocalizationOptions(max_views=0)
 
 
+def test_a_raw_frame_of_two_circles_is_no_panorama_of_the_map(world, new_image):
+    raw = np.zeros_like(new_image)
+    for left in (0, 256):
+        v, u = np.mgrid[:256, :256] - 127.5
+        inside = np.hypot(u, v) < 124
+        raw[:, left : left + 256][inside] = new_image[:, left : left + 256][inside]
+    with pytest.raises(ValueError, match="raw dual fisheye"):
+        epi360.localize_image(raw, world)
+
+
 def test_a_map_that_colmap_made_from_its_own_sift(room_folder, new_image, tmp_path):
     """Its descriptors are VLFeat's and ours are OpenCV's, and they match."""
     import pycolmap

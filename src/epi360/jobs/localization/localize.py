@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
 from epi360.features import Features, ImageSource, read_image
 from epi360.features.image_cameras import find_camera
@@ -171,7 +171,7 @@ def _camera_of(
     except ValueError:
         height, width = picture.shape[:2]
         known = world.camera_of_size(width, height) if camera is None else None
-        if known is None:
+        if known in (None, Equirectangular(width, height)):  # the raw frame of a 360 camera
             raise
         return known
 
