@@ -127,12 +127,16 @@ class _LinePerStage:
 
     def __init__(self) -> None:
         self._begun: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, int] = {}
         self._said = time.monotonic()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.monotonic()
+        last, self._last[stage] = self._last.get(stage, done), done
+        if done < last:  # it is done once more
+            del self._begun[stage]
         since, before = self._begun.setdefault(stage, (now, done))
-        ends = before < done == total
+        ends = before < done == total and last < done
         if not ends and now - self._said < SECONDS_BETWEEN_LINES:
             return
         self._said = now
