@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import (
+    FAILURE,
+    OUTPUT_NAMES,
+    POSES,
+    SUCCESS,
+    Flag,
+    app,
+    options_as_typed,
+    show_bars,
+)
 from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.frames import folder_of
 from epi360.cli.report_option import check_report
@@ -78,7 +87,7 @@ _URL = re.compile(r"[a-z][a-z0-9+]+:/")  # a Path has one slash of the two
 NO_INPUT, DEFAULT_WORK = MatchInput(), MatchWork()
 
 
-@app.command
+@app.command(group=POSES, sort_key=2)
 def match(
     folder: Path,
     /,
@@ -86,7 +95,9 @@ def match(
     given: MatchInput = NO_INPUT,
     work: MatchWork = DEFAULT_WORK,
     engine: EngineOptions = LOCAL_ENGINE,
-    output: Annotated[str | None, Parameter(group=Group("Output", sort_key=3))] = None,
+    output: Annotated[
+        str | None, Parameter(name=OUTPUT_NAMES, group=Group("Output", sort_key=3))
+    ] = None,
     restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
     report: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
 ) -> int:
