@@ -162,7 +162,7 @@ def map_folder(
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
     if report is not None:
-        write_report(report, run.matched, images, _shown_map(run))
+        write_report(report, source, run.matched, images, _shown_map(run))
     if not run.models:
         return FAILURE
     print(f"wrote {run.models[0].folder}")

@@ -135,7 +135,7 @@ def match(
     engine.check(work.num_threads)
     options = match_options(given, work)
     target = default_output(folder) if output is None else path_of(output)
-    folder = images_of(folder, target, given, restart=restart)
+    source, folder = folder, images_of(folder, target, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
@@ -150,17 +150,21 @@ def match(
         )
     _report(run, images.skipped, time.monotonic() - begun)
     if report is not None:
-        write_report(report, run, images)
+        write_report(report, source, run, images)
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
 
 
 def write_report(
-    path: Path, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
+    path: Path,
+    source: Path,
+    run: MatchRun,
+    images: ImageSet,
+    shown_map: MapShown | None = None,
 ) -> None:
     """Write the page of a folder, with its map where it was mapped, and say so."""
     from epi360.report.folder_page import write_match_report
 
-    write_match_report(path, run, images, shown_map)
+    write_match_report(path, run, images, shown_map, name=source.resolve().name)
     print(f"wrote {path}", flush=True)
 
 
