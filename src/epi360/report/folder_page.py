@@ -21,7 +21,6 @@ from epi360.poses import Pose
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (
     REJECTIONS,
-    counted,
     describe_level,
     groups_sentence,
     rejection,
@@ -29,7 +28,7 @@ from epi360.report.match_table import (
 )
 from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
-from epi360.report.text import describe_explanations
+from epi360.report.text import counted, describe_explanations
 from epi360.report.webgl import MISSING, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 

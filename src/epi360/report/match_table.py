@@ -10,7 +10,7 @@ from dataclasses import astuple
 import numpy as np
 
 from epi360.jobs.matching import MatchRun, PairVerdict
-from epi360.report.text import STATUS_SENTENCES, wrapped
+from epi360.report.text import STATUS_SENTENCES, counted, wrapped
 
 COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
@@ -104,11 +104,6 @@ def describe_level(run: MatchRun) -> list[str]:
     gained = "1 more pair was" if run.num_gained == 1 else f"{run.num_gained} more pairs were"
     line = f"The panoramas are level ({known}): {gained} accepted with that"
     return [line + (f", {run.num_lost} not any more." if run.num_lost else ".")]
-
-
-def counted(number: int, noun: str) -> str:
-    """A number with its noun."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def groups_of(names: Sequence[str], accepted: Sequence[PairVerdict]) -> list[int]:
