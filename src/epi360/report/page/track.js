@@ -19,7 +19,9 @@ class Track {
     for (const [name, by] of [["earlier", -1], ["later", 1]])
       document.querySelector(`button[name=${name}]`).addEventListener("click", () => this._step(by));
     if (data.scene) this._scene();
-    if (data.cameras.length) this.select(data.cameras[0]);
+    this.shown.hidden = !data.pictures.length;
+    const first = data.cameras[0] ?? this.keys[0];
+    if (first !== undefined) this.select(first);
   }
 
   async _scene() {
