@@ -36,7 +36,6 @@ for (const kind of ['dragenter', 'dragover', 'drop'])
   element.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
 """
 WORDS = "return document.querySelector('.slot[data-slot=\"%s\"] .words').textContent"
-STATUS = "return document.querySelector('.status').textContent"
 MOVE = """
 const [name, key, code, done] = arguments, before = paper.numDrawn, start = performance.now();
 const slider = document.getElementById(name), target = slider.querySelector('[tabindex]') || slider;
