@@ -11,7 +11,8 @@ class Track {
     this.camera_of = new Map(data.cameras.map((frame, k) => [frame, k]));
     this.says = document.querySelector(".says");
     this.shown = document.querySelector(".chosen");
-    const { statuses, keys, loops, curves } = data;
+    const { statuses, keys, loops } = data;
+    const curves = data.curves.filter(({ values }) => values.some((value) => value !== null));
     this.timeline = new Timeline(document.querySelector(".timeline"), { statuses, keys, loops, curves },
       (frame) => (this.says.textContent = this.words(frame)), (frame) => this.select(frame));
     this._thumbnails();
