@@ -57,7 +57,7 @@ class PairOptions:
     max_width: int = 4096
     """Shrink wider images to this width to find key points."""
     seed: int = 0
-    """Of the random samples; the same seed gives the same result."""
+    """Random seed; the same seed gives the same result."""
 
 
 @Parameter(name="*", group=Group("Output", sort_key=3))

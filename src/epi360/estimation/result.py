@@ -87,7 +87,8 @@ class RelativePoseResult:
     status : str
         "ok" or the reason why the pose must not be used as it is.
     covariance : ndarray, shape (5, 5)
-        Of d where R_true = exp([d_0:3]x) R, t_true = (t + B d_3:5) / |.|; radians squared.
+        Covariance of d, where R_true = exp([d_0:3]x) R and t_true = (t + B d_3:5) / |.|, in radians
+        squared.
     translation_basis : ndarray, shape (3, 2)
         B: the two tangent directions at t.
     probability : float
