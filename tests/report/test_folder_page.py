@@ -193,6 +193,16 @@ def test_the_table_filters_by_verdict_and_name(browser, make_run, tmp_path):
     assert rows and all("view 7" in row for row in rows)
 
 
+def test_a_click_on_an_image_shows_its_pairs_and_not_those_of_longer_names(
+    browser, make_run, tmp_path
+):
+    opened(browser, tmp_path, make_run(12, 2, name="{}.png"))
+    browser.execute_script("document.querySelectorAll('.thumbnails button')[1].click()")
+    names = [set(row.split()) for row in browser.execute_script(ROWS)]
+    assert len(names) == 3  # with 0.png, 2.png and 3.png
+    assert all("1.png" in row for row in names)
+
+
 def test_a_pair_is_one_click_away_with_both_pictures_and_its_curve(browser, make_run, tmp_path):
     from selenium.webdriver.common.by import By
 
