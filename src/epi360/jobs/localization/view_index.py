@@ -31,11 +31,17 @@ class ViewIndex:
         strongest = [_in_bytes(each[:NUM_DESCRIPTORS]) for each in descriptors]
         per_image = min(-(-_NUM_SAMPLES // max(len(strongest), 1)), _MOST_PER_IMAGE)
         samples = [evenly_spread(each, per_image) for each in strongest]
-        self._words = learn_words(_from_bytes(np.concatenate(samples)))
+        nothing = np.zeros((0, 1), np.int8)
+        self._words = learn_words(_from_bytes(np.concatenate(samples or [nothing])))
         self._looks = Looks([signature(_from_bytes(each), self._words) for each in strongest])
 
     def most_similar(self, descriptors: Descriptors) -> NDArray[np.int64]:
-        """All images, the most similar first."""
+        """All images, the most similar first; ValueError for features of another kind."""
+        if len(self._words) and self._words.shape[1] != descriptors.shape[1]:
+            raise ValueError(
+                f"features of the map have {self._words.shape[1]} numbers each, those of the new "
+                f"image {descriptors.shape[1]}: they are not of one kind"
+            )
         scores = self._looks.scores_of(signature(descriptors, self._words))
         return np.asarray(np.argsort(-scores, kind="stable"))
 
