@@ -140,15 +140,15 @@ class LocalizationMap:
                 if len(found := self._features(number).descriptors):
                     numbers.append(number)
                     yield found
+            if len(numbers) < _FEWEST_FOUND * len(with_points):
+                lost = self.model.images[min(set(with_points) - set(numbers))].name
+                others = len(with_points) - len(numbers) - 1
+                raise ValueError(
+                    f"{self.name} has no features of {lost} and {others} other images; give the "
+                    "folder of its images (--images)"
+                )
 
-        index = ViewIndex(descriptors())
-        if len(numbers) < _FEWEST_FOUND * len(with_points):
-            lost = self.model.images[min(set(with_points) - set(numbers))].name
-            raise ValueError(
-                f"{self.name} has no features of {lost} and {len(with_points) - len(numbers) - 1} "
-                "other images; give the folder of its images (--images)"
-            )
-        return index, numbers
+        return ViewIndex(descriptors()), numbers
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]

@@ -25,14 +25,13 @@ _STEPS = 255.0  # descriptors of a thousand images wait in bytes until the words
 
 
 class ViewIndex:
-    """Signatures of the images of a map."""
+    """Signatures of the images of a map, one at least."""
 
     def __init__(self, descriptors: Iterable[Descriptors]) -> None:
         strongest = [_in_bytes(each[:NUM_DESCRIPTORS]) for each in descriptors]
         per_image = min(-(-_NUM_SAMPLES // max(len(strongest), 1)), _MOST_PER_IMAGE)
         samples = [evenly_spread(each, per_image) for each in strongest]
-        nothing = np.zeros((0, 1), np.int8)
-        self._words = learn_words(_from_bytes(np.concatenate(samples or [nothing])))
+        self._words = learn_words(_from_bytes(np.concatenate(samples)))
         self._looks = Looks([signature(_from_bytes(each), self._words) for each in strongest])
 
     def most_similar(self, descriptors: Descriptors) -> NDArray[np.int64]:
