@@ -36,13 +36,17 @@ def cells(folder):
 
 
 def test_the_tracks_have_the_numbers_of_opensfm(tmp_path):
-    """x and y from the middle in units of the larger side, 360 and 400; the scale is one pixel."""
+    """x and y from the middle in units of the larger side, 360 and 400.
+
+    The scale is one pixel: a degree of the panorama, in radians, and a 400th of the other image.
+    """
+    degree = repr(math.pi / 180)
     write_opensfm_folder(tmp_path / "new", scene())
     header, rows = cells(tmp_path / "new")
     assert header == "OPENSFM_TRACKS_VERSION_v2"
     assert rows == [
-        ["a.jpg", "1", "0", "0.25", "0.0", repr(1 / 360), "1", "2", "3", "-1", "-1"],
-        ["a.jpg", "0", "1", "0.0", repr(0.5 / 360), repr(1 / 360), "255", "0", "7", "-1", "-1"],
+        ["a.jpg", "1", "0", "0.25", "0.0", degree, "1", "2", "3", "-1", "-1"],
+        ["a.jpg", "0", "1", "0.0", repr(0.5 / 360), degree, "255", "0", "7", "-1", "-1"],
         ["b.jpg", "0", "0", "0.0", "0.0", "0.0025", "255", "0", "7", "-1", "-1"],
     ]
     (document,) = json.loads((tmp_path / "new" / "reconstruction.json").read_text())
@@ -61,6 +65,15 @@ def test_every_command_finds_its_files(tmp_path):
         "camera": "tall", "projection_type": "brown", "width": 300, "height": 400,
         "capture_time": 13.0, "orientation": 1, "gps": {},
     }  # fmt: skip
+
+
+def test_bundle_is_asked_to_keep_world_and_calibration(tmp_path):
+    """Its default turns the world until z is up, and refines focal lengths."""
+    write_opensfm_folder(tmp_path, scene())
+    config = (tmp_path / "config.yaml").read_text().splitlines()
+    assert config == ["align_method: naive", "optimize_camera_parameters: no"]
+    origin = json.loads((tmp_path / "reference_lla.json").read_text())
+    assert origin == {"latitude": 0, "longitude": 0, "altitude": 0}
 
 
 def test_what_is_written_reads_back_with_its_observations(tmp_path):

@@ -6,7 +6,7 @@ shot holds cam_from_world as axis times angle and translation, with the axes x r
 forward. The observations are not in this file but in tracks.csv. Frames and models are described in
 https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM. In a folder,
 its commands export_ply, undistort and bundle also ask for camera_models.json, tracks.csv and, for
-each image, exif/NAME.exif.
+each image, exif/NAME.exif; compute_statistics for reference_lla.json.
 """
 
 import json
@@ -41,6 +41,9 @@ from epi360.runs.whole_files import PathLike, whole_paths, write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 RECONSTRUCTION, CAMERA_MODELS, TRACKS = "reconstruction.json", "camera_models.json", "tracks.csv"
+CONFIG, REFERENCE = "config.yaml", "reference_lla.json"
+# Without these, bundle turns the world so that z is up, and refines calibrations.
+KEEP_THE_MODEL = b"align_method: naive\noptimize_camera_parameters: no\n"
 
 
 def read_opensfm(path: PathLike) -> Reconstruction:
@@ -115,12 +118,13 @@ def write_opensfm_folder(
 ) -> None:
     """Write a reconstruction as the folder of an OpenSfM project, with its observations.
 
-    It gets ``reconstruction.json``, ``camera_models.json``, ``tracks.csv``, ``exif/`` and
-    ``image_list.txt``, which says that the pictures are in ``images/``. With ``images``, the folder
-    that the names start from, links to them are put there. OpenSfM's names have no folders, which
-    stand in the list alone; where two images have one name, ``a/b.jpg`` becomes ``a_b.jpg``. The
-    folder is made if it does not exist; these files are replaced. An observation counts as good to
-    one pixel.
+    It gets ``reconstruction.json``, ``camera_models.json``, ``tracks.csv``, ``exif/``,
+    ``reference_lla.json`` (zeros), ``config.yaml``, which asks ``bundle`` to keep world and
+    calibration, and ``image_list.txt``: the pictures are in ``images/``. With ``images``, the
+    folder that the names start from, links to them are put there. OpenSfM's names have no folders,
+    which stand in the list alone; where two images have one name, ``a/b.jpg`` becomes ``a_b.jpg``.
+    The folder is made if it does not exist; these files are replaced. An observation counts as good
+    to one pixel.
 
     Raises
     ------
@@ -145,6 +149,8 @@ def write_opensfm_folder(
         RECONSTRUCTION: _json_of(document),
         CAMERA_MODELS: _json_of(document[0]["cameras"]),
         TRACKS: tracks_of(reconstruction),
+        CONFIG: KEEP_THE_MODEL,
+        REFERENCE: _json_of({"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}),
     }
     exif = {inside(folder / "exif", f"{each.name}.exif"): each for each in reconstruction.images}
     for path, image in exif.items():
