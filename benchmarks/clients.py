@@ -43,21 +43,22 @@ def main() -> int:
 
 def _print_commands(options: argparse.Namespace) -> bool:
     """Print a second table, of programs' own commands; whether one of them failed."""
-    rows = []
+    failed = False
+    print("\n| command | seconds | result |\n| --- | --- | --- |")
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.keep or Path(scratch)
         folder.mkdir(parents=True, exist_ok=True)
         for name, program in options.program.items():
             if name == "opensfm":
-                rows += opensfm_rows(program, folder)
+                rows = opensfm_rows(program, folder)
             elif name == "opensplat":
-                rows += opensplat_rows(program, folder, options.iterations)
+                rows = opensplat_rows(program, folder, options.iterations)
             else:
-                rows += nerfstudio_rows(program, folder, options.iterations)
-    print("\n| command | seconds | result |\n| --- | --- | --- |")
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
-    return any(row.result.startswith(("failed", "no ")) for row in rows)
+                rows = nerfstudio_rows(program, folder, options.iterations)
+            for row in rows:
+                print("| " + " | ".join(row) + " |", flush=True)
+                failed |= row.result.startswith(("failed", "no "))
+    return failed
 
 
 def _row(client: str, scene: Scene, snapshots: dict[str, Path]) -> tuple[str, ...]:
