@@ -128,7 +128,7 @@ def estimate_absolute_pose(
         threshold,
         min_num_inliers,
         shared_error,
-        seed,
+        checked_integer(seed, "seed") % 2**64,
     )
     found = search.best(guess)
     if found is None:
