@@ -80,7 +80,7 @@ def test_no_pose_at_all_is_an_honest_failure(here, capsys):
     write_png(here / "tour" / NAMES[1], np.zeros_like(pictures()[1]))
     assert main(["match", "tour"]) == FAILURE
     printed = capsys.readouterr().out
-    assert "1 too_few_matches" in printed
+    assert "1 had too few matches (too_few_matches)" in printed
     assert f"No pair       {NAMES[0]}" in printed
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
     from epi360.interop import MatchGraph, Reconstruction
@@ -31,7 +31,7 @@ FormatName = Literal[
 MATCH_FOLDER = "epi360"  # what `epi360 match` writes; it is read, not written
 
 
-@app.command
+@app.command(group=FILES, sort_key=3)
 def convert(
     source: Path,
     target: Path,
