@@ -184,6 +184,7 @@ def cubemap(
     *,
     mask: Path | None = None,
     mask_nadir_deg: float = 0.0,
+    keep_world: Flag = False,
     cube_faces: CubeFaces = CUBE_FACES,
 ) -> int:
     """Cut the panoramas and fisheye images of a model into cube faces, for pinhole-only tools.
@@ -204,6 +205,9 @@ def cubemap(
         Mask for all images, white = use; or a folder with a mask for each image.
     mask_nadir_deg
         Mask this angle around straight down.
+    keep_world
+        Leave the axes of the model as they are. Without it the world is turned upright, as the
+        cameras stand in it.
 
     Returns
     -------
@@ -226,7 +230,7 @@ def cubemap(
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
-    _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
+    _cut(images, reconstruction, output, options, masks, mask_nadir_deg, keep_world=keep_world)
     return SUCCESS
 
 
@@ -325,6 +329,8 @@ def _cut(
     options: CubemapOptions,
     masks: dict[str, Path | None],
     mask_nadir_deg: float,
+    *,
+    keep_world: bool = False,
 ) -> None:
     """Cut the images of a model into cube faces, and say so."""
     from epi360.jobs.cubemap import export_cubemap
@@ -337,7 +343,10 @@ def _cut(
             options,
             masks=masks,
             mask_nadir_deg=mask_nadir_deg,
+            keep_world=keep_world,
             progress=progress,
         )
+    if cube.turned_deg:
+        print(f"turned the world upright, by {cube.turned_deg:.3g} degrees (--keep-world: not)")
     kept = f", {cube.num_kept} images were there" if cube.num_kept else ""
     print(f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})")

@@ -54,7 +54,7 @@ class Features:
         return self.chosen(slice(count))
 
     def chosen(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Features:
-        """Return those of a mask, of indices or of a slice."""
+        """Return those of an ``index``: a mask (N,), rows or a slice."""
         return Features(self.keypoints[index], self.descriptors[index], self.sizes_px[index])
 
 
