@@ -66,6 +66,21 @@ Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam
   return noise;
 }
 
+// Covariance A^-1 + A^-1 N A^-1 of what J^T W J / variance = A + N determines, where N is the noise
+// of the derivatives: errors in variables (Fuller 1987, section 2.2). The second term counts where
+// the parallax is not large against the noise.
+Matrix5 errors_in_variables(const Matrix5& information, const Matrix5& noise) {
+  const Matrix5 without = bounded_inverse(information - noise);
+  const Matrix5 covariance = without + without * noise * without;
+  if (!covariance.allFinite()) return without;
+  const Matrix5 axes = symmetric_eigenvectors(covariance);
+  Vector5 variances;
+  for (int k = 0; k < 5; ++k) {
+    variances[k] = std::min(axes.col(k).dot(covariance * axes.col(k)), kFreeSigma * kFreeSigma);
+  }
+  return axes * variances.asDiagonal() * axes.transpose();
+}
+
 }  // namespace
 
 Matrix5 bounded_inverse(const Matrix5& information) {
@@ -137,9 +152,8 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =
       std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
-  const Matrix5 independent_errors = bounded_inverse(
-      symmetric(upper) / inflated - noise_in_information(m, cam2_from_cam1, at, inflated));
-  Matrix5 errors = independent_errors;
+  Matrix5 errors = errors_in_variables(symmetric(upper) / inflated,
+                                       noise_in_information(m, cam2_from_cam1, at, inflated));
   if (shared_error > 0.0 || result.clustering > kSuspicious) {
     errors += shared_error_covariance(m, cam2_from_cam1, at, std::sqrt(inflated), shared_error);
   }

@@ -10,14 +10,15 @@
 namespace epi360 {
 namespace {
 
+constexpr double kDistinct = 4.0;  // standard deviations
+
 // Whether two poses differ by more than the uncertainty of the first can explain.
 bool is_distinct(const RelativePose& a, const RelativePose& b,
-
                  const Eigen::Matrix<double, 5, 5>& covariance) {
   const double sigma_rotation = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
   const double sigma_direction = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
-  return !same_pose(a, b, std::max(3.0 * kDegree, 6.0 * sigma_rotation),
-                    std::max(8.0 * kDegree, 6.0 * sigma_direction));
+  return !same_pose(a, b, std::max(3.0 * kDegree, kDistinct * sigma_rotation),
+                    std::max(8.0 * kDegree, kDistinct * sigma_direction));
 }
 
 }  // namespace
