@@ -25,6 +25,8 @@ constexpr int kUprightPoses = 4;  // of all that are tried
 constexpr double kNarrow = 0.15 * kDegree, kPolished = 1e-4;
 constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
+// Where residuals of wrong matches are counted: as many as tell their density to a seventh.
+constexpr double kChanceRange = 2.0 * kDegree;
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
 // A pose is worth more than a rotation, and that more than neither.
@@ -190,7 +192,7 @@ class Estimate {
     }
     const double density = candidates.empty()
                                ? kTypicalDensity
-                               : chance.at(result_.cam2_from_cam1, std::max(kDegree, gate));
+                               : chance.at(result_.cam2_from_cam1, std::max(kChanceRange, gate));
     evidence.chance = 2.0 * gate * density;
     evidence.log10_false_alarms = log10_false_alarms(evidence.num_effective, evidence.support,
                                                      evidence.chance, options_.sample_size);

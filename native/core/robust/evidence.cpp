@@ -14,7 +14,7 @@ namespace epi360 {
 namespace {
 
 constexpr double kTan60 = 1.7320508075688772;
-constexpr std::size_t kChancePairs = 768;
+constexpr std::size_t kChancePairs = 1536;
 
 int cell_index(double x, double y, double z) {
   const int band = std::min(kBands - 1, static_cast<int>(0.5 * (y + 1.0) * kBands));
