@@ -105,7 +105,8 @@ def _of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
 def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> Iterator[Judged]:
     """Verdicts of `match_images` on all pairs of a folder, and of COLMAP on the same matches."""
     output = plan.out / "match" / name
-    shutil.rmtree(output / "pairs", ignore_errors=True)  # key points may stay
+    for part in (output / "pairs", *output.glob("level-*")):  # key points may stay
+        shutil.rmtree(part, ignore_errors=True)
     run = match_images(
         find_images(folder),
         output,
