@@ -91,6 +91,7 @@ void bind_result(nb::module_& m) {
       .def_prop_ro("threshold", [](const PairResult& r) { return r.robust.threshold; })
       .def_prop_ro("probability", [](const PairResult& r) { return r.robust.probability; })
       .def_prop_ro("explanations", [](const PairResult& r) { return explain(r.robust.evidence); })
+      .def_prop_ro("evidence", [](const PairResult& r) { return r.robust.evidence; })
       .def_prop_ro("log_ratio", [](const PairResult& r) { return r.robust.evidence.log_ratio; })
       .def_prop_ro("regional_sigma",
                    [](const PairResult& r) { return r.robust.evidence.regional_sigma; })

@@ -84,6 +84,8 @@ class PairResult:  # angles in radians; the arrays are views
     @property
     def explanations(self) -> Explanations: ...
     @property
+    def evidence(self) -> internals.Evidence: ...  # for tests
+    @property
     def noise(self) -> float: ...  # of the bearings, per axis and view
     @property
     def log_ratio(self) -> float: ...

@@ -5,6 +5,7 @@ from dataclasses import astuple, fields
 
 import numpy as np
 import pytest
+from made_evidence import in_a_room, made_evidence, on_a_plane, turned, unrelated
 from noisy_problems import noisy_scene
 
 from epi360 import Explanations, _core, estimate_relative_pose, estimate_relative_poses
@@ -20,44 +21,10 @@ def likeliest(explanations):
 
 
 def explained(**changes):
-    """Explanations of evidence made by hand: 60 of 100 matches agree with a pose."""
-    evidence = internals.Evidence()
-    sound = {
-        "num_matches": 100,
-        "num_usable": 100,
-        "num_effective": 100,
-        "support": 60,
-        "log10_false_alarms": -50.0,
-        "log_ratio": 60.0,
-        "regional_sigma": np.radians(1.0),
-    }
-    for name, value in (sound | changes).items():
-        setattr(evidence, name, value)
-    found = internals.explain(evidence)
+    """Explanations of evidence made by hand, of a pose for which the regions speak."""
+    said = {"log_ratio": 60.0, "regional_sigma": np.radians(1.0)} | changes
+    found = internals.explain(made_evidence(**said))
     return Explanations(*(getattr(found, name) for name in NAMES))
-
-
-def turned(seed, num_matches=200, noise_deg=0.1):
-    rng = np.random.default_rng(seed)
-    b1 = rng.normal(size=(num_matches, 3))
-    b1 /= np.linalg.norm(b1, axis=1, keepdims=True)
-    b2 = b1 @ rotation_from_vector([0.2, 0.7, -0.1]).T
-    noise = np.radians(noise_deg)
-    return b1 + noise * rng.normal(size=b1.shape), b2 + noise * rng.normal(size=b2.shape)
-
-
-def unrelated(seed, num_matches=200):
-    return tuple(np.random.default_rng(seed).normal(size=(2, num_matches, 3)))
-
-
-def on_a_plane(seed):
-    scene = noisy_scene(seed, 0.3, 0.2, layout="plane", num_matches=300)
-    return scene.bearings1, scene.bearings2
-
-
-def in_a_room(seed):
-    scene = noisy_scene(seed, 0.1, 0.4, num_matches=300)
-    return scene.bearings1, scene.bearings2
 
 
 @pytest.mark.parametrize(

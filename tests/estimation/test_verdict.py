@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from made_evidence import made_evidence
 
 from epi360 import _core, estimate_relative_pose
 from epi360.synthetic import two_view_scene
@@ -10,39 +11,13 @@ from epi360.synthetic import two_view_scene
 internals = _core.internals
 
 
-def evidence(**changes):
-    """Evidence of a sound pose: 60 of 100 matches agree, from everywhere, with much parallax."""
-    sound = {
-        "num_matches": 100,
-        "num_usable": 100,
-        "num_effective": 100,
-        "support": 60,
-        "log10_false_alarms": -50.0,
-        "chance": 0.02,
-        "parallax": 0.2,
-        "scale": 0.002,
-        "num_distinct": 60,
-        "min_num_inliers": 6,
-        "spread": 0.8,
-        "spread_of_matches": 0.9,
-        "coverage": 0.7,
-        "match_coverage": 0.9,
-        "noise": 0.002,
-    }
-    made = internals.Evidence()
-    for name, value in (sound | changes).items():
-        setattr(made, name, value)
-    return made
-
-
 def status_of(**changes):
-    return internals.judge(evidence(**changes))[0]
+    return internals.judge(made_evidence(**changes))[0]
 
 
 def warnings_of(**changes):
-    return {
-        each.code: (each.value, each.reference) for each in internals.judge(evidence(**changes))[1]
-    }
+    warnings = internals.judge(made_evidence(**changes))[1]
+    return {each.code: (each.value, each.reference) for each in warnings}
 
 
 # A rotation explains the inliers, which do not reject that the camera only turned.
