@@ -13,6 +13,8 @@ from collections.abc import Sequence
 
 from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 
+# What OpenCV would print about a damaged picture, we say in one sentence.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
 try:
     from cyclopts import CycloptsError
