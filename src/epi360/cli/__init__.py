@@ -79,6 +79,8 @@ def _one_line(error: Exception) -> str:
     text = str(error)
     if isinstance(error, OSError) and error.strerror is not None:
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    elif isinstance(error, FileNotFoundError) and " " not in text:  # fsspec only names the file
+        text = f"{text} does not exist"
     text = " ".join(text.split()) or type(error).__name__
     if len(text) > LONGEST_MESSAGE:  # it quotes a name or a value as long as a file
         half = (LONGEST_MESSAGE - 5) // 2
