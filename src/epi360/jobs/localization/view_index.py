@@ -29,6 +29,12 @@ class ViewIndex:
     def __init__(self, descriptors: Iterable[Descriptors]) -> None:
         chosen = [_in_bytes(evenly_spread(each, _PER_IMAGE)) for each in descriptors]
         everything = [each for each in chosen if len(each)]
+        lengths_of = sorted({each.shape[1] for each in everything})
+        if len(lengths_of) > 1:
+            raise ValueError(
+                "descriptors of the map's images must have one length, got "
+                + " and ".join(map(str, lengths_of))
+            )
         per_image = max(1, _NUM_WORDS // max(len(everything), 1))
         self._words = np.concatenate(
             [evenly_spread(_from_bytes(each), per_image) for each in everything]
@@ -44,6 +50,11 @@ class ViewIndex:
 
     def most_similar(self, descriptors: Descriptors) -> NDArray[np.int64]:
         """All images, the most similar first."""
+        if len(self._words) and descriptors.shape[1] != self._words.shape[1]:
+            raise ValueError(
+                f"descriptors of the image must have {self._words.shape[1]} numbers like those of "
+                f"the map, got {descriptors.shape[1]}"
+            )
         bag = self._counted(evenly_spread(descriptors, _PER_IMAGE)) * self._importance
         return np.asarray(np.argsort(-(self._bags @ bag), kind="stable"))
 
