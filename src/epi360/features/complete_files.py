@@ -15,6 +15,7 @@ from PIL.WebPImagePlugin import WebPImageFile
 from epi360.features.image_headers import PNG_SIGNATURE, TIFF_SIGNATURES
 from epi360.features.tiff_files import check_tiff
 
+_PNG_END = b"IEND\xaeB`\x82"
 _VP8_KINDS = (b"VP8 ", b"VP8L")
 # An encoder pads what it writes by two bytes at most, and a decoder looks seven ahead.
 _WEBP_SLACK = 16
@@ -40,6 +41,8 @@ def _check_png(data: bytes) -> None:
                 "is a damaged PNG file (wrong checksum); copy or export it again"
             ) from None
         raise ValueError("is a truncated PNG file; copy or export it again") from None
+    if _PNG_END not in data:  # libpng would complain of its checksum, and Pillow does not look
+        raise ValueError("is a damaged PNG file (wrong checksum); copy or export it again")
 
 
 def _check_webp(data: bytes) -> None:

@@ -139,7 +139,8 @@ class Cap(TrackingView):
     def points_from_bearings(self, bearings: Array) -> Array:
         """Points (N, 2) of bearings; NaN where the camera sees none."""
         x, y, z = bearings.T
-        scale = 2 * self._focal / (1 + self._sign * y)
+        # The other pole is infinitely far away.
+        scale = 2 * self._focal / np.maximum(1 + self._sign * y, 1e-12)
         return np.column_stack([x * scale, z * scale]) + self._center
 
     def bearings_from_points(self, points: Points) -> Array:
