@@ -4,12 +4,12 @@
 import re
 import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from epi360.runs.whole_files import scratch_folder
 from epi360_demo.limits import Limits, RefusedError, megabytes
 
 SLOTS = ("1", "2", "lens")
@@ -61,7 +61,7 @@ class Visitors:
         self._limits = limits
         self._visitors: dict[str, Visitor] = {}
         self._num_arriving_bytes = 0
-        self.root = Path(tempfile.mkdtemp(prefix="epi360-demo-"))
+        self.root = scratch_folder()
 
     def arrive(self) -> Visitor:
         """Return a new visitor; `RefusedError` where there are too many."""

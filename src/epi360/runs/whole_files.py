@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 import socket
+import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -87,6 +88,16 @@ def whole_folder(path: Path) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def scratch_folder() -> Path:
+    """Return a new folder for temporary files, which only this user reads; the caller removes it.
+
+    If the process is killed, the next one that asks for such a folder removes it.
+    """
+    folder = _temporary(Path(tempfile.gettempdir()) / "scratch")
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 @contextmanager
