@@ -35,7 +35,8 @@ class Visitor:
     folder: Path
     uploads: dict[str, Upload] = field(default_factory=dict)
     seen: float = field(default_factory=time.monotonic)
-    on_change: Callable[[], None] = lambda: None
+    on_change: Callable[[], None] = lambda: None  # an upload came, or went
+    on_forgotten: Callable[[], None] = lambda: None
 
     @property
     def results(self) -> Path:
@@ -84,7 +85,8 @@ class Visitors:
         return visitor
 
     def leave(self, visitor: Visitor) -> None:
-        """Delete a visitor with all files."""
+        """Delete a visitor with all files; the page hears nothing more."""
+        visitor.on_change = visitor.on_forgotten = lambda: None
         self._visitors.pop(visitor.token, None)
         visitor.remove_all()
 
@@ -95,6 +97,7 @@ class Visitors:
             if idle > self._limits.max_idle_s and visitor.folder.exists():
                 visitor.remove_all()
                 visitor.on_change()
+                visitor.on_forgotten()
 
     def close(self) -> None:
         """Delete everything."""

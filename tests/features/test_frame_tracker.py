@@ -87,6 +87,16 @@ def test_points_turn_with_the_camera_also_at_the_seam_and_the_poles(axis):
         assert place.sum() >= 5 and np.median(errors[place]) < 0.04
 
 
+@pytest.mark.parametrize("latitude_deg", [-70.0, 70.0])
+def test_points_of_the_ceiling_or_the_floor_alone_are_followed(latitude_deg):
+    camera = Equirectangular(900, 100, 360.0, 40.0, 0.0, latitude_deg)
+    before, after = tracked_after(rotation_about([0, 1, 0], 2.0), camera=camera)
+    rows1, rows2 = common(before, after)
+    assert len(rows1) > 0.7 * len(before.ids) > 30
+    turned = before.bearings[rows1] @ rotation_about([0, 1, 0], 2.0).T
+    assert np.median(angles_deg(turned, after.bearings[rows2])) < 0.1
+
+
 def test_points_cross_the_seam():
     image = picture()
     tracker = FrameTracker(CAMERA)

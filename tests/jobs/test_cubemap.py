@@ -221,7 +221,8 @@ class TestExport:
             {"p": camera}, (PosedImage("a.png", "p", world_from_cam.inverse()),)
         )
         out = tmp_path / "out"
-        export_cubemap(tmp_path / "in", source, out, CubemapOptions(image_format="png"))
+        png = CubemapOptions(image_format="png")
+        export_cubemap(tmp_path / "in", source, out, png, keep_world=True)
         model = read_colmap_model(out / "sparse" / "0")
         assert len(model.images) == 6
         for image in model.images:

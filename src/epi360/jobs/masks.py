@@ -33,6 +33,12 @@ class MaskSource:
                 if mask.suffix.lower() in IMAGE_SUFFIXES:
                     self._masks.setdefault(_key(_without_suffix(name)), mask)
 
+    def files(self) -> list[Path]:
+        """All masks."""
+        if self._masks is not None:
+            return list(self._masks.values())
+        return [] if self._path is None else [self._path]
+
     def mask_of(self, name: str) -> Path | None:
         """Mask of an image by its name; None: it has none."""
         if self._masks is None:

@@ -90,16 +90,6 @@ def whole_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def scratch_folder() -> Path:
-    """Return a new folder for temporary files, which only this user reads; the caller removes it.
-
-    If the process is killed, the next one that asks for such a folder removes it.
-    """
-    folder = _temporary(Path(tempfile.gettempdir()) / "scratch")
-    folder.mkdir(mode=0o700)
-    return folder
-
-
 @contextmanager
 def _replacement(path: PathLike, make_folder: bool) -> Iterator[tuple[Path, Path]]:
     """Temporary path and its target; nothing is left of the temporary one in the end."""
@@ -126,6 +116,13 @@ def _named(path: PathLike, temporary: Path) -> Iterator[None]:
             raise  # the block reads another file
         reason = f"cannot write ({error.strerror or error})"
         raise OSError(error.errno, reason, os.fspath(path)) from error
+
+
+def scratch_folder() -> Path:
+    """New folder that only this user reads; if this process is killed, the next one removes it."""
+    folder = _temporary(Path(tempfile.gettempdir(), "scratch"))
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 def _temporary(target: Path) -> Path:

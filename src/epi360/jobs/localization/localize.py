@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
 from epi360.features import Features, ImageSource, read_image
 from epi360.features.image_cameras import find_camera
@@ -156,10 +157,8 @@ def localize_image(
     begun = time.perf_counter()
     picture = read_image(image)
     camera = _camera_of(image, picture, camera, world)
-    if isinstance(image, str) or hasattr(image, "__fspath__"):
-        features = world.source.of_new(image, camera, mask, options.mask_nadir_deg)
-    else:
-        features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg)
+    path = os.fspath(image) if isinstance(image, str | os.PathLike) else None
+    features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg, path)
     found = _localized(features, camera, world, frozenset(without), options)
     return dataclasses.replace(found, seconds=time.perf_counter() - begun)
 
@@ -172,7 +171,7 @@ def _camera_of(
     except ValueError:
         height, width = picture.shape[:2]
         known = world.camera_of_size(width, height) if camera is None else None
-        if known is None:
+        if known in (None, Equirectangular(width, height)):  # the raw frame of a 360 camera
             raise
         return known
 
@@ -185,6 +184,9 @@ def _localized(
     options: LocalizationOptions,
 ) -> LocalizationResult:
     bearings = camera.bearings_from_pixels(features.keypoints)
+    # Features of another program may lie where a lens sees nothing.
+    is_seen = np.isfinite(bearings[:, 0])
+    features, bearings = features.chosen(is_seen), bearings[is_seen]
     ranked = [
         number
         for number in world.similar_views(features)

@@ -49,11 +49,11 @@ class ViewIndex:
         self._bags = diags(1.0 / np.maximum(lengths, 1e-12)) @ weighted
 
     def most_similar(self, descriptors: Descriptors) -> NDArray[np.int64]:
-        """All images, the most similar first."""
-        if len(self._words) and descriptors.shape[1] != self._words.shape[1]:
+        """All images, the most similar first; ValueError for features of another kind."""
+        if len(self._words) and self._words.shape[1] != descriptors.shape[1]:
             raise ValueError(
-                f"descriptors of the image must have {self._words.shape[1]} numbers like those of "
-                f"the map, got {descriptors.shape[1]}"
+                f"features of the map have {self._words.shape[1]} numbers each, those of the new "
+                f"image {descriptors.shape[1]}: they are not of one kind"
             )
         bag = self._counted(evenly_spread(descriptors, _PER_IMAGE)) * self._importance
         return np.asarray(np.argsort(-(self._bags @ bag), kind="stable"))
