@@ -18,7 +18,7 @@ from epi360.interop import (
 )
 from epi360.poses import Pose, rotation_from_vector
 
-CAMERA = Equirectangular(64, 32)
+CAMERA = Equirectangular(1024, 512)  # in smaller ones chance shows as much of the map
 NAMES = ["0.png", "1.png", "2.png", "new.png"]  # the last one is not in the map
 COUNT = 60
 
@@ -51,7 +51,7 @@ def write_map(folder):
     _write_database(folder, {name: images[name] for name in NAMES[:3]})
     _write_features(folder / "features.h5", images.values())
     (folder / "new").mkdir()
-    picture = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), np.uint8)
+    picture = np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8)  # a small file
     (folder / "new" / "new.png").write_bytes(encode_picture(picture, ".png"))
 
 

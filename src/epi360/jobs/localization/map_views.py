@@ -115,13 +115,15 @@ class LocalizationMap:
         index, numbers = self._index
         return [numbers[k] for k in index.most_similar(features.descriptors)]
 
-    def covisible(self, number: int) -> list[int]:
+    def covisible(self, number: int, least: int = 1) -> list[int]:
         """Other images that see points of an image, those with most of them first.
 
         Parameters
         ----------
         number : int
             Row of the image in the model.
+        least : int
+            Points that both must see.
         """
         seen = self.model.observations
         assert seen is not None
@@ -129,7 +131,7 @@ class LocalizationMap:
         counts = np.bincount(seen.images[shown], minlength=len(self.model.images))
         counts[number] = 0
         order = np.argsort(-counts, kind="stable")
-        return [int(k) for k in order[: np.count_nonzero(counts)]]
+        return [int(k) for k in order[: np.count_nonzero(counts >= max(least, 1))]]
 
     @cached_property
     def _index(self) -> tuple[ViewIndex, list[int]]:
@@ -139,24 +141,18 @@ class LocalizationMap:
 
         def descriptors() -> Iterator[NDArray[np.float32]]:
             for number in with_points:
-                if len(found := self._described(number)):
+                if len(found := self._features(number).descriptors):
                     numbers.append(number)
                     yield found
+            if len(numbers) < _FEWEST_FOUND * len(with_points):
+                lost = self.model.images[min(set(with_points) - set(numbers))].name
+                others = len(with_points) - len(numbers) - 1
+                raise ValueError(
+                    f"{self.name} has no features of {lost} and {others} other images; give the "
+                    "folder of its images (--images)"
+                )
 
-        index = ViewIndex(descriptors())
-        if len(numbers) < _FEWEST_FOUND * len(with_points):
-            lost = self.model.images[min(set(with_points) - set(numbers))].name
-            raise ValueError(
-                f"{self.name} has no features of {lost} and {len(with_points) - len(numbers) - 1} "
-                "other images; give the folder of its images (--images)"
-            )
-        return index, numbers
-
-    def _described(self, number: int) -> NDArray[np.float32]:
-        """Descriptors of what the map knows: of all features where none has a point yet."""
-        if not self.source.are_of_the_points:
-            return self._features(number).descriptors
-        return self.view(number).known.descriptors
+        return ViewIndex(descriptors()), numbers
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]
