@@ -15,7 +15,7 @@ from walked_room import frames, write_frames
 from epi360.cli import main
 from epi360.interop import read_colmap_model, read_nerfstudio, read_tum_trajectory
 from epi360.interop.ply import read_ply_points
-from epi360.jobs import track_files, track_job
+from epi360.jobs.tracking import track_files, track_job
 
 
 def rows_of(output):
@@ -224,7 +224,8 @@ def test_killed_run_leaves_the_rows_of_its_frames(tmp_path):
     write_frames(tmp_path / "frames", 12)
     arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
     slow = (
-        "import sys, time; from epi360.jobs import track_job; from epi360.cli import main\n"
+        "import sys, time\nfrom epi360.cli import main\n"
+        "from epi360.jobs.tracking import track_job\n"
         "add = track_job._Run._add\n"
         "track_job._Run._add = lambda run, frame: (time.sleep(0.2), add(run, frame))[1]\n"
         "sys.exit(main(sys.argv[1:]))"
@@ -274,6 +275,15 @@ def test_recording_is_written(tmp_path):
     arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--recording", str(recording)]) == 0
     assert recording.stat().st_size > 10_000
+
+
+def test_recording_that_cannot_be_written_is_one_line(tmp_path, capsys):
+    pytest.importorskip("rerun")
+    write_frames(tmp_path / "frames", 2)
+    arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--recording", str(tmp_path / "no" / "walk.rrd")]) == 2
+    said = capsys.readouterr().err
+    assert "walk.rrd cannot be written" in said and len(said.splitlines()) == 1
 
 
 def test_upright_frames_are_tracked_with_gravity_and_the_log_says_so(walk, tmp_path, capsys):

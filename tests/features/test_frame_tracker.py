@@ -7,6 +7,7 @@ import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.features.frame_tracker import FrameTracker
+from epi360.features.tracking_views import Cap
 
 WIDTH, HEIGHT = 512, 256
 CAMERA = Equirectangular(width=WIDTH, height=HEIGHT)
@@ -288,3 +289,14 @@ def test_a_prediction_that_is_no_rotation_is_refused(rotation):
     tracker = FrameTracker(CAMERA)
     with pytest.raises(ValueError, match=r"rotation must be finite, of shape \(3, 3\)"):
         tracker.track(picture(), rotation)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_other_pole_is_a_number_in_the_picture_of_a_pole(sign):
+    cap = Cap(Equirectangular(64, 32), np.ones((32, 64), bool), sign)
+    poles = np.array([[0.0, sign, 0.0], [0.0, -sign, 0.0]])
+    points = cap.points_from_bearings(poles)
+    assert np.isfinite(points).all()
+    np.testing.assert_allclose(points[0], cap.points_from_bearings(poles[:1])[0], atol=1e-12)
+    assert not cap.owns(poles)[1]

@@ -381,3 +381,13 @@ def test_points_without_color_and_with_other_properties_are_read(tmp_path, write
     reconstruction = read_nerfstudio(write(changed(ply_file_path="points.ply")))
     assert reconstruction.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert reconstruction.colors.tolist() == [[0, 0, 0], [0, 0, 0]]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [1e154, 1e308])
+def test_a_matrix_of_huge_numbers_is_no_rotation(number):
+    from epi360.interop.checks import pose_of_matrix
+
+    matrix = np.diag([number, number, 1.0, 1.0]).tolist()
+    with pytest.raises(ValueError, match="must hold a rotation, got a matrix with determinant"):
+        pose_of_matrix(matrix, "applied_transform")

@@ -16,17 +16,18 @@ from rendered_views import NAMES, write_views
 
 import epi360
 from epi360 import cli
-from epi360.jobs import match_job, match_on_ray, ray_tasks
-from epi360.jobs.image_set import find_images
-from epi360.jobs.level_folder import Level
-from epi360.jobs.match_store import keys_by_part
-from epi360.jobs.matching import (
+from epi360.jobs import ray_tasks
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching import match_job, match_on_ray
+from epi360.jobs.matching.match_folder import (
     MatchOptions,
     _open_work,
     load_matches,
     match_images,
     open_engine,
 )
+from epi360.jobs.records.match_store import keys_by_part
 from epi360.report.match_table import pairs_csv
 
 NUM_PAIRS, PAIRS_PER_PART = 6, 2
@@ -139,9 +140,9 @@ def test_killed_workers_change_nothing(folder, local, ray_session, tmp_path):
 PROGRAM = f"""
 import sys, time
 from epi360.cli import main
-from epi360.jobs import match_job, matching
+from epi360.jobs.matching import match_job, match_folder
 match_job.PAIRS_PER_PART = {PAIRS_PER_PART}
-matching.write_index = lambda *_: time.sleep(60)  # it never ends before the blow
+match_folder.write_index = lambda *_: time.sleep(60)  # it never ends before the blow
 sys.exit(main(sys.argv[1:]))
 """
 
@@ -241,6 +242,13 @@ def test_a_cluster_that_does_not_answer_is_said(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(ray, "is_initialized", lambda: False)
     with pytest.raises(ConnectionError, match=r"no Ray cluster answers at 127\.0\.0\.1:1"):
         match_images(find_images(folder), tmp_path, engine="ray", address="127.0.0.1:1")
+
+
+def test_an_address_of_another_kind_is_wrong_use(folder, tmp_path, capsys):
+    pytest.importorskip("ray")
+    words = ["--engine", "ray", "--address", "nonsense://x"]
+    assert cli.main(["match", str(folder), "--output", str(tmp_path / "out"), *words]) == 2
+    assert "address must be HOST:PORT, ray://HOST:PORT or auto" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

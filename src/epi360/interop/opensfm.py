@@ -158,7 +158,7 @@ def write_opensfm_folder(
         size = {key: camera[key] for key in ("projection_type", "width", "height")}
         time = {"capture_time": image.timestamp_s or 0.0, "orientation": 1, "gps": {}}
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_json_of({"camera": image.camera, **size, **time}))
+        write_file(path, _json_of({"camera": image.camera, **size, **time}))
     with whole_paths(*(folder / name for name in contents), make_folder=True) as temporaries:
         for temporary, content in zip(temporaries, contents.values(), strict=True):
             temporary.write_bytes(content)

@@ -36,7 +36,8 @@ def write_file(path: PathLike | RemotePath, data: bytes) -> None:
         return
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():  # renaming would replace /dev/null
-        target.write_bytes(data)
+        with _named(path, target):
+            target.write_bytes(data)
         return
     with whole_file(path) as file:
         file.write(data)

@@ -17,8 +17,15 @@ from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, find_keypoints, 
 from epi360.interop.colmap_database import read_descriptors
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.descriptors import is_sift_bytes, unit_descriptors
-from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, dataset, image_names, opened
-from epi360.jobs.feature_cache import keypoints_in_file
+from epi360.interop.hloc_layout import (
+    HLOC_TO_CONTINUOUS,
+    dataset,
+    image_names,
+    opened,
+    own_group,
+    reading,
+)
+from epi360.jobs.folder.feature_cache import keypoints_in_file
 from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 
@@ -164,7 +171,8 @@ class HlocFile:
         return max(fitting, key=len)
 
     def _read(self, file: Any, name: str) -> Features:
-        group = file[name]
+        with reading(self.path):
+            group = file[own_group(file, name, self.path)]
         keypoints = dataset(group, "keypoints", self.path)
         descriptors = dataset(group, "descriptors", self.path)
         if keypoints is None or descriptors is None or descriptors.ndim != 2:
@@ -175,7 +183,11 @@ class HlocFile:
                 f"got {descriptors.shape}"
             )
         pixels = keypoints[:, :2].astype(np.float64) + HLOC_TO_CONTINUOUS
-        return Features(pixels, unit_descriptors(descriptors.T), np.zeros(len(pixels)))
+        try:
+            units = unit_descriptors(descriptors.T)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {name}: {error}") from None
+        return Features(pixels, units, np.zeros(len(pixels)))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from epi360.poses import Pose
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _VIEWS_IN_MEMORY = 64  # of 6 MB each
 _TO_SAME_PIXEL = 0.02  # px: key points in single precision
 # Share of an image's observations that must be key points of its features, and of the images that
@@ -68,6 +69,9 @@ class LocalizationMap:
         seen = model.observations
         if seen is None or not len(model.points):
             raise ValueError(f"{name} has no points with observations; triangulate them first")
+        places = [image.cam_from_world.translation for image in model.images]
+        if max(np.abs(each).max(initial=0.0) for each in (model.points, places)) > _LARGEST:
+            raise ValueError(f"{name} must have coordinates of {_LARGEST:g} at most, got more")
         self.model = model
         self.name = name
         self.source = source

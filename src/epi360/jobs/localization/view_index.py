@@ -14,7 +14,7 @@ from epi360.features.visual_words import (
     learn_words,
     signature,
 )
-from epi360.jobs.retrieval import Looks
+from epi360.jobs.pairs.retrieval import Looks
 
 Descriptors = NDArray[np.float32]
 
@@ -29,6 +29,12 @@ class ViewIndex:
 
     def __init__(self, descriptors: Iterable[Descriptors]) -> None:
         strongest = [_in_bytes(each[:NUM_DESCRIPTORS]) for each in descriptors]
+        numbers = sorted({each.shape[1] for each in strongest if len(each)})
+        if len(numbers) > 1:
+            raise ValueError(
+                "descriptors of the map's images must have one length, got "
+                + " and ".join(map(str, numbers))
+            )
         per_image = min(-(-_NUM_SAMPLES // max(len(strongest), 1)), _MOST_PER_IMAGE)
         samples = [evenly_spread(each, per_image) for each in strongest]
         self._words = learn_words(_from_bytes(np.concatenate(samples)))
