@@ -28,6 +28,7 @@ endif
 
 demo: $(VENV)/.stamp-install
 	$(BIN)/epi360 pair --demo $(ARGS)
+	@echo "Your own images: $(BIN)/epi360 pair A.jpg B.jpg   All commands: $(BIN)/epi360 --help"
 
 test: $(VENV)/.stamp-test
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
@@ -68,7 +69,7 @@ $(VENV)/.stamp-venv:
 	@touch $@
 
 $(VENV)/.stamp-install: $(VENV)/.stamp-venv $(BUILD_SOURCES)
-	@echo "Building and installing epi360 (about three minutes of processor time) ..."
+	@echo "Building and installing epi360 (about two minutes of processor time) ..."
 	$(PIP) install $(EDITABLE) .
 	@touch $@
 

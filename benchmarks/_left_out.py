@@ -23,22 +23,31 @@ def model_without(model: Reconstruction, names: Collection[str]) -> Reconstructi
     rows = np.flatnonzero(number_of[seen.images] >= 0)
     images = [model.images[k] for k in kept]
     indices, tracks, pixels = number_of[seen.images[rows]], seen.points[rows], seen.pixels[rows]
-    rays, centers = np.empty((len(rows), 3)), np.empty((len(rows), 3))
-    for number, image in enumerate(images):
-        own = np.flatnonzero(indices == number)
+    kept_model = dataclasses.replace(
+        model, images=tuple(images), observations=Observations(tracks, indices, pixels)
+    )
+    return triangulated(kept_model, len(model.points))
+
+
+def triangulated(model: Reconstruction, num_points: int) -> Reconstruction:
+    """Model with the points of its observations from their rays; bad ones are left out."""
+    seen = model.observations
+    rays, centers = np.empty((len(seen.points), 3)), np.empty((len(seen.points), 3))
+    for number, image in enumerate(model.images):
+        own = np.flatnonzero(seen.images == number)
         camera = model.cameras[str(image.camera)]
-        rays[own] = world_rays(camera, image.cam_from_world, pixels[own])
+        rays[own] = world_rays(camera, image.cam_from_world, seen.pixels[own])
         centers[own] = image.cam_from_world.inverse().translation
-    found = triangulate_tracks(centers, rays, tracks, len(model.points))
+    found = triangulate_tracks(centers, rays, seen.points, num_points)
     good = found.in_front & (found.residual_rad < 0.01) & (found.parallax_rad > 0.005)
     new_row = np.cumsum(good) - 1
-    used = good[tracks]
+    used = good[seen.points]
+    colors = model.colors if len(model.colors) else np.zeros((num_points, 3), np.uint8)
     return dataclasses.replace(
         model,
-        images=tuple(images),
         points=found.points[good],
-        colors=model.colors[good],
-        observations=Observations(new_row[tracks[used]], indices[used], pixels[used]),
+        colors=colors[good],
+        observations=Observations(new_row[seen.points[used]], seen.images[used], seen.pixels[used]),
     )
 
 

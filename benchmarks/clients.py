@@ -15,9 +15,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "clients"))
 
+from _client_commands import opensfm_rows  # noqa: E402
+from _client_training import nerfstudio_rows, opensplat_rows  # noqa: E402
 from client_files import Scene, write_scene  # noqa: E402
 from client_readers import READERS, NotInstalledError, differences  # noqa: E402
 
+PROGRAMS = ("opensfm", "opensplat", "ns-train")
 SOURCES = ("gsplat", "3dgs", "hloc", "nerfstudio", "opensfm")
 COLUMNS = ("program, file", "version", "images", "rotation", "centre", "points", "remarks")
 
@@ -32,7 +35,30 @@ def main() -> int:
     print("| " + " | ".join("---" for _ in COLUMNS) + " |")
     for row in rows:
         print("| " + " | ".join(row) + " |")
-    return int(any(row[1] == "failed" for row in rows))
+    failed = any(row[1] == "failed" for row in rows)
+    if options.program:
+        failed |= _print_commands(options)
+    return int(failed)
+
+
+def _print_commands(options: argparse.Namespace) -> bool:
+    """Print a second table, of programs' own commands; whether one of them failed."""
+    failed = False
+    print("\n| command | seconds | result |\n| --- | --- | --- |")
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, program in options.program.items():
+            if name == "opensfm":
+                rows = opensfm_rows(program, folder)
+            elif name == "opensplat":
+                rows = opensplat_rows(program, folder, options.iterations)
+            else:
+                rows = nerfstudio_rows(program, folder, options.iterations)
+            for row in rows:
+                print("| " + " | ".join(row) + " |", flush=True)
+                failed |= row.result.startswith(("failed", "no "))
+    return failed
 
 
 def _row(client: str, scene: Scene, snapshots: dict[str, Path]) -> tuple[str, ...]:
@@ -62,15 +88,32 @@ def _parse_options() -> argparse.Namespace:
         default=[],
         help=f"source of a program that is not installed; names: {', '.join(SOURCES)}",
     )
+    parser.add_argument(
+        "--program",
+        metavar="NAME=FILE",
+        action="append",
+        default=[],
+        help=f"also run a program's own commands; names: {', '.join(PROGRAMS)}",
+    )
+    parser.add_argument("--iterations", type=int, default=300, help="steps of training programs")
+    parser.add_argument("--keep", type=Path, help="new folder for what the commands write")
     options = parser.parse_args()
-    snapshots = {}
-    for given in options.snapshot:
-        name, _, folder = given.partition("=")
-        if name not in SOURCES or not Path(folder).is_dir():
-            parser.error(f"--snapshot must be NAME=FOLDER with {', '.join(SOURCES)}, got {given}")
-        snapshots[name] = Path(folder).resolve()
-    options.snapshot = snapshots
+    options.snapshot = _paths(parser, "--snapshot", options.snapshot, SOURCES)
+    options.program = _paths(parser, "--program", options.program, PROGRAMS)
     return options
+
+
+def _paths(
+    parser: argparse.ArgumentParser, option: str, given: list[str], names: tuple[str, ...]
+) -> dict[str, Path]:
+    """Paths by name of NAME=PATH; the order is that of the command line."""
+    paths = {}
+    for each in given:
+        name, _, path = each.partition("=")
+        if name not in names or not Path(path).exists():
+            parser.error(f"{option} must be NAME=PATH with {', '.join(names)}, got {each}")
+        paths[name] = Path(path).absolute()
+    return paths
 
 
 if __name__ == "__main__":

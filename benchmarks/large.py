@@ -12,7 +12,7 @@ import multiprocessing
 import resource
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -28,8 +28,9 @@ from epi360.features import Features
 from epi360.features.visual_words import NUM_DESCRIPTORS
 from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.image_set import ImageSet, find_images
-from epi360.jobs.matching import MatchOptions, match_images
+from epi360.jobs.matching import MatchOptions, PairVerdict, match_images
 from epi360.jobs.retrieval import alike_pairs
+from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.whole_files import write_file
 from epi360_scenes.tours import render_tour
@@ -38,6 +39,7 @@ PACKAGES = ("epi360", "numpy", "opencv-python-headless")
 PER_HOME = 24  # panoramas
 NEIGHBORS = (5, 10, 20, 40)
 OVERLAPS = (0.2, 0.3)  # least shares of the views that count
+RIGHT_DEG = 5.0  # largest errors of a right pose
 SHARE = 0.05  # of all pairs
 Pair = tuple[int, int]
 
@@ -203,23 +205,42 @@ def _cells(row: Chosen) -> list[str]:
 def _verified(
     images: ImageSet, overlaps: dict[Pair, float], options: argparse.Namespace
 ) -> dict[str, float]:
-    """Match the pairs of retrieval; what is accepted, and how much of it shares a view."""
-    start = time.perf_counter()
+    """Match the pairs of retrieval; what is accepted, and how much of it is right."""
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
     chosen = MatchOptions(pairs="retrieval", num_threads=options.jobs)
     run = match_images(images, options.out / "matches", chosen)
-    wall_s = time.perf_counter() - start
+    wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
+    accepted = [each for each in run.verdicts if each.accepted]
+    error_deg = _errors_of_pairs(images, options.width)
+    num_right = sum(error_deg(each) < RIGHT_DEG for each in accepted)
     index = {name: place for place, name in enumerate(run.images)}
-    accepted = [
-        overlaps.get((index[each.image1], index[each.image2]), 0.0)
-        for each in run.verdicts
-        if each.accepted
-    ]
-    share = float(np.mean(np.array(accepted) >= OVERLAPS[0])) if accepted else float("nan")
+    shares = [overlaps.get((index[e.image1], index[e.image2]), 0.0) for e in accepted]
+    num_shared = int(np.sum(np.array(shares) >= OVERLAPS[0]))
     print(
-        f"{len(run.verdicts)} pairs matched in {wall_s:.0f} s: {len(accepted)} accepted, "
-        f"{100 * share:.0f} % of them share {OVERLAPS[0]:g} of their views"
+        f"{len(run.verdicts)} pairs matched in {wall_s:.0f} s ({cpu_s:.0f} s of processor time; "
+        f"{run.num_found} were there): {len(accepted)} accepted, {num_right} of them within "
+        f"{RIGHT_DEG:g} degrees; {num_shared} share {OVERLAPS[0]:g} of their views"
     )
-    return {"pairs": len(run.verdicts), "wall_s": wall_s, "accepted": len(accepted), "share": share}
+    counts = {"pairs": len(run.verdicts), "found": run.num_found, "accepted": len(accepted)}
+    return counts | {"wall_s": wall_s, "cpu_s": cpu_s, "right": num_right, "shared": num_shared}
+
+
+def _errors_of_pairs(images: ImageSet, width: int) -> Callable[[PairVerdict], float]:
+    """What gives the larger error of a pair's rotation and direction; infinite between homes."""
+    tours = {}
+    for home in {image.name.partition("/")[0] for image in images.images}:
+        tours[home] = render_tour(images.folder / home, int(home[4:]), is_level=False, width=width)
+
+    def error_deg(pair: PairVerdict) -> float:
+        (home1, _, name1), (home2, _, name2) = (
+            name.partition("/") for name in (pair.image1, pair.image2)
+        )
+        if home1 != home2:
+            return float("inf")
+        truth, found = tours[home1].cam2_from_cam1(name1, name2), pair.cam2_from_cam1
+        return max(rotation_error_deg(found, truth), translation_error_deg(found, truth))
+
+    return error_deg
 
 
 def _load(options: argparse.Namespace) -> dict[str, float]:

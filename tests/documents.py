@@ -34,6 +34,8 @@ LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 OTHERS = {
     "../gsplat/examples/simple_trainer.py": {"--data_dir", "--data_factor", "--result_dir"},
     "../gaussian-splatting/train.py": {"-s", "-m", "-r"},
+    "../OpenSfM/bin/opensfm": set(),
+    "../OpenSplat/build/opensplat": {"-n", "-o"},
     "ns-train": {
         "--data", "--colmap-path", "--masks-path", "--downscale-factor", "--orientation-method",
     },

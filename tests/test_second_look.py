@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import epi360
-from epi360.second_look import is_precise, is_settled, prior_is_better
+from epi360.second_look import has_hope, is_precise, is_settled, prior_is_better
 from epi360.synthetic import two_view_scene
 
 
@@ -30,6 +30,13 @@ def test_only_a_pose_and_a_pure_rotation_are_settled():
 
 def test_a_pose_with_a_warning_is_not_settled():
     assert not is_settled("ok", ("most inliers are on one side",))
+
+
+def test_more_key_points_are_hopeless_where_the_stronger_ones_leave_no_evidence():
+    assert not has_hope("too_few_inliers", 0.01)
+    assert has_hope("too_few_inliers", 0.2)
+    assert has_hope("too_few_inliers", np.nan)  # nobody has said how probable it is
+    assert has_hope("concentrated_inliers", 0.01) and has_hope("too_few_matches", 0.0)
 
 
 def test_a_pose_is_precise_below_a_tenth_and_three_tenths_of_a_degree(result):

@@ -90,7 +90,7 @@ def relative_pose_of_images(
     max_width : int
         Wider images are searched at this width; key points are in pixels of the originals.
     seed : int
-        Of the sampling.
+        Random seed of the sampling; the same images and seed give the same result.
     progress : callable, optional
         Gets a few words at the start of each stage.
 

@@ -3,7 +3,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.resources import files
 from typing import Any
 
@@ -15,7 +15,7 @@ from epi360_demo.examples import EXAMPLES, example_paths
 from epi360_demo.limits import Limits, RefusedError
 from epi360_demo.pair_job import RECORD, REPORT
 from epi360_demo.pictures import check_picture
-from epi360_demo.visitors import Visitors
+from epi360_demo.visitors import Upload, Visitor, Visitors
 from epi360_demo.waiting_line import WaitingLine
 from epi360_demo.worker_process import WorkerProcess
 
@@ -77,21 +77,38 @@ def _add_uploads(app: FastAPI, demo: Demo) -> None:
         """Store a picture or a lens file and say what is wrong with it, if anything is."""
         try:
             visitor = demo.visitors.find(token)
-            upload = await demo.visitors.receive(visitor, slot, name, request.stream())
-            try:
-                if slot != "lens":
-                    check_picture(upload.path, upload.name, demo.limits.max_pixels)
-            except RefusedError:
-                visitor.remove(slot)
-                raise
+            upload = await _received(demo, visitor, slot, name, request)
         except RefusedError as refusal:
             # The rest of what a browser sends is read and thrown away: it reads no answer before.
             await _drain(request, demo.limits.max_file_bytes)
             return JSONResponse({"sentence": str(refusal)}, status_code=422)
         except ClientDisconnect:
             return Response(status_code=400)
-        visitor.on_change()
         return JSONResponse({"name": upload.name})
+
+    @app.delete("/pictures/{token}/{slot}")
+    async def remove(token: str, slot: str) -> Response:
+        """Forget what a slot holds: the page shows something else in its place."""
+        with suppress(RefusedError):
+            visitor = demo.visitors.find(token)
+            visitor.remove(slot)
+            visitor.on_change()
+        return Response(status_code=204)
+
+
+async def _received(demo: Demo, visitor: Visitor, slot: str, name: str, request: Request) -> Upload:
+    """Return an upload that was stored and looked at; the page hears of it, used or refused."""
+    try:
+        upload = await demo.visitors.receive(visitor, slot, name, request.stream())
+        try:
+            if slot != "lens":
+                check_picture(upload.path, upload.name, demo.limits.max_pixels)
+        except RefusedError:
+            visitor.remove(slot)
+            raise
+        return upload
+    finally:  # what the slot held before is gone in any case
+        visitor.on_change()
 
 
 async def _drain(request: Request, most: int) -> None:

@@ -29,6 +29,7 @@ class PairTab:
         self._example: str | None = None
         self._num_results = 0
         visitor.on_change = self._uploads_changed
+        visitor.on_forgotten = partial(self._run, "pictures.clear()")
 
     def build(self) -> None:
         """Make the elements."""
@@ -66,22 +67,22 @@ class PairTab:
 
     def leave(self) -> None:
         """Give up what this page waits for: it is gone."""
-        if self._ticket is not None:
-            self._demo.line.leave(self._ticket)
+        self._end_work()
 
     def _run(self, script: str) -> None:
         self._client.run_javascript(script)
 
     def _uploads_changed(self) -> None:
-        """After an upload, or when idle files are gone."""
+        """After a file came or went: an answer to other pictures must not stand beside it."""
         uploads = self._visitor.uploads
-        if "1" in uploads or "2" in uploads:
-            if self._example is not None:
-                self._example = None
-                missing = [slot for slot in ("1", "2") if slot not in uploads]
-                self._run("".join(f"pictures.say('{slot}', 'Drop a picture');" for slot in missing))
-        elif self._example is None:
-            self._run("pictures.clear()")
+        if self._example is not None and ("1" in uploads or "2" in uploads):
+            self._example = None
+            missing = [slot for slot in ("1", "2") if slot not in uploads]
+            self._run("".join(f"pictures.say('{slot}', 'Drop a picture');" for slot in missing))
+        if self._example is None:
+            self._end_work()
+            self._say("")
+            self._show_result(None)
         self._show_buttons()
 
     def _show_buttons(self) -> None:
@@ -104,16 +105,18 @@ class PairTab:
     def _remove(self) -> None:
         self._example = None
         self._visitor.remove_all()
-        self._status.set_text("")
-        self._show_result(None)
+        self._run("pictures.clear()")
         self._uploads_changed()
 
     def _give_up(self) -> None:
-        if self._ticket is not None:
-            self._demo.line.leave(self._ticket)
-        self._ticket = None
-        self._status.set_text("Stopped.")
+        self._end_work()
+        self._say("Stopped.")
         self._show_buttons()
+
+    def _end_work(self) -> None:
+        ticket, self._ticket = self._ticket, None
+        if ticket is not None:
+            self._demo.line.leave(ticket)
 
     def _estimate(self) -> None:
         try:

@@ -2,6 +2,7 @@
 """Starting and ending the demo's server."""
 
 import os
+import signal
 import socket
 import threading
 import webbrowser
@@ -36,6 +37,7 @@ def serve(
     demo = Demo(limits)
     # Read when NiceGUI is loaded: it would keep a folder in the current one.
     os.environ["NICEGUI_STORAGE_PATH"] = str(demo.visitors.root / "nicegui")
+    _end_with_terminal()
     threadpool_limits(1)  # small matrices; the cores are for the estimates
     try:
         from epi360_demo.page_frame import add_page
@@ -54,6 +56,13 @@ def serve(
     finally:
         demo.visitors.close()
         listener.close()
+
+
+def _end_with_terminal() -> None:
+    """End as after Ctrl-C when the terminal is closed, unless started with nohup."""
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup is not None and signal.getsignal(hangup) is signal.SIG_DFL:
+        signal.signal(hangup, lambda *_: signal.raise_signal(signal.SIGTERM))
 
 
 def _listener(host: str, port: int | None) -> socket.socket:

@@ -4,12 +4,12 @@
 import re
 import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from epi360.runs.whole_files import scratch_folder
 from epi360_demo.limits import Limits, RefusedError, megabytes
 
 SLOTS = ("1", "2", "lens")
@@ -35,7 +35,8 @@ class Visitor:
     folder: Path
     uploads: dict[str, Upload] = field(default_factory=dict)
     seen: float = field(default_factory=time.monotonic)
-    on_change: Callable[[], None] = lambda: None
+    on_change: Callable[[], None] = lambda: None  # an upload came, or went
+    on_forgotten: Callable[[], None] = lambda: None
 
     @property
     def results(self) -> Path:
@@ -61,7 +62,7 @@ class Visitors:
         self._limits = limits
         self._visitors: dict[str, Visitor] = {}
         self._num_arriving_bytes = 0
-        self.root = Path(tempfile.mkdtemp(prefix="epi360-demo-"))
+        self.root = scratch_folder()
 
     def arrive(self) -> Visitor:
         """Return a new visitor; `RefusedError` where there are too many."""
@@ -84,7 +85,8 @@ class Visitors:
         return visitor
 
     def leave(self, visitor: Visitor) -> None:
-        """Delete a visitor with all files."""
+        """Delete a visitor with all files; the page hears nothing more."""
+        visitor.on_change = visitor.on_forgotten = lambda: None
         self._visitors.pop(visitor.token, None)
         visitor.remove_all()
 
@@ -95,6 +97,7 @@ class Visitors:
             if idle > self._limits.max_idle_s and visitor.folder.exists():
                 visitor.remove_all()
                 visitor.on_change()
+                visitor.on_forgotten()
 
     def close(self) -> None:
         """Delete everything."""

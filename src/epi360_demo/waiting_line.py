@@ -2,6 +2,7 @@
 """A line of bounded length before a bounded number of workers."""
 
 import asyncio
+import traceback
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
@@ -84,7 +85,7 @@ class WaitingLine:
         for place, ticket in enumerate(self._waiting, start=1):
             if ticket.position != place:
                 ticket.position = place
-                ticket.on_change(ticket)
+                _tell(ticket)
 
     async def _serve(self, worker: Worker) -> None:
         while True:
@@ -98,10 +99,10 @@ class WaitingLine:
     async def _run(self, worker: Worker, ticket: Ticket) -> None:
         def on_progress(words: str) -> None:
             ticket.progress = words
-            ticket.on_change(ticket)
+            _tell(ticket)
 
         ticket.state = "running"
-        ticket.on_change(ticket)
+        _tell(ticket)
         ticket.job = asyncio.ensure_future(worker.run(ticket.request, on_progress))
         try:
             done, _ = await asyncio.wait([ticket.job], timeout=self._limits.time_limit_s)
@@ -126,7 +127,15 @@ class WaitingLine:
         else:
             ticket.answer = ticket.job.result()
         ticket.state = "failed" if ticket.answer is None else "done"
+        _tell(ticket)
+
+
+def _tell(ticket: Ticket) -> None:
+    """Let a page hear of its ticket; a mistake in it must not stop the line."""
+    try:
         ticket.on_change(ticket)
+    except Exception:
+        traceback.print_exc()
 
 
 def _surprise(error: BaseException) -> str:

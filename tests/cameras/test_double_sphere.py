@@ -151,3 +151,11 @@ def test_spheres_too_far_apart_are_refused(xi):
 def test_alpha_out_of_range_is_refused(alpha):
     with pytest.raises(ValueError, match=r"alpha must be in \[0, 1\]"):
         DoubleSphere(640, 480, 300, 300, 320, 240, 0, alpha)
+
+
+@pytest.mark.parametrize("xi", [1 - 1e-16, 1 - 1e-12, 1 - 1e-6, -1 + 1e-16, -1 + 1e-12])
+def test_spheres_that_almost_touch_a_centre_lose_no_digits(xi):
+    camera = DoubleSphere(512, 512, 200, 200, 256, 256, xi, 0.5)
+    pixels = np.array([[100.5, 100.5], [256.0, 256.0], [300.0, 280.0]])
+    bearings = camera.bearings_from_pixels(pixels)
+    np.testing.assert_allclose(camera.pixels_from_bearings(bearings), pixels, atol=1e-9)

@@ -13,7 +13,7 @@ def test_a_model_becomes_a_project_of_opensfm_and_comes_back(run, tmp_path):
     assert run("model", "project", "--format", "opensfm-folder") == (
         0, "wrote project (OpenSfM project): 3 images, 5 points, 1 camera", ""
     )  # fmt: skip
-    assert len(list((tmp_path / "project" / "exif" / "hall").iterdir())) == 3
+    assert len(list((tmp_path / "project" / "exif").iterdir())) == 3
     code, out, err = run("project", "back")
     assert (code, out, err) == (0, "wrote back (COLMAP model): 3 images, 5 points, 1 camera", "")
     back, before = read_colmap_model("back"), scene()
@@ -41,3 +41,16 @@ def test_a_trajectory_gets_times_and_names(run, tmp_path):
     refused(run("reconstruction.json", "poses.tum"), "poses.tum is there already")
     refused(run("reconstruction.json", "t.tum", "--fps", "0"), "--fps must be positive")
     refused(run("reconstruction.json", "model", "--fps", "2"), "--fps is for a TUM trajectory")
+
+
+def test_a_project_of_opensfm_gets_links_to_the_pictures(run, tmp_path):
+    write_colmap_model("model", scene())
+    words = ("model", "project", "--format", "opensfm-folder", "--images", "pictures")
+    refused(run(*words), "0.jpg does not exist")
+    for image in scene().images:
+        path = tmp_path / "pictures" / image.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(image.name)
+    assert run(*words)[0] == 0
+    assert (tmp_path / "project" / "images" / "hall" / "2.jpg").read_text() == "hall/2.jpg"
+    refused(run("model", "other", "--images", "pictures"), "--images is for nerfstudio's")

@@ -53,7 +53,8 @@ def test_without_the_extra_the_command_says_how_to_install_it(capsys, monkeypatc
 
 @needs_demo
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
-def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"], ids=["Ctrl-C", "closed terminal"])
+def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_path, how):
     process = subprocess.Popen(
         [sys.executable, "-m", "epi360.cli", "demo", "--port", "0", "--no-open"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
@@ -64,9 +65,10 @@ def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_p
         with urllib.request.urlopen(address, timeout=60) as answer:
             assert b"epi360 demo" in answer.read()
         assert len(list(tmp_path.iterdir())) == 1
-        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.Signals[how])
         rest, complaints = process.communicate(timeout=60)
     finally:
         process.kill()
-    assert (process.returncode, rest, complaints) == (0, "", "")
+    assert (rest, complaints) == ("", "")
+    assert process.returncode == (0 if how == "SIGINT" else -signal.SIGTERM)
     assert list(tmp_path.iterdir()) == []

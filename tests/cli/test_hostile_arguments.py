@@ -16,6 +16,10 @@ NUMBERS = {
     "map images": ["--jobs", "--mapper-threads", "--face-size", "--jpeg-quality", "--overlap"],
     "batch in.db --output out.parquet": ["--threads", "--num-threads", "--pairs-per-part"],
     "render out": ["--width", "--num-frames", "--supersample"],
+    "localize map new.png": ["--max-views"],
+    "track frames": ["--max-width", "--max-points"],
+    "frames walk.mp4 out": ["--every", "--jpeg-quality"],
+    "demo --no-open": ["--port", "--workers", "--max-waiting"],
     "cubemap model images out": ["--face-size", "--jpeg-quality"],
     "reproduce table1": ["--trials", "--jobs", "--image-width"],
 }

@@ -135,6 +135,38 @@ def test_pair_refuses_what_is_no_file(source, pipe, capsys):
     assert_wrong_use(capsys, ["batch", path, "--output", pipe.parent / "x.parquet"], str(path))
 
 
+@pytest.mark.parametrize("source", ["pipe", "/dev/zero"])
+@pytest.mark.parametrize(
+    "words",
+    ["localize SOURCE a.jpg", "track SOURCE", "track . --mask SOURCE", "track . --camera SOURCE",
+     "frames SOURCE out", "match . --pairs near --positions SOURCE", "match . --pairs SOURCE",
+     "evaluate SOURCE truth.txt", "convert SOURCE out.db --verify"],
+)  # fmt: skip
+def test_the_other_commands_refuse_it_too(words, source, pipe, tmp_path, capsys, monkeypatch):
+    from epi360.features.picture_writing import encode_picture
+
+    pytest.importorskip("av")
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.png", "b.png"):
+        (tmp_path / name).write_bytes(encode_picture(np.zeros((8, 16, 3), np.uint8), ".png"))
+    path = str(pipe) if source == "pipe" else source
+    words = [path if word == "SOURCE" else word for word in words.split()]
+    assert cli.main(words) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("epi360: error: ") and path in said
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device of Linux")
+def test_a_full_device_is_named(tmp_path, capsys):
+    (tmp_path / "a.txt").write_text("".join(f"{k} {k} {k % 2} 0 0 0 0 1\n" for k in range(9)))
+    words = ["evaluate", tmp_path / "a.txt", tmp_path / "a.txt", "--json", "/dev/full"]
+    assert cli.main([str(word) for word in words]) == 2
+    assert (
+        capsys.readouterr().err
+        == "epi360: error: /dev/full: cannot write (No space left on device)\n"
+    )
+
+
 def test_match_leaves_out_what_is_no_file(pipe, tmp_path, capsys):
     assert cli.main(["match", str(tmp_path), "--output", str(tmp_path / "out")]) == 2
     assert "no file" in capsys.readouterr().err

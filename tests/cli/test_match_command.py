@@ -80,7 +80,7 @@ def test_no_pose_at_all_is_an_honest_failure(here, capsys):
     write_png(here / "tour" / NAMES[1], np.zeros_like(pictures()[1]))
     assert main(["match", "tour"]) == FAILURE
     printed = capsys.readouterr().out
-    assert "1 too_few_matches" in printed
+    assert "1 had too few matches (too_few_matches)" in printed
     assert f"No pair       {NAMES[0]}" in printed
 
 
@@ -114,6 +114,10 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
         (["tour", "--upright", "-1"], " --upright must be in (0, 45] degrees, got -1.0"),
         (["tour", "--upright", "1", "--camera", "camera.json"], " --upright needs panoramas"),
         (["tour", "--output", "tour"], "was not made by epi360 match"),
+        (
+            ["tour/Zimmer/küche 1.png"],
+            "küche 1.png is one image, expected a folder of images or a video",
+        ),
         (["tour", "--output", "taken"], "must be a folder"),
         (["tour", "--output", "taken/below"], "taken"),
     ],

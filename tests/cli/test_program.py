@@ -8,7 +8,7 @@ import pytest
 from command_line import assert_wrong_use
 
 from epi360 import cli
-from epi360.cli.command import app
+from epi360.cli.command import app, show_bars
 
 COMMANDS = (
     "pair", "frames", "match", "map", "localize", "track", "evaluate", "batch", "convert",
@@ -57,3 +57,28 @@ def test_the_help_of_every_command_comes_without_the_heavy_libraries():
     code = f"import sys, epi360.cli; {helps}; print([m for m in {heavy} if m in sys.modules])"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.endswith("\n[]\n")
+
+
+def test_commands_are_listed_in_the_order_in_which_they_are_looked_for(capsys):
+    cli.main(["--help"])
+    shown = capsys.readouterr().out
+    places = [shown.index(f" {name} ") for name in ("pair", "match", "map", "frames", "demo")]
+    assert places == sorted(places)
+
+
+@pytest.mark.parametrize("command", ["match", "map", "batch", "track", "localize", "reproduce"])
+def test_a_folder_of_results_may_be_called_out_or_output(command):
+    words = {"localize": ["a", "b"], "reproduce": ["fig1"]}.get(command, ["a"])
+    places = {
+        str(app.parse_args([command, *words, name, "place"], exit_on_error=False)[1].arguments)
+        for name in ("--out", "--output")
+    }
+    assert len(places) == 1 and "place" in places.pop()
+
+
+def test_the_end_of_a_stage_is_said_once_and_again_where_it_is_done_again(capsys):
+    with show_bars() as progress:
+        for done in (0, 1, 2, 2, 0, 2):
+            progress("frames", done, 2)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(",")[0] for line in lines] == ["epi360: frames: 2 of 2"] * 2

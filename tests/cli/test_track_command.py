@@ -276,6 +276,15 @@ def test_recording_is_written(tmp_path):
     assert recording.stat().st_size > 10_000
 
 
+def test_recording_that_cannot_be_written_is_one_line(tmp_path, capsys):
+    pytest.importorskip("rerun")
+    write_frames(tmp_path / "frames", 2)
+    arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--recording", str(tmp_path / "no" / "walk.rrd")]) == 2
+    said = capsys.readouterr().err
+    assert "walk.rrd cannot be written" in said and len(said.splitlines()) == 1
+
+
 def test_upright_frames_are_tracked_with_gravity_and_the_log_says_so(walk, tmp_path, capsys):
     folder, _, _ = walk
     output = tmp_path / "level"

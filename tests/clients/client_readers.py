@@ -164,8 +164,10 @@ def opensfm(scene: Scene, snapshots: Mapping[str, Path]) -> Loaded:
         (reconstruction,) = types.reconstructions_from_json(types.json_load(file))
     tracks = pymap.TracksManager.instanciate_from_file(str(folder / "tracks.csv"))
     reconstruction.add_correspondences_from_tracks_manager(tracks)
+    name_of = {image.name.rpartition("/")[2]: image.name for image in scene.panoramas.images}
     poses = {
-        name: Pose.from_matrix(shot.pose.get_Rt()) for name, shot in reconstruction.shots.items()
+        name_of[name]: Pose.from_matrix(shot.pose.get_Rt())
+        for name, shot in reconstruction.shots.items()
     }
     names = sorted(reconstruction.points, key=int)
     points = np.array([reconstruction.points[name].coordinates for name in names])

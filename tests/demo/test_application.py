@@ -58,6 +58,28 @@ def test_what_cannot_be_used_is_answered_in_a_sentence_and_not_kept(content, wor
         assert [path for path in demo.visitors.root.rglob("*") if path.is_file()] == []
 
 
+def test_a_page_hears_that_its_picture_went_when_the_next_one_cannot_be_used():
+    with open_page() as (client, visitor, _):
+        put(client, visitor, jpeg(noise_picture()))
+        heard = []
+        visitor.on_change = lambda: heard.append(sorted(visitor.uploads))
+        assert put(client, visitor, TEXT).status_code == 422
+        assert heard == [[]]
+
+
+def test_a_picture_is_forgotten_when_its_page_shows_something_else_in_its_place():
+    with open_page() as (client, visitor, demo):
+        for slot in ("1", "2"):
+            put(client, visitor, jpeg(noise_picture()), slot=slot)
+        heard = []
+        visitor.on_change = lambda: heard.append(sorted(visitor.uploads))
+        assert client.delete(f"/pictures/{visitor.token}/1").status_code == 204
+        assert heard == [["2"]]
+        assert [path.name[0] for path in demo.visitors.root.rglob("*.jpg")] == ["2"]
+        assert client.delete("/pictures/guess/2").status_code == 204
+        assert sorted(visitor.uploads) == ["2"]
+
+
 def test_a_page_that_is_gone_gets_a_sentence():
     with open_page() as (client, visitor, demo):
         demo.visitors.leave(visitor)

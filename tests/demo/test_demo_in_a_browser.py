@@ -36,7 +36,6 @@ for (const kind of ['dragenter', 'dragover', 'drop'])
   element.dispatchEvent(new DragEvent(kind, {dataTransfer: data, bubbles: true, cancelable: true}));
 """
 WORDS = "return document.querySelector('.slot[data-slot=\"%s\"] .words').textContent"
-STATUS = "return document.querySelector('.status').textContent"
 MOVE = """
 const [name, key, code, done] = arguments, before = paper.numDrawn, start = performance.now();
 const slider = document.getElementById(name), target = slider.querySelector('[tabindex]') || slider;
@@ -151,6 +150,9 @@ def test_two_files_that_are_dropped_together_give_a_pose_a_report_and_a_record(p
     # All of the report is there, without a scroll bar of its own.
     wait_for(page, f"return {report}.clientHeight > 1500 && {report}.clientHeight + 1 >= "
                    f"{report}.contentDocument.documentElement.scrollHeight")  # fmt: skip
+    # The answer is to these pictures: it goes with the first of them.
+    drop(page, ("three.jpg", jpeg(box_view(2))), slot="1")
+    wait_for(page, f"return !document.querySelector('.verdict') && {report}.clientHeight === 0")
 
 
 def test_a_text_file_and_a_bomb_are_answered_by_a_sentence_in_their_place(page):
@@ -160,6 +162,17 @@ def test_a_text_file_and_a_bomb_are_answered_by_a_sentence_in_their_place(page):
     )
     assert "20000x10000 pixels, which are 200 megapixels" in words_in(page, "2", "20000")
     assert page.execute_script("return document.querySelectorAll('.slot.wrong').length") == 2
+
+
+def test_a_picture_that_is_refused_takes_the_place_of_the_one_before(page):
+    drop(page, ("a.jpg", jpeg(box_view(1))), ("b.jpg", jpeg(box_view(2))))
+    words_in(page, "2", "b.jpg")
+    button = "[...document.querySelectorAll('button')].find((b) => /Estimate/.test(b.textContent))"
+    wait_for(page, f"return !{button}.disabled")
+    page.execute_script("pictures.largest = 10")  # refused before it is sent
+    drop(page, ("large.jpg", TEXT), slot="1")
+    assert "large.jpg is larger than" in words_in(page, "1", "large.jpg")
+    wait_for(page, f"return {button}.disabled")
 
 
 def test_a_raw_dual_fisheye_frame_is_answered_by_a_sentence(page):
@@ -187,7 +200,7 @@ def test_the_files_of_a_page_go_when_it_is_closed(page, demo):
 
 def test_what_the_sliders_change_is_drawn_again(page):
     page.execute_script("document.querySelectorAll('.q-tab')[1].click()")
-    wait_for(page, "return document.querySelector('.paper').dataset.drawn")
+    wait_for(page, "return document.querySelector('.paper')?.dataset.drawn")
     rows = "return [...document.querySelectorAll('.errors .method b')].map((b) => b.textContent)"
     picture = "return document.querySelector('.surface').toDataURL()"
     before, surface = page.execute_script(rows), page.execute_script(picture)

@@ -2,6 +2,11 @@
 """Uploaded files: bounded, under names of our own, and gone when their visitor is."""
 
 import asyncio
+import os
+import signal
+import subprocess
+import sys
+import tempfile
 
 import pytest
 
@@ -112,6 +117,34 @@ def test_everything_goes_when_the_demo_ends(visitors):
     receive(visitors, visitors.arrive())
     visitors.close()
     assert not visitors.root.exists()
+
+
+KILLED = """
+import os, signal
+from epi360_demo.limits import Limits
+from epi360_demo.visitors import Visitors
+visitors = Visitors(Limits())
+(visitors.root / "1-picture.jpg").write_bytes(b"somebody's room")
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such signal")
+def test_what_a_killed_demo_has_left_goes_when_the_next_one_starts(tmp_path, monkeypatch):
+    ended = subprocess.run(
+        [sys.executable, "-c", KILLED], env=os.environ | {"TMPDIR": str(tmp_path)}
+    )
+    assert ended.returncode == -signal.SIGKILL
+    assert [path.name for path in files_under(tmp_path)] == ["1-picture.jpg"]
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    first = Visitors(LIMITS)
+    second = Visitors(LIMITS)  # one that runs keeps its own
+    assert list(tmp_path.iterdir()) and first.root.exists() and second.root.exists()
+    assert files_under(tmp_path) == []
+    assert first.root.stat().st_mode & 0o777 == 0o700
+    for visitors in (first, second):
+        visitors.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_upload_that_ends_after_its_page_was_closed_leaves_no_file(visitors):

@@ -48,6 +48,26 @@ def nobody(ticket):
     """Hear of changes and do nothing."""
 
 
+def test_a_page_that_cannot_hear_of_its_ticket_does_not_stop_the_line(capsys):
+    async def story():
+        worker = FakeWorker()
+        line = await line_of(worker)
+
+        def broken(ticket):
+            raise RuntimeError("the page is gone")
+
+        tickets = [line.join(request(name), hears) for name, hears in
+                   (("first", broken), ("second", nobody), ("third", broken))]  # fmt: skip
+        for ticket in tickets:
+            ticket.request["gate"].set()
+        await settled()
+        assert [ticket.state for ticket in tickets] == ["done"] * 3
+        await line.close()
+
+    asyncio.run(story())
+    assert "the page is gone" in capsys.readouterr().err
+
+
 def test_positions_move_up_as_those_before_are_served_or_leave():
     async def story():
         worker, heard = FakeWorker(), []

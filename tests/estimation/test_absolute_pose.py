@@ -168,6 +168,13 @@ def test_missing_rows_and_order_change_nothing():
     assert rotation_error_deg(before.cam_from_world, after.cam_from_world) < 1e-3
 
 
+@pytest.mark.parametrize("seed", [-1, 2**64 + 5])
+def test_any_whole_number_is_a_seed(seed):
+    pose, points, bearings = scene(0, outliers=0.3)
+    found = estimate_absolute_pose(bearings, points, seed=seed)
+    assert found.success and rotation_error_deg(found.cam_from_world, pose) < 0.1
+
+
 def test_same_seed_gives_the_same_bits():
     _, points, bearings = scene(5, outliers=0.6)
     one, two = (estimate_absolute_pose(bearings, points, seed=3) for _ in range(2))
@@ -196,7 +203,10 @@ def test_a_camera_that_does_not_fit_is_said_to_be_noisy():
         ({"shared_error": -1.0}, "shared_error must be 0 or more"),
         ({"gravity_sigma_deg": 0.0}, "gravity_sigma_deg must be positive"),
         ({"point_covariances": np.eye(3)}, "point_covariances must have shape (200, 3, 3)"),
+        ({"seed": 1.5}, "seed must be an integer, got 1.5"),
         ({"max_noise_deg": -1}, "max_noise_deg must be a positive number"),
+        ({"seed": float("nan")}, "seed must be an integer, got nan"),
+        ({"guess": np.eye(4)}, "guess must be a Pose"),
     ],
 )
 def test_wrong_options_are_named(options, message):
@@ -205,3 +215,26 @@ def test_wrong_options_are_named(options, message):
         estimate_absolute_pose(bearings, points, **options)
     with pytest.raises(ValueError, match="points must have shape"):
         estimate_absolute_pose(bearings, points[1:])
+
+
+@pytest.mark.parametrize("seed", [-1, 10**30])
+def test_any_integer_is_a_seed(seed):
+    _, points, bearings = scene(0)
+    assert estimate_absolute_pose(bearings, points, seed=seed).success
+
+
+@pytest.mark.parametrize("number", [1e101, 1e200, -1e308])
+def test_a_point_whose_distance_is_no_number_is_refused(number):
+    _, points, bearings = scene(0)
+    points[3, 1] = number
+    with pytest.raises(ValueError, match=r"points must be at most 1e\+100 from zero"):
+        estimate_absolute_pose(bearings, points)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1e12])
+def test_the_unit_of_the_points_does_not_matter(unit):
+    _, points, bearings = scene(0)
+    found = estimate_absolute_pose(bearings, unit * points)
+    expected = estimate_absolute_pose(bearings, points).cam_from_world.rotation
+    assert found.success
+    np.testing.assert_allclose(found.cam_from_world.rotation, expected, atol=1e-8)

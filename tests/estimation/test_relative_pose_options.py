@@ -136,3 +136,12 @@ def test_fewer_inliers_than_asked_for_are_not_believed():
     result = estimate_relative_pose(SCENE.bearings1, SCENE.bearings2, options=options)
     assert result.status == "too_few_inliers" and result.num_inliers > 60
     assert np.isnan(result.cam2_from_cam1.rotation).all()
+
+
+def test_a_printed_result_says_verdict_and_pose_and_not_a_row_a_match():
+    result = estimate_relative_pose(SCENE.bearings1, SCENE.bearings2)
+    text = repr(result)
+    assert text.startswith("RelativePoseResult(status='ok', probability=")
+    assert f"num_inliers={result.num_inliers}, num_matches=100" in text
+    assert repr(result.cam2_from_cam1) in text
+    assert len(text) < 800

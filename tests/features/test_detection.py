@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Key points lie where they should, on the whole sphere, and turn with the panorama."""
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
 from epi360.features import extract_features
-from epi360.features.detection import find_keypoints
+from epi360.features.detection import SiftKeypoints, _repeated, find_keypoints
 from epi360.poses import rotation_from_vector
 
 CAMERA = Equirectangular(width=512, height=256)
@@ -198,6 +200,25 @@ def test_a_key_point_of_two_views_is_reported_once(features):
     assert not in_overlap[similar].all(axis=1).any()  # 22 pairs where twins are left in
 
 
+def test_twins_are_found_among_very_many_key_points_in_little_memory():
+    """Leaves at 45 degrees up; a table of all pairs would take a gigabyte."""
+    camera, rng = Equirectangular(4096, 2048), np.random.default_rng(0)
+    pixels = np.column_stack([rng.uniform(0, 4096, 30000), rng.uniform(495, 530, 30000)])
+    others = SiftKeypoints(
+        pixels, np.full(30000, 4.0), np.ones(30000), np.zeros((30000, 128), np.uint8)
+    )
+    part = others.chosen(np.arange(4000))
+    part.pixels[:1000] += [0.3, 0.3]
+    part.pixels[1000:] = np.column_stack([rng.uniform(0, 4096, 3000), np.full(3000, 600.0)])
+    part.sizes[500:1000] = 8.0  # larger ones are no twins
+    tracemalloc.start()
+    repeated = _repeated(part, others, camera, 1.0)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert repeated[:500].all() and not repeated[500:].any()
+    assert peak < 50e6
+
+
 def test_a_wide_image_is_searched_small_but_answered_in_its_own_pixels():
     camera = Equirectangular(720, 360)
     image = texture(camera)
@@ -252,6 +273,12 @@ def test_descriptors_are_unit_vectors_of_float32(features):
 def test_colour_and_grey_give_the_same_key_points(panorama, features):
     colour = extract_features(np.repeat(panorama[:, :, None], 3, axis=2))
     np.testing.assert_array_equal(colour.keypoints, features.keypoints)
+
+
+def test_a_strip_keeps_a_row_where_it_is_shrunk():
+    camera = Pinhole(10000, 1, 1000.0, 1000.0, 5000.0, 0.5)
+    strip = np.zeros((1, 10000), np.uint8)
+    assert len(extract_features(strip, camera)) == 0  # not an error of OpenCV
 
 
 @pytest.mark.parametrize("size", [(2, 1), (8, 4), (64, 32)])

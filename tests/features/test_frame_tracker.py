@@ -7,6 +7,7 @@ import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.features.frame_tracker import FrameTracker
+from epi360.features.tracking_views import Cap
 
 WIDTH, HEIGHT = 512, 256
 CAMERA = Equirectangular(width=WIDTH, height=HEIGHT)
@@ -84,6 +85,16 @@ def test_points_turn_with_the_camera_also_at_the_seam_and_the_poles(axis):
         expected[:, 2] < -np.cos(np.radians(20)),
     ):
         assert place.sum() >= 5 and np.median(errors[place]) < 0.04
+
+
+@pytest.mark.parametrize("latitude_deg", [-70.0, 70.0])
+def test_points_of_the_ceiling_or_the_floor_alone_are_followed(latitude_deg):
+    camera = Equirectangular(900, 100, 360.0, 40.0, 0.0, latitude_deg)
+    before, after = tracked_after(rotation_about([0, 1, 0], 2.0), camera=camera)
+    rows1, rows2 = common(before, after)
+    assert len(rows1) > 0.7 * len(before.ids) > 30
+    turned = before.bearings[rows1] @ rotation_about([0, 1, 0], 2.0).T
+    assert np.median(angles_deg(turned, after.bearings[rows2])) < 0.1
 
 
 def test_points_cross_the_seam():
@@ -278,3 +289,14 @@ def test_a_prediction_that_is_no_rotation_is_refused(rotation):
     tracker = FrameTracker(CAMERA)
     with pytest.raises(ValueError, match=r"rotation must be finite, of shape \(3, 3\)"):
         tracker.track(picture(), rotation)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_other_pole_is_a_number_in_the_picture_of_a_pole(sign):
+    cap = Cap(Equirectangular(64, 32), np.ones((32, 64), bool), sign)
+    poles = np.array([[0.0, sign, 0.0], [0.0, -sign, 0.0]])
+    points = cap.points_from_bearings(poles)
+    assert np.isfinite(points).all()
+    np.testing.assert_allclose(points[0], cap.points_from_bearings(poles[:1])[0], atol=1e-12)
+    assert not cap.owns(poles)[1]

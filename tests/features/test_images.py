@@ -187,9 +187,10 @@ def test_a_truncated_file_is_refused_without_a_word_from_opencv(tmp_path, capfd,
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_png_with_a_flipped_bit_is_refused(tmp_path, capfd):
+@pytest.mark.parametrize("place", [0.5, 1.0])
+def test_a_png_with_a_flipped_bit_is_refused(tmp_path, capfd, place):
     data = bytearray(encode(random_image(), ".png"))
-    data[len(data) // 2] ^= 4
+    data[int(place * (len(data) - 1))] ^= 4
     with pytest.raises(ValueError, match="damaged PNG .*checksum"):
         read_image(write(tmp_path / "a.png", bytes(data)))
     assert capfd.readouterr() == ("", "")

@@ -93,3 +93,20 @@ def test_a_model_that_does_not_fit_names_the_file_that_does_not(kind, tmp_path):
     assert answer.returncode == 2
     assert answer.stderr == f"epi360: error: {target}/points3D.{ending}: File too large\n"
     assert os.listdir(target) == []
+
+
+@pytest.mark.parametrize("command", ["opensfm-folder", "database"])
+def test_what_other_libraries_write_is_one_line_too(command, database, tmp_path):
+    target = tmp_path / "out"
+    images = (PosedImage("a.jpg", "pano", Pose(np.eye(3), np.zeros(3))),)
+    if command == "database":
+        answer = answer_of(8192, "convert", database, tmp_path / "out.db")
+        assert f"COLMAP database {target}.db cannot be written, is there room" in answer.stderr
+    else:
+        source = tmp_path / "in"
+        write_colmap_model(source, Reconstruction({"pano": Equirectangular(100, 50)}, images))
+        answer = answer_of(40, "convert", source, target, "--format", command)
+        assert "a.jpg.exif: cannot write (File too large)" in answer.stderr
+    assert answer.returncode == 2
+    assert len(answer.stderr.splitlines()) == 1
+    assert not [path for path in tmp_path.rglob("*") if ".tmp" in path.name]

@@ -215,8 +215,8 @@ def test_the_written_file_is_what_nerfstudio_expects(tmp_path):
     assert frame["transform_matrix"] == [[1, 0, 0, 0], [0, 0, -1, -5], [0, 1, 0, 0], [0, 0, 0, 1]]
     ply = (tmp_path / document["ply_file_path"]).read_bytes()
     header, body = ply.split(b"end_header\n")
-    assert header.startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex 1\n")
-    assert struct.unpack("<3d3B", body) == (1, 3, -2, 9, 8, 7)
+    assert header.startswith(b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\n")
+    assert body == b"1.0 3.0 -2.0 9 8 7\n"
 
 
 def test_each_frame_names_its_mask_or_none_does(tmp_path):
@@ -381,3 +381,13 @@ def test_points_without_color_and_with_other_properties_are_read(tmp_path, write
     reconstruction = read_nerfstudio(write(changed(ply_file_path="points.ply")))
     assert reconstruction.points.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert reconstruction.colors.tolist() == [[0, 0, 0], [0, 0, 0]]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [1e154, 1e308])
+def test_a_matrix_of_huge_numbers_is_no_rotation(number):
+    from epi360.interop.checks import pose_of_matrix
+
+    matrix = np.diag([number, number, 1.0, 1.0]).tolist()
+    with pytest.raises(ValueError, match="must hold a rotation, got a matrix with determinant"):
+        pose_of_matrix(matrix, "applied_transform")

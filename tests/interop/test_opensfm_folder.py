@@ -36,13 +36,17 @@ def cells(folder):
 
 
 def test_the_tracks_have_the_numbers_of_opensfm(tmp_path):
-    """x and y from the middle in units of the larger side, 360 and 400; the scale is one pixel."""
+    """x and y from the middle in units of the larger side, 360 and 400.
+
+    The scale is one pixel: a degree of the panorama, in radians, and a 400th of the other image.
+    """
+    degree = repr(math.pi / 180)
     write_opensfm_folder(tmp_path / "new", scene())
     header, rows = cells(tmp_path / "new")
     assert header == "OPENSFM_TRACKS_VERSION_v2"
     assert rows == [
-        ["a.jpg", "1", "0", "0.25", "0.0", repr(1 / 360), "1", "2", "3", "-1", "-1"],
-        ["a.jpg", "0", "1", "0.0", repr(0.5 / 360), repr(1 / 360), "255", "0", "7", "-1", "-1"],
+        ["a.jpg", "1", "0", "0.25", "0.0", degree, "1", "2", "3", "-1", "-1"],
+        ["a.jpg", "0", "1", "0.0", repr(0.5 / 360), degree, "255", "0", "7", "-1", "-1"],
         ["b.jpg", "0", "0", "0.0", "0.0", "0.0025", "255", "0", "7", "-1", "-1"],
     ]
     (document,) = json.loads((tmp_path / "new" / "reconstruction.json").read_text())
@@ -63,6 +67,15 @@ def test_every_command_finds_its_files(tmp_path):
     }  # fmt: skip
 
 
+def test_bundle_is_asked_to_keep_world_and_calibration(tmp_path):
+    """Its default turns the world until z is up, and refines focal lengths."""
+    write_opensfm_folder(tmp_path, scene())
+    config = (tmp_path / "config.yaml").read_text().splitlines()
+    assert config == ["align_method: naive", "optimize_camera_parameters: no"]
+    origin = json.loads((tmp_path / "reference_lla.json").read_text())
+    assert origin == {"latitude": 0, "longitude": 0, "altitude": 0}
+
+
 def test_what_is_written_reads_back_with_its_observations(tmp_path):
     before = scene()
     write_opensfm_folder(tmp_path, before)
@@ -77,6 +90,53 @@ def test_what_is_written_reads_back_with_its_observations(tmp_path):
         after.observations.pixels, before.observations.pixels[order], atol=1e-12
     )
     assert read_opensfm(tmp_path / "reconstruction.json").observations is None
+
+
+@pytest.mark.parametrize(
+    ("names", "paths"),
+    [
+        (("day 1/a.jpg", "b.jpg"), ["day 1/a.jpg", "b.jpg"]),
+        (("cam0/1.jpg", "cam1/1.jpg"), ["cam0_1.jpg", "cam1_1.jpg"]),
+        (("cam0/a.jpg", "cam1/A.jpg"), ["cam0_a.jpg", "cam1_A.jpg"]),
+    ],
+)
+def test_shots_are_called_as_opensfm_calls_their_pictures(tmp_path, names, paths):
+    """It takes the name of a file without its folders, which stand in image_list.txt alone."""
+    pictures, project = tmp_path / "in", tmp_path / "new"
+    for name in names:
+        (pictures / name).parent.mkdir(parents=True, exist_ok=True)
+        (pictures / name).write_text(name)
+    write_opensfm_folder(project, scene(names), images=pictures)
+    listed = (project / "image_list.txt").read_text().splitlines()
+    assert listed == [f"images/{path}" for path in paths]
+    assert [(project / line).read_text() for line in listed] == list(names)
+    (document,) = json.loads((project / "reconstruction.json").read_text())
+    shots = [path.rpartition("/")[2] for path in paths]
+    assert list(document["shots"]) == shots
+    assert {row[0] for row in cells(project)[1]} == set(shots)
+    assert {path.name for path in (project / "exif").iterdir()} == {
+        f"{name}.exif" for name in shots
+    }
+    assert [image.name for image in read_opensfm(project).images] == paths
+    assert len(read_opensfm(project).observations.points) == 3
+
+
+def test_lists_of_other_programs_do_not_change_names(tmp_path):
+    """OpenDroneMap writes absolute paths; a list may also be wrong or name two pictures alike."""
+    write_opensfm_folder(tmp_path, scene())
+    for lines in ("/data/x/a.jpg\n/data/x/b.jpg\n", "images/1/a.jpg\nimages/2/a.jpg\n", ""):
+        (tmp_path / "image_list.txt").write_text(lines)
+        assert [image.name for image in read_opensfm(tmp_path).images] == ["a.jpg", "b.jpg"]
+
+
+def test_nothing_is_written_where_a_picture_is_missing_or_names_meet(tmp_path):
+    (tmp_path / "in").mkdir()
+    with pytest.raises(FileNotFoundError, match=r"image .*a\.jpg does not exist"):
+        write_opensfm_folder(tmp_path / "new", scene(), images=tmp_path / "in")
+    same = ("x/y_z/1.jpg", "x_y/z/1.jpg")  # both 1.jpg, and both x_y_z_1.jpg
+    with pytest.raises(ValueError, match="without them two images are equal"):
+        write_opensfm_folder(tmp_path / "new", scene(same))
+    assert not (tmp_path / "new").exists()
 
 
 SHOT = {"rotation": [0, math.pi / 2, 0], "translation": [0, 0, 1], "camera": "theta"}

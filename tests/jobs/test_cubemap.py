@@ -221,7 +221,8 @@ class TestExport:
             {"p": camera}, (PosedImage("a.png", "p", world_from_cam.inverse()),)
         )
         out = tmp_path / "out"
-        export_cubemap(tmp_path / "in", source, out, CubemapOptions(image_format="png"))
+        png = CubemapOptions(image_format="png")
+        export_cubemap(tmp_path / "in", source, out, png, keep_world=True)
         model = read_colmap_model(out / "sparse" / "0")
         assert len(model.images) == 6
         for image in model.images:
@@ -330,6 +331,14 @@ class TestExport:
             export_cubemap(folder, plain_reconstruction(["a.png", name]), tmp_path / "out")
         assert victim.read_bytes() == b"theirs"
         assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize("name", [".", "/"])
+    def test_an_image_without_a_name_is_refused(self, tmp_path, name):
+        from epi360.jobs.cubemap import export_cubemap
+
+        folder, _ = two_panoramas(tmp_path)
+        with pytest.raises(ValueError, match=f"images must have names, got '{name}'"):
+            export_cubemap(folder, plain_reconstruction(["a.png", name]), tmp_path / "out")
 
     def test_no_face_is_removed_before_all_images_and_masks_are_there(self, tmp_path):
         from epi360.jobs.cubemap import export_cubemap

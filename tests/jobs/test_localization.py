@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """New images in a map of a rendered room: ours, COLMAP's, hloc's; and images of other places."""
 
+import dataclasses
+import shutil
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import pytest
 from mapped_room import CAMERA, write_picture
 
 import epi360
 from epi360.cameras import KannalaBrandt
+from epi360.interop import write_colmap_model
+from epi360.jobs.localization.outputs import model_with
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 from epi360_scenes import furnished_room, scene
 
@@ -108,8 +115,6 @@ def test_the_index_finds_the_images_of_a_place_whatever_their_heading(world, roo
 
 def test_the_model_alone_with_its_database_is_enough(room_run, new_image, room_folder):
     """As COLMAP leaves it: descriptors in COLMAP's bytes, nothing of ours."""
-    import shutil
-
     foreign = room_run[0].parent / "foreign"
     shutil.copytree(room_run[0] / "sparse" / "0", foreign / "sparse" / "0")
     shutil.copy(room_run[0] / "database.db", foreign)
@@ -145,9 +150,48 @@ def test_hloc_has_the_features_of_map_and_new_image(room_run, new_image, room_fo
     world = epi360.load_map(output / "sparse" / "0", features=tmp_path / "features.h5")
     result = epi360.localize_image(tmp_path / "query" / "new.png", world)
     assert_right(result, world, room_folder[1])
+    left = np.zeros((256, 512), bool)
+    left[:, :300] = True
+    masked = epi360.localize_image(tmp_path / "query" / "new.png", world, mask=left)
+    assert 0 < len(masked.keypoints) and masked.keypoints[:, 0].max() < 300
+    with h5py.File(tmp_path / "features.h5", "a") as file:
+        del file["query/new.png"]["descriptors"]
+        file["query/new.png"]["descriptors"] = found.descriptors[:, :64].T
+    with pytest.raises(ValueError, match="128 numbers each, those of the new image 64"):
+        epi360.localize_image(tmp_path / "query" / "new.png", world)
     write_picture(tmp_path / "other.png", new_image)
     with pytest.raises(ValueError, match="has no features of"):
         epi360.localize_image(tmp_path / "other.png", world)
+
+
+@pytest.mark.parametrize("source", ["ours", "database", "images"])
+def test_a_map_to_which_images_were_added_is_used_again(
+    source, room_run, new_image, room_folder, tmp_path
+):
+    """The new image has another camera, and its features are kept nowhere."""
+    output = tmp_path / "map"
+    shutil.copytree(room_run[0], output)
+    world = epi360.load_map(output)
+    small = cv2.resize(new_image, (448, 224), interpolation=cv2.INTER_AREA)
+    found = {"small.png": epi360.localize_image(small, world)}
+    grown, _ = model_with(world.model, found)
+    assert len(grown.cameras) == 2 and len(grown.images) == len(world.model.images) + 1
+    path = (output if source == "ours" else tmp_path) / "sparse" / "grown"
+    write_colmap_model(path, grown)
+    for count in (1, 2):  # the same image once more
+        grown, names = model_with(grown, found)
+        assert names == {"small.png": "localized/" * count + "small.png"}
+    given = {"database": {"database": output / "database.db"}, "images": {"images": room_folder[0]}}
+    again = epi360.load_map(path, **given.get(source, {}))
+    result = epi360.localize_image(new_image, again)
+    assert_right(result, again, room_folder[1])
+    assert "small.png" not in result.map_images
+
+
+def test_a_folder_without_the_images_of_the_map_is_refused(room_run, new_image, tmp_path):
+    world = epi360.load_map(room_run[0], images=tmp_path)
+    with pytest.raises(ValueError, match="has no features of .* and 5 other images"):
+        epi360.localize_image(new_image, world)
 
 
 def test_features_of_another_model_are_refused(room_run, new_image, tmp_path):
@@ -183,6 +227,16 @@ def test_an_image_without_a_camera_is_refused(world):
         epi360.LocalizationOptions(max_views=0)
 
 
+def test_a_raw_frame_of_two_circles_is_no_panorama_of_the_map(world, new_image):
+    raw = np.zeros_like(new_image)
+    for left in (0, 256):
+        v, u = np.mgrid[:256, :256] - 127.5
+        inside = np.hypot(u, v) < 124
+        raw[:, left : left + 256][inside] = new_image[:, left : left + 256][inside]
+    with pytest.raises(ValueError, match="raw dual fisheye"):
+        epi360.localize_image(raw, world)
+
+
 def test_a_map_that_colmap_made_from_its_own_sift(room_folder, new_image, tmp_path):
     """Its descriptors are VLFeat's and ours are OpenCV's, and they match."""
     import pycolmap
@@ -205,3 +259,20 @@ def test_a_map_that_colmap_made_from_its_own_sift(room_folder, new_image, tmp_pa
     result = epi360.localize_image(new_image, world)
     assert_right(result, world, truth, largest_deg=0.5, largest_m=0.03)
     assert result.num_inliers > 150
+
+
+def test_features_where_a_lens_sees_nothing_are_left_out(world, room_folder):
+    """Detectors that know no lens find key points outside its circle as well."""
+    narrow = dataclasses.replace(FISHEYE, max_angle_deg=80)
+    picture = furnished_room(0).render(FISHEYE, WORLD_FROM_NEW).image
+    found = world.source.of_new(picture, FISHEYE, None, 0.0)
+    outside = np.isnan(narrow.bearings_from_pixels(found.keypoints)[:, 0])
+    assert outside.sum() > 10
+    source = SimpleNamespace(
+        are_of_the_points=True, of_map=world.source.of_map, of_new=lambda *_: found
+    )
+    result = epi360.localize_image(
+        picture, epi360.LocalizationMap(world.model, source), camera=narrow
+    )
+    assert_right(result, world, room_folder[1], largest_deg=1.0, largest_m=0.05)
+    assert np.isfinite(narrow.bearings_from_pixels(result.keypoints)).all()

@@ -3,6 +3,8 @@
 
 import json
 import shutil
+import sqlite3
+from contextlib import closing
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -139,6 +141,32 @@ def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, r
         first.models[0].reconstruction.images, back.models[0].reconstruction.images, strict=True
     ):  # mapped twice from the same matches: equal to the last bit
         np.testing.assert_array_equal(image.cam_from_world.matrix(), same.cam_from_world.matrix())
+
+
+def test_a_negative_seed_maps_as_well(room_folder, room_run, tmp_path):
+    output = tmp_path / "map"
+    options = MapOptions(MatchOptions(num_threads=1, seed=-1), mapper_threads=1)
+    run = map_images(find_images(room_folder[0]), output, options)
+    assert len(run.models[0].reconstruction.images) == 6
+
+
+def test_the_database_is_written_again_where_it_lacks_what_is_asked_for(
+    room_folder, room_run, tmp_path
+):
+    output = tmp_path / "map"
+    shutil.copytree(room_run[0], output)
+    images, match = find_images(room_folder[0]), MatchOptions(num_threads=1)
+
+    def num_with_descriptors(descriptors):
+        options = MapOptions(match, mapper_threads=1, descriptors=descriptors)
+        assert map_images(images, output, options).was_mapped
+        with closing(sqlite3.connect(output / "database.db")) as database:
+            return database.execute("SELECT COUNT(*) FROM descriptors WHERE rows > 0").fetchone()[0]
+
+    assert num_with_descriptors(False) == 0
+    assert num_with_descriptors(True) == 6
+    (output / "database.db").unlink()  # somebody tidied up
+    assert num_with_descriptors(True) == 6
 
 
 def rig_graph(back_from_front):

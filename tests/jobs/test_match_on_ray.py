@@ -243,6 +243,13 @@ def test_a_cluster_that_does_not_answer_is_said(folder, tmp_path, monkeypatch):
         match_images(find_images(folder), tmp_path, engine="ray", address="127.0.0.1:1")
 
 
+def test_an_address_of_another_kind_is_wrong_use(folder, tmp_path, capsys):
+    pytest.importorskip("ray")
+    words = ["--engine", "ray", "--address", "nonsense://x"]
+    assert cli.main(["match", str(folder), "--output", str(tmp_path / "out"), *words]) == 2
+    assert "address must be HOST:PORT, ray://HOST:PORT or auto" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

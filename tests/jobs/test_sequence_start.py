@@ -17,7 +17,7 @@ from epi360.jobs.image_set import find_images  # noqa: E402
 from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
 from epi360.jobs.matching import MatchOptions  # noqa: E402
 from epi360.jobs.pair_selection import trajectory_pairs  # noqa: E402
-from epi360.jobs.sequence_start import may_be_sequence, track_sequence  # noqa: E402
+from epi360.jobs.sequence_start import _Frames, may_be_sequence, track_sequence  # noqa: E402
 from epi360.poses import Pose  # noqa: E402
 
 NUM_IMAGES = 10
@@ -114,6 +114,24 @@ def test_all_frames_of_a_video_are_tracked_and_the_chosen_ones_placed(tmp_path):
     assert error_share(positions, [int(image.name[-10:-4]) for image in placed]) < 0.004
 
 
+def test_the_masks_of_all_frames_of_a_video_count(tmp_path):
+    pytest.importorskip("av")
+    video = write_video(tmp_path / "a.mp4", frames()[:4])
+    folder = extract_frames(video, tmp_path / "frames", FramesOptions(every=3)).folder
+    masks = tmp_path / "masks"
+    write_png(masks / "a_000001.png", np.full((*frames()[0].shape[:2], 3), 255, np.uint8))
+    images = find_images(folder)
+    assert [image.name for image in images.images] == ["a_000000.jpg", "a_000003.jpg"]
+
+    def fingerprint():
+        return _Frames(images, video, masks).fingerprint(tmp_path, 0.0, 0)
+
+    before = fingerprint()
+    assert fingerprint() == before
+    write_png(masks / "a_000001.png", np.zeros((*frames()[0].shape[:2], 3), np.uint8))
+    assert fingerprint() != before
+
+
 def test_a_folder_whose_points_cannot_be_followed_is_no_sequence(tmp_path):
     places = [frames()[0], elsewhere()[0], frames()[9], elsewhere()[5], frames()[3]]
     for number, image in enumerate(places):
@@ -127,7 +145,11 @@ def test_a_folder_whose_points_cannot_be_followed_is_no_sequence(tmp_path):
 
 def test_a_camera_that_stands_still_gives_no_poses_to_start_from(tmp_path):
     write_frames(tmp_path / "rgb", 6, same=True)
-    tracked = track_sequence(find_images(tmp_path / "rgb"), tmp_path)
+    told = []
+    tracked = track_sequence(
+        find_images(tmp_path / "rgb"), tmp_path, progress=lambda *said: told.append(said[1:])
+    )
+    assert told == [(done, tracked.num_frames) for done in range(tracked.num_frames + 1)]
     assert tracked.reason == "the camera has not moved far enough"
 
 

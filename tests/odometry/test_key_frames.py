@@ -50,7 +50,7 @@ def test_joined_tracks_are_one_landmark_which_a_key_frame_sees_once():
     assert sparse_map.landmarks_of(np.array([1, 7, 8])).tolist() == [1, 1, 1]
     places, ids, _ = sparse_map.observations([0, 1, 2])
     assert list(zip(places.tolist(), ids.tolist(), strict=True)) == [(0, 1), (0, 2), (1, 1), (2, 1)]
-    assert sparse_map.num_landmarks == 2
+    assert len(sparse_map.ids) == 2
 
 
 def test_landmark_that_two_tracks_show_is_shared_once():

@@ -4,6 +4,7 @@ import pytest
 from walked_room import CAMERA, NUM_FRAMES, elsewhere, error_share, frames, turned
 
 from epi360 import Equirectangular, Odometry, OdometryOptions, Pose, rotation_error_deg
+from epi360.odometry.pictures import PictureWatch
 from epi360.odometry.turning import rotation_between
 
 # One pixel of these frames is 0.7 degrees and the nearest wall two metres away. Measured 0.2 % and
@@ -148,6 +149,18 @@ def test_frames_that_cannot_be_read_are_counted_and_named():
     assert (found[6].status, found[6].index) == ("lost", 6)
     assert found[6].message == "frame 6: cannot be read: it is cut off"
     assert [result.status for result in found].count("tracked") == 9
+
+
+def test_a_picture_that_changes_very_slowly_is_not_frozen_for_ever():
+    camera = Equirectangular(512, 256)
+    watch = PictureWatch(camera, camera, None)
+    rows, columns = np.mgrid[:256, :512]
+    pictures = [
+        128 + 80 * np.sin(0.1 * (columns + 0.004 * step)) * np.cos(0.1 * rows) for step in range(40)
+    ]
+    verdicts = [watch.verdict(picture.round().astype(np.uint8)) for picture in pictures]
+    assert verdicts[1] == "frozen"
+    assert 2 < verdicts.count("good") < 40
 
 
 def test_frozen_picture_is_named_and_has_the_pose_of_the_one_before():

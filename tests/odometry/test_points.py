@@ -3,8 +3,14 @@ import numpy as np
 import pytest
 from seen_points import directions, noisy, points_around
 
-from epi360.odometry.points import triangulate_rays, triangulate_tracks
+from epi360.odometry.points import triangulate_tracks
 from epi360.poses import rotation_from_vector
+
+
+def triangulate_rays(centers, rays):
+    """Point of one track, and its parallax."""
+    found = triangulate_tracks(centers, rays, np.zeros(len(rays), dtype=np.int64), 1)
+    return found.points[0], found.parallax_rad[0]
 
 
 def tracks(seed, num_tracks=50, noise_rad=0.0):

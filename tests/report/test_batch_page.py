@@ -127,6 +127,7 @@ def test_an_output_without_a_usable_pose_has_a_page(tmp_path):
     pyarrow.parquet.write_table(failed, path)
     page = batch_page(path)
     assert "0 of 2 (0.0%) pairs have a pose" in page.body
+    assert "all have enough matches" not in page.body
     assert "nan" not in page.encode().decode().partition('id="data"')[0].lower()
 
 

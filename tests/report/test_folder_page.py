@@ -26,6 +26,7 @@ from epi360.report.folder_page import (
     summary_sentences,
     write_match_report,
 )
+from epi360.report.match_table import describe_match
 from epi360.report.model_scene import model_scene
 from epi360.report.webgl import find_webgl_library
 
@@ -136,6 +137,31 @@ def test_the_summary_counts_why_pairs_are_not_used(make_run):
     assert "Of the others, 1 had too few matches that agree with one pose." in sentences
 
 
+def test_a_refused_pair_is_not_said_to_have_no_pose(make_run):
+    run, _ = make_run(4, 3)
+    taken = next(each for each in run.verdicts if each.accepted)
+    refused = dataclasses.replace(taken, refused="shows another place, 3 of 20 parts")
+    verdicts = tuple(refused if each is taken else each for each in run.verdicts)
+    run = dataclasses.replace(run, verdicts=verdicts)
+    assert "Of the others, 1 was refused: shows another place." in summary_sentences(run)
+
+
+def test_a_page_of_a_video_is_called_like_the_video(make_run):
+    assert match_page(*make_run(3, 2)).title.startswith("Pairs of ")
+    assert match_page(*make_run(3, 2), name="walk.mp4").title == "Pairs of walk.mp4"
+
+
+def test_the_text_says_what_a_verdict_means_and_into_which_groups_a_folder_falls(make_run):
+    run, _ = make_run(4, 3)
+    text = describe_match(run)
+    assert "1 had too few matches that agree with one pose (too_few_inliers)" in text
+    assert "Groups" not in text
+    ends = (("view 0.png", "view 1.png"), ("view 2.png", "view 3.png"))
+    parts = tuple(verdict(*names, 2, 50) for names in ends)
+    text = describe_match(dataclasses.replace(run, verdicts=parts))
+    assert "Groups        The accepted pairs join 2 groups of 2 and 2 images." in text
+
+
 def test_the_table_sorts_by_a_column_and_turns_round(browser, make_run, tmp_path):
     opened(browser, tmp_path, make_run(12, 5))
     button = "document.querySelectorAll('.pairs th button')[3].click();"
@@ -165,6 +191,16 @@ def test_the_table_filters_by_verdict_and_name(browser, make_run, tmp_path):
     browser.execute_script("document.querySelector('select').value = ''; folder.filter('view 7')")
     rows = browser.execute_script(ROWS)
     assert rows and all("view 7" in row for row in rows)
+
+
+def test_a_click_on_an_image_shows_its_pairs_and_not_those_of_longer_names(
+    browser, make_run, tmp_path
+):
+    opened(browser, tmp_path, make_run(12, 2, name="{}.png"))
+    browser.execute_script("document.querySelectorAll('.thumbnails button')[1].click()")
+    names = [set(row.split()) for row in browser.execute_script(ROWS)]
+    assert len(names) == 3  # with 0.png, 2.png and 3.png
+    assert all("1.png" in row for row in names)
 
 
 def test_a_pair_is_one_click_away_with_both_pictures_and_its_curve(browser, make_run, tmp_path):

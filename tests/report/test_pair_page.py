@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.poses import Pose
 from epi360.report import pair_page as pair_page_module
 from epi360.report.pair_page import pair_page, write_pair_report
 from epi360.report.pair_words import evidence_of, verdict_headline, verdict_sentences
@@ -120,6 +121,15 @@ def test_a_pose_that_was_refused_is_named_as_such(make_result):
     assert any(text.startswith("A pose was found and refused: a turn by") for text in sentences)
     found = "The probability that the pose which was found is right is over 99.9 %."
     assert found in sentences
+
+
+def test_a_refused_turn_has_no_place_of_camera_2(make_result):
+    turn = Pose(make_result("ok", PANORAMA).cam2_from_cam1.rotation, np.full(3, np.nan))
+    refused = dataclasses.replace(
+        make_result("concentrated_inliers", PANORAMA), alternatives=(turn,)
+    )
+    sentences = [each.sentence for each in evidence_of(refused, 0.3)]
+    assert "A pose was found and refused: a turn by 25.26°." in sentences
 
 
 def test_few_inliers_speak_against_a_pose_and_many_for_it(make_result):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a person reads about a pair."""
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,14 @@ def test_alternatives_and_warnings_are_told(make_result):
     text = describe_pair(make_result("planar_ambiguous", CAMERA))
     assert "Also fits     25.2" in text
     assert "Warning       the scene is nearly flat" in text
+
+
+def test_a_pose_that_is_not_believed_is_not_said_to_fit(make_result):
+    other = make_result("planar_ambiguous", CAMERA).alternatives
+    refused = dataclasses.replace(make_result("too_few_inliers", CAMERA), alternatives=other)
+    text = describe_pair(refused)
+    assert "Refused       25.2" in text
+    assert "Also fits" not in text
 
 
 def test_truth_of_any_scale_is_beside_the_estimate_with_the_errors(make_result):

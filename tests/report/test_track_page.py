@@ -126,6 +126,25 @@ def test_a_sequence_without_a_trajectory_says_why_and_draws_no_scene():
     assert '<div class="scene">' not in page.body
 
 
+@pytest.mark.parametrize("has_pictures", [True, False])
+def test_a_sequence_without_a_trajectory_shows_a_picture_if_it_has_one(
+    browser, tmp_path, has_pictures
+):
+    names = tuple(f"view {i}.png" for i in range(4))
+    results = tuple(result_of(i, "lost", message=f"frame {i}: is blank") for i in range(4))
+    run = TrackRun(None, results, names, 0, 0, 0, 9.0, 1.0, (), Written())
+    path = tmp_path / "report.html"
+    write_track_report(path, "black", run, pictures_of(run) if has_pictures else TrackPictures())
+    show(browser, path)
+    script = "const f = document.querySelector('.chosen'); return [f.offsetHeight > 0, f.innerText]"
+    is_shown, words = browser.execute_script(script)
+    assert is_shown == has_pictures
+    assert ("Frame 0 (view 0.png" in words) == has_pictures
+    broken = "return [...document.images].filter(i => i.offsetHeight && !i.naturalWidth).length"
+    assert browser.execute_script(broken) == 0
+    assert errors(browser) == []
+
+
 def test_frames_in_a_row_with_one_status_are_one_stretch():
     found = [(each.status, each.first, each.last) for each in stretches_of(sequence().results)]
     assert found == [

@@ -137,6 +137,19 @@ def test_what_a_killed_run_leaves_is_removed_by_the_next_one(tmp_path):
     assert target.read_bytes() == b"whole"
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
+def test_a_scratch_folder_of_a_killed_process_is_removed_by_the_next_one(tmp_path, monkeypatch):
+    program = (
+        "import os, signal; from epi360.runs.whole_files import scratch_folder;"
+        "(scratch_folder() / 'upload.jpg').touch(); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", program], check=False, timeout=60)
+        (left,) = tmp_path.iterdir()
+        assert left.stat().st_mode & 0o777 == 0o700
+
+
 def test_what_another_run_is_writing_stays(tmp_path):
     theirs = [
         f".epi360-{whole_files._machine()}-{os.getpid()}-00000000.tmp",  # a process that runs

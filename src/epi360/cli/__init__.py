@@ -13,6 +13,8 @@ from collections.abc import Sequence
 
 from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 
+# What OpenCV would print about a damaged picture, we say in one sentence.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
 try:
     from cyclopts import CycloptsError
@@ -77,6 +79,8 @@ def _one_line(error: Exception) -> str:
     text = str(error)
     if isinstance(error, OSError) and error.strerror is not None:
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    elif isinstance(error, FileNotFoundError) and " " not in text:  # fsspec only names the file
+        text = f"{text} does not exist"
     text = " ".join(text.split()) or type(error).__name__
     if len(text) > LONGEST_MESSAGE:  # it quotes a name or a value as long as a file
         half = (LONGEST_MESSAGE - 5) // 2

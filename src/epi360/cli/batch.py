@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.cli.command import FAILURE, OUTPUT_NAMES, POSES, SUCCESS, app, show_bars
 from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.report_option import check_report
 
@@ -50,12 +50,12 @@ class BatchOptions:
 NO_MORE_INPUT, DEFAULT_OPTIONS = BatchInput(), BatchOptions()
 
 
-@app.command
+@app.command(group=POSES, sort_key=6)
 def batch(
     source: Annotated[str, Parameter(name="INPUT")],
     /,
     *,
-    output: str,
+    output: Annotated[str, Parameter(name=OUTPUT_NAMES)],
     write_database: str | None = None,
     given: BatchInput = NO_MORE_INPUT,
     options: BatchOptions = DEFAULT_OPTIONS,

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 from epi360.cli.exit_codes import FAILURE as FAILURE
 from epi360.cli.exit_codes import SUCCESS as SUCCESS
@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]
 SECONDS_BETWEEN_LINES = 30.0
-Flag = Annotated[bool, Parameter(negative=())]
+Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
+# Either name is understood everywhere; the first of them is the one in the documents.
+OUTPUT_NAMES, OUT_NAMES = ("--output", "--out"), ("--out", "--output")
+# The parts of the list of commands, in the order in which they are looked for.
+POSES = Group("Poses", sort_key=1)
+FILES = Group("Files", sort_key=2)
+TO_TRY = Group("To try", sort_key=3)
+REST = Group("Commands", sort_key=4)
 
 
 def _version() -> str:
@@ -55,6 +62,7 @@ app = App(
     help="Relative pose of 360° and other wide-angle images.",
     version=_version,
     suppress_keyboard_interrupt=False,
+    group_commands=REST,
 )
 
 
@@ -127,12 +135,16 @@ class _LinePerStage:
 
     def __init__(self) -> None:
         self._begun: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, int] = {}
         self._said = time.monotonic()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.monotonic()
+        last, self._last[stage] = self._last.get(stage, done), done
+        if done < last:  # it is done once more
+            del self._begun[stage]
         since, before = self._begun.setdefault(stage, (now, done))
-        ends = before < done == total
+        ends = before < done == total and last < done
         if not ends and now - self._said < SECONDS_BETWEEN_LINES:
             return
         self._said = now

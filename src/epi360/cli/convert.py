@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
     from epi360.interop import MatchGraph, Reconstruction
@@ -31,7 +31,7 @@ FormatName = Literal[
 MATCH_FOLDER = "epi360"  # what `epi360 match` writes; it is read, not written
 
 
-@app.command
+@app.command(group=FILES, sort_key=3)
 def convert(
     source: Path,
     target: Path,
@@ -61,8 +61,8 @@ def convert(
         COLMAP database, .h5 hloc matches, .txt and .tum a TUM trajectory; transforms.json is for
         nerfstudio, reconstruction.json for OpenSfM.
     images
-        Folder of the images beside transforms.json, "images" by default: names of images do not
-        have it, the paths of nerfstudio do.
+        Folder of the images. Beside transforms.json it is "images" by default: names of images do
+        not have it, the paths of nerfstudio do. An OpenSfM project gets links to its pictures.
     camera
         Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
         where it holds several.
@@ -89,7 +89,7 @@ def convert(
     from epi360.runs.input_files import as_file
 
     target_name = output_format or format_of_name(target)
-    folder = "images" if images is None else images
+    folder = images if images is not None and target_name != "opensfm-folder" else "images"
     with as_file(source) as file:  # a pipe gives its content once: to find the format, or to read
         source_name = _format_of_source(file)
         _check_kinds(source, source_name, target, target_name)
@@ -106,7 +106,7 @@ def convert(
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
         with _warnings_on_stderr(), options_as_typed():
-            write_reconstruction(target, target_name, content, images=folder, fps=fps)
+            write_reconstruction(target, target_name, content, images=images, fps=fps)
     else:
         content = _verified(content) if verify else content
         write_matches(
@@ -222,8 +222,11 @@ def _check_options(
     pairs: Path | None,
 ) -> None:
     """Raise where an option is missing or says nothing about these formats."""
-    if images is not None and "nerfstudio" not in names:
-        raise ValueError("--images is for nerfstudio's transforms.json; the others have no folder")
+    if images is not None and "nerfstudio" not in names and names[1] != "opensfm-folder":
+        raise ValueError(
+            "--images is for nerfstudio's transforms.json and a new OpenSfM project; the others "
+            "have no folder"
+        )
     if features is not None and "hloc" not in names:
         raise ValueError("--features is for hloc, which keeps key points in a file of their own")
     if pairs is not None and "hloc" not in names:

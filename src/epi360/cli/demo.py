@@ -10,7 +10,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import SUCCESS, app
+from epi360.cli.command import SUCCESS, TO_TRY, app
 
 
 @Parameter(name="*", group=Group("Address", sort_key=1))
@@ -49,7 +49,7 @@ class DemoLimits:
 LOCAL, USUAL = DemoAddress(), DemoLimits()
 
 
-@app.command
+@app.command(group=TO_TRY, sort_key=1)
 def demo(*, address: DemoAddress = LOCAL, limit: DemoLimits = USUAL) -> int:
     """Start a local page: two images to a pose with its report, and the paper to play with.
 

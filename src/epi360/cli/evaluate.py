@@ -6,10 +6,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from epi360.cli.command import SUCCESS, app, options_as_typed
+from epi360.cli.command import FILES, SUCCESS, app, options_as_typed
 
 
-@app.command
+@app.command(group=FILES, sort_key=4)
 def evaluate(
     estimate: Path,
     truth: Path,

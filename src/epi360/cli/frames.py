@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.command import FILES, SUCCESS, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
     from epi360.jobs.frames_job import FramesRun
@@ -49,7 +49,7 @@ class FramesPictures:
 ANY_FRAMES, ANY_PICTURES = FramesChoice(), FramesPictures()
 
 
-@app.command
+@app.command(group=FILES, sort_key=1)
 def frames(
     video: Path,
     out: Path,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.command import FAILURE, OUT_NAMES, POSES, SUCCESS, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
@@ -43,7 +43,7 @@ class MapFeatures:
 OF_MAP = MapFeatures()
 
 
-@app.command
+@app.command(group=POSES, sort_key=5)
 def localize(
     model: Annotated[Path, Parameter(name="MAP")],
     image: Annotated[Path, Parameter(name="IMAGE")],
@@ -55,7 +55,7 @@ def localize(
     mask_nadir_deg: float = 0.0,
     max_views: int = 16,
     seed: int = 0,
-    out: Annotated[list[Path] | None, Parameter(negative=())] = None,
+    out: Annotated[list[Path] | None, Parameter(name=OUT_NAMES, negative=())] = None,
 ) -> int:
     """Poses of new panoramas or fisheye images in an existing map.
 

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import (
+    FAILURE,
+    FILES,
+    OUTPUT_NAMES,
+    POSES,
+    SUCCESS,
+    Flag,
+    app,
+    options_as_typed,
+    show_bars,
+)
 from epi360.cli.match import (
     DEFAULT_WORK,
     NO_INPUT,
@@ -82,7 +92,7 @@ MAPPING, CUBE_FACES = Mapping(), CubeFaces()
 OUTPUT = Parameter(group=Group("Output", sort_key=5))
 
 
-@app.command(name="map")
+@app.command(name="map", group=POSES, sort_key=3)
 def map_folder(
     folder: Path,
     /,
@@ -91,12 +101,12 @@ def map_folder(
     work: MatchWork = DEFAULT_WORK,
     mapping: Mapping = MAPPING,
     cube_faces: CubeFaces = CUBE_FACES,
-    output: Annotated[Path | None, OUTPUT] = None,
+    output: Annotated[Path | None, OUTPUT, Parameter(name=OUTPUT_NAMES)] = None,
     cubemap: Annotated[Flag, OUTPUT] = False,
     restart: Annotated[Flag, OUTPUT] = False,
     report: Annotated[Path | None, OUTPUT] = None,
 ) -> int:
-    """Map a folder of panoramas or fisheye images: a COLMAP model, transforms.json for nerfstudio.
+    """Map a video or a folder of panoramas or fisheye images: COLMAP model, transforms.json.
 
     Matches pairs of images, verifies them and gives them to COLMAP's mapper. A sequence starts from
     the poses of epi360 track. If few are placed, other ways are tried, and the output says so. A
@@ -109,8 +119,8 @@ def map_folder(
         Panoramas, or images of the given camera; sub-folders too. Or a video, whose frames are
         chosen as epi360 frames does and written into OUTPUT/frames.
     output
-        Folder for the results, the same as that of epi360 match by default: what was matched there
-        is used.
+        Folder for the results. Default: NAME-epi360, as of epi360 match: what was matched there is
+        used.
     cubemap
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
@@ -152,7 +162,7 @@ def map_folder(
     write_pairs_table(run.matched)
     print(_describe(run, images), flush=True)
     if report is not None:
-        write_report(report, run.matched, images, _shown_map(run))
+        write_report(report, source, run.matched, images, _shown_map(run))
     if not run.models:
         return FAILURE
     print(f"wrote {run.models[0].folder}")
@@ -165,7 +175,7 @@ def map_folder(
     return SUCCESS
 
 
-@app.command
+@app.command(group=FILES, sort_key=2)
 def cubemap(
     model: Path,
     images: Path,
@@ -174,6 +184,7 @@ def cubemap(
     *,
     mask: Path | None = None,
     mask_nadir_deg: float = 0.0,
+    keep_world: Flag = False,
     cube_faces: CubeFaces = CUBE_FACES,
 ) -> int:
     """Cut the panoramas and fisheye images of a model into cube faces, for pinhole-only tools.
@@ -194,6 +205,9 @@ def cubemap(
         Mask for all images, white = use; or a folder with a mask for each image.
     mask_nadir_deg
         Mask this angle around straight down.
+    keep_world
+        Leave the axes of the model as they are. Without it the world is turned upright, as the
+        cameras stand in it.
 
     Returns
     -------
@@ -216,7 +230,7 @@ def cubemap(
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))
-    _cut(images, reconstruction, output, options, masks, mask_nadir_deg)
+    _cut(images, reconstruction, output, options, masks, mask_nadir_deg, keep_world=keep_world)
     return SUCCESS
 
 
@@ -315,6 +329,8 @@ def _cut(
     options: CubemapOptions,
     masks: dict[str, Path | None],
     mask_nadir_deg: float,
+    *,
+    keep_world: bool = False,
 ) -> None:
     """Cut the images of a model into cube faces, and say so."""
     from epi360.jobs.cubemap import export_cubemap
@@ -327,7 +343,10 @@ def _cut(
             options,
             masks=masks,
             mask_nadir_deg=mask_nadir_deg,
+            keep_world=keep_world,
             progress=progress,
         )
+    if cube.turned_deg:
+        print(f"turned the world upright, by {cube.turned_deg:.3g} degrees (--keep-world: not)")
     kept = f", {cube.num_kept} images were there" if cube.num_kept else ""
     print(f"wrote {output} ({len(cube.reconstruction.images)} cube faces{kept})")

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import (
+    FAILURE,
+    OUTPUT_NAMES,
+    POSES,
+    SUCCESS,
+    Flag,
+    app,
+    options_as_typed,
+    show_bars,
+)
 from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.frames import folder_of
 from epi360.cli.report_option import check_report
@@ -78,7 +87,7 @@ _URL = re.compile(r"[a-z][a-z0-9+]+:/")  # a Path has one slash of the two
 NO_INPUT, DEFAULT_WORK = MatchInput(), MatchWork()
 
 
-@app.command
+@app.command(group=POSES, sort_key=2)
 def match(
     folder: Path,
     /,
@@ -86,7 +95,9 @@ def match(
     given: MatchInput = NO_INPUT,
     work: MatchWork = DEFAULT_WORK,
     engine: EngineOptions = LOCAL_ENGINE,
-    output: Annotated[str | None, Parameter(group=Group("Output", sort_key=3))] = None,
+    output: Annotated[
+        str | None, Parameter(name=OUTPUT_NAMES, group=Group("Output", sort_key=3))
+    ] = None,
     restart: Annotated[Flag, Parameter(group=Group("Output", sort_key=3))] = False,
     report: Annotated[Path | None, Parameter(group=Group("Output", sort_key=3))] = None,
 ) -> int:
@@ -124,7 +135,7 @@ def match(
     engine.check(work.num_threads)
     options = match_options(given, work)
     target = default_output(folder) if output is None else path_of(output)
-    folder = images_of(folder, target, given, restart=restart)
+    source, folder = folder, images_of(folder, target, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     begun = time.monotonic()
     with show_bars() as progress:
@@ -139,17 +150,21 @@ def match(
         )
     _report(run, images.skipped, time.monotonic() - begun)
     if report is not None:
-        write_report(report, run, images)
+        write_report(report, source, run, images)
     return SUCCESS if any(verdict.accepted for verdict in run.verdicts) else FAILURE
 
 
 def write_report(
-    path: Path, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
+    path: Path,
+    source: Path,
+    run: MatchRun,
+    images: ImageSet,
+    shown_map: MapShown | None = None,
 ) -> None:
     """Write the page of a folder, with its map where it was mapped, and say so."""
     from epi360.report.folder_page import write_match_report
 
-    write_match_report(path, run, images, shown_map)
+    write_match_report(path, run, images, shown_map, name=source.resolve().name)
     print(f"wrote {path}", flush=True)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, Say, app, show_progress
+from epi360.cli.command import FAILURE, POSES, SUCCESS, Flag, Say, app, show_progress
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +57,7 @@ class PairOptions:
     max_width: int = 4096
     """Shrink wider images to this width to find key points."""
     seed: int = 0
-    """Of the random samples; the same seed gives the same result."""
+    """Random seed; the same seed gives the same result."""
 
 
 @Parameter(name="*", group=Group("Output", sort_key=3))
@@ -91,7 +91,7 @@ class _Pair:
     truth: Pose | None = None
 
 
-@app.command
+@app.command(group=POSES, sort_key=1)
 def pair(
     image1: Path | None = None,
     image2: Path | None = None,

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import SUCCESS, Flag, app, options_as_typed, show_bars, show_progress
+from epi360.cli.command import (
+    SUCCESS,
+    TO_TRY,
+    Flag,
+    app,
+    options_as_typed,
+    show_bars,
+    show_progress,
+)
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
@@ -26,7 +34,7 @@ class SceneChoice:
     scene: Literal["living_room", "studio"] | None = None
     """Built-in scene: living_room (default) is rich in key points on all sides, studio on one."""
     seed: int = 0
-    """Of the scene's furnishing and of the path."""
+    """Random seed of the furnishing and of the path."""
     mesh: Path | None = None
     """Textured mesh instead of a built-in scene: OBJ, PLY or GLB, in metres."""
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+y"
@@ -88,7 +96,7 @@ ANY_SCENE, ANY_PATH, ANY_CAMERA = SceneChoice(), PathChoice(), CameraChoice()
 NO_EFFECTS = EffectChoice()
 
 
-@app.command
+@app.command(group=TO_TRY, sort_key=2)
 def render(
     out: Path,
     /,

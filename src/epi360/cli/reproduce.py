@@ -7,11 +7,11 @@ import os
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, app, show_bars
+from epi360.cli.command import FAILURE, OUT_NAMES, SUCCESS, TO_TRY, app, show_bars
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class ReproduceChoice:
     """Seed of all random numbers."""
     jobs: int | None = None
     """Worker processes, by default one a core; the numbers do not depend on it."""
-    out: Path = Path("out/reproduce")
+    out: Annotated[Path, Parameter(name=OUT_NAMES)] = Path("out/reproduce")
     """Folder of the results; an experiment writes into its own folder in it."""
     landmarks: bool = False
     """Tables 1 and 2 on synthetic landmarks instead of tracks in rendered images."""
@@ -55,7 +55,7 @@ _NOTE = (
 )
 
 
-@app.command
+@app.command(group=TO_TRY, sort_key=3)
 def reproduce(
     name: Name,
     /,

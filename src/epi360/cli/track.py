@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import (
+    FAILURE,
+    OUT_NAMES,
+    POSES,
+    SUCCESS,
+    Flag,
+    app,
+    options_as_typed,
+    show_bars,
+)
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -62,14 +71,14 @@ ANY_FRAMES, DEFAULT_WORK = TrackInput(), TrackWork()
 OUTPUT = Parameter(group=Group("Output", sort_key=3))
 
 
-@app.command
+@app.command(group=POSES, sort_key=4)
 def track(
     source: Path,
     /,
     *,
     given: TrackInput = ANY_FRAMES,
     work: TrackWork = DEFAULT_WORK,
-    out: Annotated[Path | None, OUTPUT] = None,
+    out: Annotated[Path | None, OUTPUT, Parameter(name=OUT_NAMES)] = None,
     view: Annotated[Flag, OUTPUT] = False,
     recording: Annotated[Path | None, OUTPUT] = None,
     report: Annotated[Path | None, OUTPUT] = None,

@@ -28,13 +28,14 @@ from epi360.estimation.absolute_verdict import (
     warnings_of,
 )
 from epi360.estimation.options import Threshold, check_threshold, checked_integer, checked_noise
-from epi360.poses import Pose, rotation_error_deg
+from epi360.poses import Pose, checked_pose, rotation_error_deg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # A second pose is truly different beyond this, in degrees and in median distances of the points.
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
+_LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _WITH_POSE = ("ok", "ambiguous")
 
 
@@ -112,6 +113,8 @@ def estimate_absolute_pose(
     _check_positive(gravity_sigma_deg, "gravity_sigma_deg")
     if not (shared_error >= 0.0 and math.isfinite(shared_error)):
         raise ValueError(f"shared_error must be 0 or more, got {shared_error}")
+    if guess is not None:
+        checked_pose(guess, "guess")
     if min_num_inliers < FEWEST_MATCHES:
         raise ValueError(f"min_num_inliers must be at least 4, got {min_num_inliers}")
     level = Gravity(
@@ -128,7 +131,7 @@ def estimate_absolute_pose(
         threshold,
         min_num_inliers,
         shared_error,
-        seed,
+        checked_integer(seed, "seed") % 2**64,
     )
     found = search.best(guess)
     if found is None:
@@ -212,6 +215,8 @@ def _points(points: ArrayLike, shape: tuple[int, ...]) -> Array:
         raise ValueError(f"points must have shape {shape} like bearings, got {X.shape}")
     if np.isinf(X).any():
         raise ValueError("points must be finite (NaN marks a missing row)")
+    if (np.abs(X) > _LARGEST).any():
+        raise ValueError(f"points must be at most {_LARGEST:g} from zero along each axis")
     return X
 
 

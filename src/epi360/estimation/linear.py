@@ -34,8 +34,8 @@ def eight_point(
         What has length one: "unit" the vector E, "taubin" the mean squared gradient of the
         algebraic errors, which makes them angles to first order; with "none" only.
     weights : array_like, shape (N,), optional
-        Of the squared algebraic errors, and of the matches wherever a normalisation or constraint
-        sums over them: a weight of 3 counts like three copies, 0 removes a match.
+        Weights of the squared algebraic errors, and of the matches wherever a normalisation or
+        constraint sums over them: a weight of 3 counts like three copies, 0 removes a match.
     sk_search : str
         "line" or "lm": how "sk" is searched.
 

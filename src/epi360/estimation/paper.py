@@ -48,7 +48,7 @@ def paper_pose(
         How the methods with "sk" search: "line" (over ln(K / S), all that E depends on) or "lm"
         (Levenberg-Marquardt over S and K from (1, 1), as printed).
     parameterization : str
-        Of the gold standard: "manifold" (SO(3) x S^2) or "se3" (the paper's xi).
+        Parameters of the gold standard: "manifold" (SO(3) x S^2) or "se3" (the paper's xi).
 
     Returns
     -------

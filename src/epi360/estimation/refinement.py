@@ -120,9 +120,9 @@ def refine_pose(
         "manifold": steps over SO(3) x S^2. "se3": the paper's xi in R^6, in which the length of
         the translation is a sixth, idle parameter. Same minimum.
     scale : float, optional
-        Of the robust losses, in the residual's unit; by default 1.345 (huber), 2.385 (cauchy) or 3
-        (geman_mcclure) times the standard deviation that the median absolute residual at the start
-        stands for.
+        Scale of the robust losses in the residual's unit; by default 1.345 (huber), 2.385 (cauchy)
+        or 3 (geman_mcclure) times the standard deviation that the median absolute residual at the
+        start stands for.
     jacobians1, jacobians2 : array_like, shape (N, 3, 2), optional
         Camera Jacobians for "tangent_sampson".
     max_iterations : int

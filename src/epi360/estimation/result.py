@@ -47,7 +47,14 @@ class Explanations:
     rival: float = math.nan
 
 
-@dataclass(frozen=True)
+# What is printed of a result; the arrays of its matches would fill the screen.
+_SHOWN = (
+    "status", "probability", "num_inliers", "num_matches", "noise_deg", "parallax_deg",
+    "cam2_from_cam1", "alternatives", "warnings",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, repr=False)
 class RelativePoseResult:
     """Relative pose of two central cameras and the evidence for it.
 
@@ -80,7 +87,8 @@ class RelativePoseResult:
     status : str
         "ok" or the reason why the pose must not be used as it is.
     covariance : ndarray, shape (5, 5)
-        Of d where R_true = exp([d_0:3]x) R, t_true = (t + B d_3:5) / |.|; radians squared.
+        Covariance of d, where R_true = exp([d_0:3]x) R and t_true = (t + B d_3:5) / |.|, in radians
+        squared.
     translation_basis : ndarray, shape (3, 2)
         B: the two tangent directions at t.
     probability : float
@@ -113,6 +121,10 @@ class RelativePoseResult:
     probability: float = math.nan
     explanations: Explanations = Explanations()
 
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
+        return f"{type(self).__name__}({shown}, ...)"
+
     @property
     def success(self) -> bool:
         """Whether the pose may be used as it is."""
@@ -129,7 +141,7 @@ class RelativePoseResult:
         return int(np.count_nonzero(self.inlier_mask))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class ImagePairResult(RelativePoseResult):
     """Relative pose of two images, with the matched key points behind it.
 

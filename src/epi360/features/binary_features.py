@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.features.images import shrunk, usable_at
 from epi360.features.views import search_views
 
 DESCRIPTOR_BYTES = 32
@@ -53,12 +54,7 @@ def extract_binary_features(
 
     ``mask`` (H, W) is true where the picture may be used.
     """
-    height, width = grey.shape
-    scale = min(1.0, MAX_WIDTH / width)
-    if scale < 1.0:
-        size = (round(width * scale), round(height * scale))
-        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
+    grey, stretch = shrunk(grey, MAX_WIDTH)
     orb = cv2.ORB_create(  # type: ignore[attr-defined]
         nfeatures=max_features, fastThreshold=_FAST_THRESHOLD
     )
@@ -78,9 +74,7 @@ def extract_binary_features(
     bearings = camera.bearings_from_pixels(all_pixels)
     usable = np.asarray(np.isfinite(bearings).all(axis=1))
     if mask is not None:
-        rows = np.clip(all_pixels[:, 1].astype(int), 0, height - 1)
-        columns = np.clip(all_pixels[:, 0].astype(int), 0, width - 1)
-        usable &= mask[rows, columns]
+        usable &= usable_at(mask, all_pixels)
     chosen = order[usable[order]][:max_features]
     return BinaryFeatures(bearings[chosen], np.concatenate(descriptors)[chosen])
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
-from epi360.features.images import ImageSource, read_image, read_mask
-from epi360.features.views import FACE_LATITUDE_DEG, STRIP_LATITUDE_DEG, View, search_views
+from epi360.features.images import ImageSource, read_image, read_mask, shrunk, usable_at
+from epi360.features.views import View, search_views
 
 Array = NDArray[np.float64]
 
@@ -50,7 +51,11 @@ class Features:
 
     def first(self, count: int) -> Features:
         """Return the ``count`` strongest of what `extract_features` found."""
-        return Features(self.keypoints[:count], self.descriptors[:count], self.sizes_px[:count])
+        return self.chosen(slice(count))
+
+    def chosen(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Features:
+        """Return those of an ``index``: a mask (N,), rows or a slice."""
+        return Features(self.keypoints[index], self.descriptors[index], self.sizes_px[index])
 
 
 def extract_features(
@@ -156,18 +161,25 @@ def find_keypoints(
     picture = read_image(image)
     camera = find_camera(image, picture, camera, "image")
     height, width = picture.shape[:2]
-    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
-    scale = min(1.0, max_width / width)
-    if scale < 1.0:
-        size = (round(width * scale), round(height * scale))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    stretch = np.array([width / grey.shape[1], height / grey.shape[0]])
-    views = search_views(np.asarray(grey), camera)
+    grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
+    grey, stretch = shrunk(grey, max_width)
+    views = search_views(grey, camera)
     parts = [_searched(view, contrast_threshold, stretch) for view in views]
     found = _merged(parts, camera, stretch[0])
     usable = None if mask is None else read_mask(mask, (height, width))
-    kept = _kept(found, camera, usable, mask_nadir_deg, max_features)
-    return found.chosen(kept)
+    order = np.argsort(-found.strengths, kind="stable")
+    kept = order[usable_rows(found.pixels, camera, usable, mask_nadir_deg)[order]]
+    return found.chosen(kept[:max_features])
+
+
+def usable_rows(
+    pixels: Array, camera: Camera, mask: NDArray[np.bool_] | None, mask_nadir_deg: float
+) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) a mask leaves, less those so near straight down."""
+    usable = np.ones(len(pixels), bool) if mask is None else usable_at(mask, pixels)
+    if mask_nadir_deg > 0.0:
+        usable &= camera.bearings_from_pixels(pixels)[:, 1] < np.cos(np.radians(mask_nadir_deg))
+    return usable
 
 
 def check_options(max_width: int, mask_nadir_deg: float) -> None:
@@ -210,39 +222,12 @@ def _repeated(
     part: SiftKeypoints, others: SiftKeypoints, camera: Camera, pixel: float
 ) -> NDArray[np.bool_]:
     """Which key points lie within a pixel of another view's of similar size."""
-    repeated = np.zeros(len(part.pixels), dtype=bool)
-    near1 = _in_overlap(part.pixels, camera)
-    near2 = _in_overlap(others.pixels, camera)
-    if not near1.any() or not near2.any():
-        return repeated
-    b1 = camera.bearings_from_pixels(part.pixels[near1])
-    b2 = camera.bearings_from_pixels(others.pixels[near2])
     chord = _DUPLICATE_PX * pixel * 2.0 * np.pi / camera.width
-    close = b1 @ b2.T > 1.0 - 0.5 * chord**2
-    ratio = part.sizes[near1][:, None] / others.sizes[near2][None, :]
-    repeated[near1] = (close & (ratio > 1 / 1.5) & (ratio < 1.5)).any(axis=1)
+    tree = cKDTree(camera.bearings_from_pixels(others.pixels))
+    near = tree.query_ball_point(camera.bearings_from_pixels(part.pixels), chord)
+    rows = np.repeat(np.arange(len(near)), [len(each) for each in near])
+    twins = np.array([row for each in near for row in each], dtype=np.intp)
+    ratio = part.sizes[rows] / others.sizes[twins]
+    repeated = np.zeros(len(part.pixels), dtype=bool)
+    repeated[rows[(ratio > 1 / 1.5) & (ratio < 1.5)]] = True
     return repeated
-
-
-def _in_overlap(pixels: Array, camera: Camera) -> NDArray[np.bool_]:
-    y = np.abs(camera.bearings_from_pixels(pixels)[:, 1])
-    low, high = np.sin(np.radians([FACE_LATITUDE_DEG - 0.5, STRIP_LATITUDE_DEG + 0.5]))
-    return np.asarray((y > low) & (y < high))
-
-
-def _kept(
-    found: SiftKeypoints,
-    camera: Camera,
-    mask: NDArray[np.bool_] | None,
-    mask_nadir_deg: float,
-    max_features: int,
-) -> NDArray[np.int64]:
-    order = np.argsort(-found.strengths, kind="stable")
-    if mask is not None:
-        columns = np.clip(found.pixels[order, 0].astype(int), 0, camera.width - 1)
-        rows = np.clip(found.pixels[order, 1].astype(int), 0, camera.height - 1)
-        order = order[mask[rows, columns]]
-    if mask_nadir_deg > 0.0:
-        down = camera.bearings_from_pixels(found.pixels[order])[:, 1]
-        order = order[down < np.cos(np.radians(mask_nadir_deg))]
-    return order[:max_features]

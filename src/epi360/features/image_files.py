@@ -16,6 +16,7 @@ from epi360.features.image_headers import (
     TIFF_SIGNATURES,
     parse_image_header,
 )
+from epi360.features.jpeg_files import check_jpeg, decode_jpeg, read_jpeg_header
 from epi360.runs.input_files import check_is_file
 
 MAX_PIXELS = 2**28
@@ -39,8 +40,11 @@ def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     try:
         header = parse_image_header(io.BytesIO(data))
         _check_size(header.size, max_pixels)
-        check_complete(data)
-        pixels = _decoded(data, header.may_have_alpha)
+        if data.startswith(JPEG_SIGNATURE):
+            pixels = _decoded_jpeg(data, header.orientation, max_pixels)
+        else:
+            check_complete(data)
+            pixels = _decoded(data, header.may_have_alpha)
         _check_size((pixels.shape[1], pixels.shape[0]), max_pixels)
     except ValueError as error:
         raise ValueError(f"{name} {path} {error}") from None
@@ -87,6 +91,25 @@ def _check_size(size: tuple[int, int] | None, max_pixels: int) -> None:
             f"has {width}x{height} = {width * height} pixels, more than the limit of {max_pixels};"
             " reduce it or raise max_pixels"
         )
+
+
+def _decoded_jpeg(data: bytes, orientation: int, max_pixels: int) -> NDArray[Any]:
+    """Pixels BGR, upright."""
+    header = read_jpeg_header(data)
+    _check_size(header.size, max_pixels)
+    if header.has_inks:
+        check_jpeg(data)
+        return _decoded(data, may_have_alpha=False)
+    return _turned(decode_jpeg(data), orientation)
+
+
+def _turned(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
+    """Pixels as an orientation tag (Exif) wants them shown."""
+    if orientation in (5, 6, 7, 8):
+        pixels = pixels.transpose(1, 0, 2)
+    mirrored_rows, mirrored_columns = orientation in (3, 4, 7, 8), orientation in (2, 3, 6, 7)
+    pixels = pixels[:: -1 if mirrored_rows else 1, :: -1 if mirrored_columns else 1]
+    return np.ascontiguousarray(pixels)
 
 
 def _decoded(data: bytes, may_have_alpha: bool) -> NDArray[Any]:

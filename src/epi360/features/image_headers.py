@@ -33,12 +33,14 @@ _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
 class ImageHeader:
     """What the header of an image file says; ``size`` is None if only decoding tells.
 
-    ``latitude_longitude_deg`` is that of Exif's GPS; None if there is none, or it is damaged.
+    ``orientation`` is that of a JPEG file. ``latitude_longitude_deg`` is that of Exif's GPS; None
+    if there is none, or it is damaged.
     """
 
     size: tuple[int, int] | None = None
     xmp: bytes | None = None
     may_have_alpha: bool = field(default=True, compare=False)
+    orientation: int = field(default=1, compare=False)
     latitude_longitude_deg: tuple[float, float] | None = None
 
 
@@ -71,9 +73,11 @@ def parse_image_header(file: IO[bytes]) -> ImageHeader:
 
 def _jpeg_header(image: JpegImageFile) -> ImageHeader:
     exif = _exif(image.info)
-    size = image.size[::-1] if _orientation(exif) in _TRANSPOSED else image.size
+    orientation = _orientation(exif)
+    size = image.size[::-1] if orientation in _TRANSPOSED else image.size
     known = size if all(size) else None
-    return ImageHeader(known, image.info.get("xmp"), False, _latitude_longitude(exif))
+    place = _latitude_longitude(exif)
+    return ImageHeader(known, image.info.get("xmp"), False, orientation, place)
 
 
 def _png_header(file: IO[bytes]) -> ImageHeader:
@@ -97,7 +101,7 @@ def _png_header(file: IO[bytes]) -> ImageHeader:
         chunks.im_size if known else None,
         xmp.encode() if isinstance(xmp, str) else xmp,
         may_have_alpha,
-        _latitude_longitude(exif),
+        latitude_longitude_deg=_latitude_longitude(exif),
     )
 
 

@@ -91,6 +91,25 @@ def read_mask(
     return mask
 
 
+def shrunk(
+    grey: NDArray[np.uint8], max_width: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Picture at this width if it is wider, and by what its pixels are multiplied then."""
+    height, width = grey.shape
+    if width > max_width:
+        size = (max_width, max(1, round(height * (max_width / width))))
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return grey, np.array([width / grey.shape[1], height / grey.shape[0]])
+
+
+def usable_at(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which pixels (N, 2) a mask (H, W) leaves."""
+    height, width = mask.shape
+    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
+    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
+    return np.asarray(mask[rows, columns])
+
+
 def nadir_mask(camera: Camera, degrees: float) -> NDArray[np.bool_]:
     """Pixels (H, W) whose centres are farther than an angle from straight down, (0, 1, 0).
 

@@ -139,7 +139,7 @@ class Cap(TrackingView):
     def points_from_bearings(self, bearings: Array) -> Array:
         """Points (N, 2) of bearings; NaN where the camera sees none."""
         x, y, z = bearings.T
-        scale = 2 * self._focal / (1 + self._sign * y)
+        scale = 2 * self._focal / np.maximum(1 + self._sign * y, 1e-300)  # 0 at the other pole
         return np.column_stack([x * scale, z * scale]) + self._center
 
     def bearings_from_points(self, points: Points) -> Array:
@@ -157,7 +157,9 @@ def tracking_views(camera: Camera, usable: Mask) -> list[TrackingView]:
     """Views that together own every bearing the camera sees, each bearing once."""
     if not isinstance(camera, Equirectangular) or not _wraps(camera):
         return [TrackingView(camera, usable)]
-    views: list[TrackingView] = [Strip(camera, usable)]
+    views: list[TrackingView] = []
+    if abs(camera.center_latitude_deg) - camera.vertical_fov_deg / 2 < CAP_LATITUDE_DEG:
+        views.append(Strip(camera, usable))  # not of the ceiling or the floor alone
     for sign in (-1.0, 1.0):
         outermost = camera.vertical_fov_deg / 2 - sign * camera.center_latitude_deg
         if outermost > CAP_LATITUDE_DEG:

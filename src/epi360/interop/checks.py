@@ -64,9 +64,11 @@ def pose_of_matrix(value: Any, name: str) -> Pose:
         raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {matrix[3].tolist()}")
     left, scales, right = np.linalg.svd(matrix[:3, :3])
     if np.abs(scales - 1).max() > ROTATION_TOLERANCE or np.linalg.det(left @ right) < 0:
+        with np.errstate(over="ignore"):
+            determinant = np.linalg.det(matrix[:3, :3])
         raise ValueError(
-            f"{name} must hold a rotation, got a matrix with determinant "
-            f"{np.linalg.det(matrix[:3, :3]):.4g} and scales {np.round(scales, 4).tolist()}"
+            f"{name} must hold a rotation, got a matrix with determinant {determinant:.4g} "
+            f"and scales {[float(f'{scale:.4g}') for scale in scales]}"
         )
     return Pose(left @ right, matrix[:3, 3])
 

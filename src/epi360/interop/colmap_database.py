@@ -22,7 +22,12 @@ from epi360.epipolar import essential_from_pose, pose_from_essential
 from epi360.interop.checks import known_camera
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.colmap_rigs import pycolmap_library, read_rigs, write_rigs_and_frames
+from epi360.interop.colmap_rigs import (
+    pycolmap_library,
+    quiet,
+    read_rigs,
+    write_rigs_and_frames,
+)
 from epi360.interop.colmap_tables import ColmapTables
 from epi360.interop.descriptors import (
     Descriptors,
@@ -123,7 +128,11 @@ def write_colmap_database(
     try:
         # Without pycolmap.DatabaseTransaction, which ends the process if its commit fails on a full
         # disk. A hundred thousand pairs take eight seconds with and without it.
-        with whole_database(path) as temporary, pycolmap.Database.open(temporary) as database:
+        with (
+            whole_database(path) as temporary,
+            quiet(pycolmap),
+            pycolmap.Database.open(temporary) as database,
+        ):
             _write(database, graph, descriptors)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or error

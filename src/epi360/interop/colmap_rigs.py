@@ -6,7 +6,8 @@ images is a frame. The coordinate frame of a rig is that of its reference sensor
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import numpy as np
@@ -117,3 +118,14 @@ def _sensor(camera_id: int) -> Any:
 def pycolmap_library() -> Any:
     """Return pycolmap, or say how to install it."""
     return extra_library("pycolmap", extra="colmap", purpose="COLMAP databases")
+
+
+@contextmanager
+def quiet(pycolmap: Any) -> Iterator[None]:
+    """COLMAP prints nothing: what it returns or raises says whether it failed."""
+    level = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = level

@@ -15,6 +15,7 @@ from epi360.interop.hloc import read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm, write_opensfm_folder
+from epi360.interop.opensfm_pictures import loses_folders
 from epi360.interop.reconstruction import Reconstruction
 from epi360.interop.tum import (
     names_path,
@@ -44,18 +45,22 @@ def write_reconstruction(
     name: str,
     reconstruction: Reconstruction,
     *,
-    images: str = "images",
+    images: str | None = None,
     fps: float | None = None,
 ) -> None:
-    """Write a reconstruction in the named format, without what `lost` says."""
+    """Write a reconstruction in the named format, without what `lost` says.
+
+    ``images`` is the folder of the images: beside transforms.json, or what is linked into a project
+    of OpenSfM.
+    """
     if name in COLMAP_MODELS:
         write_colmap_model(path, reconstruction, text=name == "colmap-text")
     elif name == "opensfm":
         write_opensfm(path, reconstruction)
     elif name == "opensfm-folder":
-        write_opensfm_folder(path, reconstruction)
+        write_opensfm_folder(path, reconstruction, images=images)
     elif name == "nerfstudio":
-        write_nerfstudio(path, reconstruction, images=images)
+        write_nerfstudio(path, reconstruction, images="images" if images is None else images)
     else:
         write_tum_trajectory(path, reconstruction, fps=fps)
         write_tum_names(names_path(path), reconstruction, fps=fps)
@@ -121,6 +126,8 @@ def lost(content: Reconstruction | MatchGraph, name: str) -> list[str]:
             "observations": seen is not None and len(seen.points) > 0,
             "time stamps": any(image.timestamp_s is not None for image in content.images),
             "rigs": bool(content.cam_from_rig),
+            "folders in names": name == "opensfm-folder"
+            and loses_folders([image.name for image in content.images]),
             "parts of rigs": name in COLMAP_MODELS and not keeps_rigs(content),
         }
     else:

@@ -48,7 +48,9 @@ def stored_descriptors(kind: int, stored: NDArray[np.uint8]) -> NDArray[np.float
 def unit_descriptors(descriptors: Descriptors) -> NDArray[np.float32]:
     """Descriptors of unit length, whatever they were multiplied by."""
     values = np.asarray(descriptors, np.float32)
-    lengths = np.linalg.norm(values, axis=1, keepdims=True)
+    if not np.isfinite(values).all():
+        raise ValueError("descriptors must be finite numbers")
+    lengths = np.linalg.norm(values.astype(np.float64), axis=1, keepdims=True)
     return np.asarray(values / np.maximum(lengths, 1e-9), np.float32)
 
 

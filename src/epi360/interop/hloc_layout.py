@@ -70,6 +70,17 @@ def pair_groups(file: Any, path: Path) -> list[str]:
     return _groups_with("matches0", file, path, "match again")
 
 
+def own_group(file: Any, name: str, path: Path) -> str:
+    """Return the path of a group, or raise ``ValueError`` where it lies in another file."""
+    h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")
+    parts = name.split("/")
+    for end in range(1, len(parts) + 1):
+        part = "/".join(parts[:end])
+        if isinstance(file.get(part, getlink=True), h5py.ExternalLink):
+            raise ValueError(f"{path}: {part} lies in another file; copy it into this one")
+    return name
+
+
 def dataset(group: Any, name: str, path: Path) -> NDArray[Any] | None:
     """Return the content of a dataset of a group, or None if it has none."""
     h5py = extra_library("h5py", extra="hloc", purpose="hloc's files")

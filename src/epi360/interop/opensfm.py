@@ -6,7 +6,7 @@ shot holds cam_from_world as axis times angle and translation, with the axes x r
 forward. The observations are not in this file but in tracks.csv. Frames and models are described in
 https://opensfm.org/docs/geometry.html, the keys in opensfm/io.py of mapillary/OpenSfM. In a folder,
 its commands export_ply, undistort and bundle also ask for camera_models.json, tracks.csv and, for
-each image, exif/NAME.exif.
+each image, exif/NAME.exif; compute_statistics for reference_lla.json.
 """
 
 import json
@@ -24,6 +24,15 @@ from epi360.cameras.base import FocalCamera
 from epi360.cameras.calibration import fields
 from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
+from epi360.interop.opensfm_pictures import (
+    IMAGE_LIST,
+    find_pictures,
+    image_list_of,
+    link_picture,
+    names_in_list,
+    paths_of_pictures,
+    shot_name,
+)
 from epi360.interop.opensfm_tracks import read_tracks, tracks_of
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
@@ -32,6 +41,9 @@ from epi360.runs.whole_files import PathLike, whole_paths, write_file
 
 WHAT = "a reconstruction.json of OpenSfM"
 RECONSTRUCTION, CAMERA_MODELS, TRACKS = "reconstruction.json", "camera_models.json", "tracks.csv"
+CONFIG, REFERENCE = "config.yaml", "reference_lla.json"
+# Without these, bundle turns the world so that z is up, and refines calibrations.
+KEEP_THE_MODEL = b"align_method: naive\noptimize_camera_parameters: no\n"
 
 
 def read_opensfm(path: PathLike) -> Reconstruction:
@@ -39,8 +51,9 @@ def read_opensfm(path: PathLike) -> Reconstruction:
 
     If it holds several reconstructions, which have no common frame, a warning says how many shots
     are left out; another one names what has no place here: rigs, GPS. Images have the names of the
-    shots. Their time stamps are ``capture_time`` in seconds, or None if all of these are 0. The
-    observations are those of ``tracks.csv`` if a folder is given that has it, else there are none.
+    shots, with the folders that a project's ``image_list.txt`` gives them. Their time stamps are
+    ``capture_time`` in seconds, or None if all of these are 0. The observations are those of
+    ``tracks.csv`` if a folder is given that has it, else there are none.
 
     Raises
     ------
@@ -69,6 +82,8 @@ def read_opensfm(path: PathLike) -> Reconstruction:
         rows = {name: row for row, name in enumerate(entries)}
         seen = read_tracks(folder / TRACKS, reconstruction, rows)
         reconstruction = replace(reconstruction, observations=seen)
+    if path != folder:
+        reconstruction = _renamed(reconstruction, names_in_list(folder))
     if left_out:
         warnings.warn(f"{path}: its {' and '.join(left_out)} are left out", stacklevel=2)
     parts = document if isinstance(document, list) else [document]
@@ -98,15 +113,23 @@ def write_opensfm(path: PathLike, reconstruction: Reconstruction) -> None:
     write_file(path, _json_of(_document(reconstruction)))
 
 
-def write_opensfm_folder(folder: PathLike, reconstruction: Reconstruction) -> None:
+def write_opensfm_folder(
+    folder: PathLike, reconstruction: Reconstruction, *, images: PathLike | None = None
+) -> None:
     """Write a reconstruction as the folder of an OpenSfM project, with its observations.
 
-    It gets ``reconstruction.json``, ``camera_models.json``, ``tracks.csv`` and ``exif/``; OpenSfM
-    looks for the pictures in ``images/``, without sub-folders. The folder is made if it does not
-    exist; these files are replaced. An observation counts as good to one pixel.
+    It gets ``reconstruction.json``, ``camera_models.json``, ``tracks.csv``, ``exif/``,
+    ``reference_lla.json`` (zeros), ``config.yaml``, which asks ``bundle`` to keep world and
+    calibration, and ``image_list.txt``: the pictures are in ``images/``. With ``images``, the
+    folder that the names start from, links to them are put there. OpenSfM's names have no folders,
+    which stand in the list alone; where two images have one name, ``a/b.jpg`` becomes ``a_b.jpg``.
+    The folder is made if it does not exist; these files are replaced. An observation counts as good
+    to one pixel.
 
     Raises
     ------
+    FileNotFoundError
+        If ``images`` lacks one of the pictures.
     ValueError
         As `write_opensfm`, or if the name of an image leads out of the folder or has a tab or line
         break, which tracks.csv cannot hold.
@@ -114,11 +137,20 @@ def write_opensfm_folder(folder: PathLike, reconstruction: Reconstruction) -> No
         If a file cannot be written.
     """
     folder = Path(folder)
+    names = [image.name for image in reconstruction.images]
+    for name in names:
+        inside(folder, name)
+    paths = paths_of_pictures(names)
+    pictures = {} if images is None else find_pictures(images, names)
+    reconstruction = _renamed(reconstruction, {name: shot_name(paths[name]) for name in names})
     document = _document(reconstruction)
     contents = {
+        IMAGE_LIST: image_list_of(list(paths.values())),
         RECONSTRUCTION: _json_of(document),
         CAMERA_MODELS: _json_of(document[0]["cameras"]),
         TRACKS: tracks_of(reconstruction),
+        CONFIG: KEEP_THE_MODEL,
+        REFERENCE: _json_of({"latitude": 0.0, "longitude": 0.0, "altitude": 0.0}),
     }
     exif = {inside(folder / "exif", f"{each.name}.exif"): each for each in reconstruction.images}
     for path, image in exif.items():
@@ -126,10 +158,20 @@ def write_opensfm_folder(folder: PathLike, reconstruction: Reconstruction) -> No
         size = {key: camera[key] for key in ("projection_type", "width", "height")}
         time = {"capture_time": image.timestamp_s or 0.0, "orientation": 1, "gps": {}}
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_json_of({"camera": image.camera, **size, **time}))
+        write_file(path, _json_of({"camera": image.camera, **size, **time}))
     with whole_paths(*(folder / name for name in contents), make_folder=True) as temporaries:
         for temporary, content in zip(temporaries, contents.values(), strict=True):
             temporary.write_bytes(content)
+    for name, picture in pictures.items():
+        link_picture(folder, paths[name], picture)
+
+
+def _renamed(reconstruction: Reconstruction, new_names: Mapping[str, str]) -> Reconstruction:
+    images = tuple(
+        replace(image, name=new_names.get(image.name, image.name))
+        for image in reconstruction.images
+    )
+    return replace(reconstruction, images=images)
 
 
 def _json_of(document: Any) -> bytes:

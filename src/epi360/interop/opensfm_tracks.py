@@ -5,8 +5,8 @@ After a line with the version, each row of version 2 holds, between tabs: shot, 
 feature in the shot, x, y, scale, red, green, blue, segmentation and instance. Older ones lack the
 last two (1), and the scale as well (0, which has no line with a version). x and y are counted from
 the middle of the image in units of its larger side; so is the scale, which OpenSfM's bundle
-adjustment takes for the standard deviation of x and y. Source: tracks_manager.cc and ba_helpers.cc
-of mapillary/OpenSfM.
+adjustment takes for the standard deviation of x and y; of panoramas for that of the unit bearing,
+in radians. Source: tracks_manager.cc, ba_helpers.cc and projection_errors.h of mapillary/OpenSfM.
 """
 
 import math
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.interop.checks import known_camera
 from epi360.interop.reconstruction import Observations, Reconstruction
 from epi360.runs.input_files import read_text
@@ -83,7 +83,8 @@ def tracks_of(reconstruction: Reconstruction) -> bytes:
         first = np.searchsorted(images, np.arange(len(reconstruction.images) + 1))
         names = [image.name for image in reconstruction.images]
         colors = reconstruction.colors[points].tolist()
-        one_pixel = (1.0 / unit).tolist()
+        cameras = (reconstruction.cameras[str(image.camera)] for image in reconstruction.images)
+        one_pixel = [_one_pixel(camera) for camera in cameras]
         for row, (point, image) in enumerate(zip(points.tolist(), images.tolist(), strict=True)):
             (x, y), (red, green, blue) = normalized[row], colors[row]
             feature = row - int(first[image])
@@ -92,6 +93,12 @@ def tracks_of(reconstruction: Reconstruction) -> bytes:
                 f"{red}\t{green}\t{blue}\t{UNKNOWN}"
             )
     return ("\n".join(lines) + "\n").encode()
+
+
+def _one_pixel(camera: Camera) -> float:
+    if isinstance(camera, Equirectangular):
+        return math.radians(camera.horizontal_fov_deg) / camera.width
+    return 1.0 / max(camera.width, camera.height)
 
 
 def _middles_and_units(

@@ -47,16 +47,17 @@ def read_ply_points(path: Path) -> tuple[NDArray[np.float64], NDArray[np.uint8]]
 
 
 def write_ply_points(path: Path, points: NDArray[np.float64], colors: NDArray[np.uint8]) -> None:
-    """Write points (P, 3) and colors (P, 3) as a binary PLY with positions in double precision."""
-    kinds = [(name, "<f8") for name in POSITION] + [(name, "u1") for name in COLOR]
-    vertices = np.empty(len(points), dtype=kinds)
-    for index in range(3):
-        vertices[POSITION[index]] = points[:, index]
-        vertices[COLOR[index]] = colors[:, index]
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
-    lines += [f"property double {name}" for name in POSITION]
-    lines += [f"property uchar {name}" for name in COLOR]
-    write_file(path, ("\n".join([*lines, "end_header"]) + "\n").encode() + vertices.tobytes())
+    """Write points (P, 3) and colors (P, 3) as a PLY of text, as nerfstudio itself writes it.
+
+    Text keeps every digit under the type "float". Readers such as OpenSplat's take binary positions
+    for single precision whatever the header says.
+    """
+    header = ["ply", "format ascii 1.0", f"element vertex {len(points)}"]
+    header += [f"property float {name}" for name in POSITION]
+    header += [f"property uchar {name}" for name in COLOR]
+    rows = zip(points.tolist(), colors.tolist(), strict=True)
+    lines = [f"{x!r} {y!r} {z!r} {red} {green} {blue}" for (x, y, z), (red, green, blue) in rows]
+    write_file(path, "\n".join([*header, "end_header", *lines, ""]).encode())
 
 
 def _vertices(data: bytes) -> NDArray[np.void]:

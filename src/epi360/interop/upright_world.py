@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.interop.reconstruction import Reconstruction
-from epi360.poses import Pose, rotation_from_vector
+from epi360.poses import Pose, rotation_from_vector, vector_from_rotation
 
 DOWN = np.array([0.0, 1.0, 0.0])
 # The mean of unit vectors is as long as this if each is 45 degrees from it. A camera that looks
 # down and turns has a mean of nearly zero.
 SHORTEST_MEAN = 0.7
+# A world is left as it is if it is upright to this angle; rounding alone makes about 1e-15.
+SMALLEST_TURN_RAD = 1e-9
 
 
 def down_in_world(reconstruction: Reconstruction) -> NDArray[np.float64] | None:
@@ -52,6 +54,17 @@ def upright_from_world(down: NDArray[np.float64] | None) -> Pose:
     sine = float(np.linalg.norm(axis))
     axis = axis / sine if sine > 0 else np.array([1.0, 0.0, 0.0])
     return Pose(rotation_from_vector(np.arctan2(sine, down @ DOWN) * axis), np.zeros(3))
+
+
+def made_upright(reconstruction: Reconstruction) -> tuple[Reconstruction, Pose]:
+    """Reconstruction in an upright world, and how that was turned from the given one.
+
+    It is the given one, and the turn the identity, if that is upright or the cameras do not agree.
+    """
+    turn = upright_from_world(down_in_world(reconstruction))
+    if np.linalg.norm(vector_from_rotation(turn.rotation)) <= SMALLEST_TURN_RAD:
+        return reconstruction, Pose(np.eye(3), np.zeros(3))
+    return moved(reconstruction, turn), turn
 
 
 def moved(reconstruction: Reconstruction, new_from_world: Pose) -> Reconstruction:

@@ -18,6 +18,7 @@ from epi360.cameras.gpano import GPano
 from epi360.extras import extra_library
 from epi360.features.image_files import MAX_PIXELS
 from epi360.features.images import looks_like_dual_fisheye
+from epi360.image_folders import IMAGE_SUFFIXES
 from epi360.interop.video_boxes import SphereBoxes, read_sphere_boxes
 from epi360.interop.video_sphere import VideoSphere, sphere_of_boxes, sphere_of_side_data
 from epi360.runs.input_files import check_is_file
@@ -238,6 +239,8 @@ def open_video(path: PathLike) -> Video:
         raise FileNotFoundError(f"video {path} does not exist")
     if path.is_dir():
         raise ValueError(f"video {path} is a folder, expected a video file")
+    if path.suffix.lower() in IMAGE_SUFFIXES:  # FFmpeg would take it for a video of one frame
+        raise ValueError(f"{path} is one image, expected a folder of images or a video")
     try:
         check_is_file(path)
     except ValueError as error:

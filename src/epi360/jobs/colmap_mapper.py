@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.extras import extra_library
+from epi360.interop.colmap_rigs import quiet
 from epi360.interop.upright_world import mean_down, upright_from_world
 from epi360.progress import Progress, no_progress
 
@@ -166,14 +166,3 @@ def _global_options(pycolmap: Any, options: MapperOptions) -> Any:
     chosen.mapper.rotation_averaging.refine_sensor_from_rig = False
     chosen.mapper.global_positioning.refine_sensor_from_rig = False
     return chosen
-
-
-@contextmanager
-def quiet(pycolmap: Any) -> Iterator[None]:
-    """COLMAP prints nothing: what it found says whether it failed."""
-    level = pycolmap.logging.minloglevel
-    pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = level

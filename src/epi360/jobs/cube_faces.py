@@ -99,6 +99,8 @@ def face_image_names(names: list[str], options: CubemapOptions) -> dict[tuple[st
     The names differ also where case does not count. Where two panoramas differ only in their
     ending, it stays in the names of all; where two flat names are the same, they get numbers.
     """
+    if unnamed := [name for name in names if not PurePosixPath(name).name]:
+        raise ValueError(f"images must have names, got {unnamed[0]!r}")
     stems = {name: str(PurePosixPath(name).with_suffix("")) for name in names}
     if max(Counter(stem.casefold() for stem in stems.values()).values(), default=1) > 1:
         stems = {name: name for name in names}

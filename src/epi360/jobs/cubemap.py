@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +23,7 @@ from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.nerfstudio import write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
+from epi360.interop.upright_world import made_upright
 from epi360.jobs.cube_faces import (
     CubemapOptions,
     FaceName,
@@ -31,6 +33,7 @@ from epi360.jobs.cube_faces import (
     visible_faces,
 )
 from epi360.jobs.face_sampler import FaceSampler
+from epi360.poses import Pose, vector_from_rotation
 from epi360.progress import Progress, no_progress
 from epi360.runs.inside import inside
 from epi360.runs.made_from import first_difference, read_record, write_record
@@ -43,11 +46,21 @@ _FaceMask = tuple[NDArray[np.bool_], bytes]  # white = use, and the content of i
 
 @dataclass(frozen=True, eq=False)
 class Cubemap:
-    """The faces as posed images, with the points; how many panoramas were cut and how many kept."""
+    """The faces as posed images, with the points; how many panoramas were cut and how many kept.
+
+    ``upright_from_world`` says how their world was turned from the given one: the identity if that
+    was kept.
+    """
 
     reconstruction: Reconstruction
     num_written: int
     num_kept: int
+    upright_from_world: Pose
+
+    @property
+    def turned_deg(self) -> float:
+        """Angle by which the world was turned."""
+        return math.degrees(np.linalg.norm(vector_from_rotation(self.upright_from_world.rotation)))
 
 
 def export_cubemap(
@@ -58,13 +71,17 @@ def export_cubemap(
     *,
     masks: Mapping[str, Path | None] | None = None,
     mask_nadir_deg: float = 0.0,
+    keep_world: bool = False,
     progress: Progress = no_progress,
 ) -> Cubemap:
     """Write posed panoramas as posed pinhole images, for tools that know no other camera.
 
     The names of the images start from ``folder``. ``output`` gets ``images/``, ``sparse/0`` (a
-    COLMAP model in which the faces of a panorama are a frame of a rig, in the world of
-    ``reconstruction``) and ``transforms.json`` (nerfstudio). Where something is masked or a camera
+    COLMAP model in which the faces of a panorama are a frame of a rig) and ``transforms.json``
+    (nerfstudio). Both are in the world of ``reconstruction``, turned so that the mean of its
+    cameras' y axes is down: y in COLMAP's model, -z in nerfstudio's file. With ``keep_world``, or
+    if the cameras do not agree on a vertical, the model keeps the world. ``cubemap.json`` says how
+    it was turned (``upright_from_world``). Where something is masked or a camera
     does not see all around, there is a mask for every face, which ``transforms.json`` names: for
     ``images/NAME.jpg`` it is ``masks/NAME.jpg.png``, COLMAP's name, and the same again as
     ``masks/NAME.png``, where nerfstudio's reader of COLMAP models looks. ``masks`` are those of the
@@ -84,6 +101,9 @@ def export_cubemap(
     if not 0 <= mask_nadir_deg < 180:
         raise ValueError(f"mask_nadir_deg must be in [0, 180), got {mask_nadir_deg}")
     folder, output = Path(folder), Path(output)
+    turn = Pose(np.eye(3), np.zeros(3))
+    if not keep_world:
+        reconstruction, turn = made_upright(reconstruction)
     cube = cubemap_reconstruction(reconstruction, options)
     if not cube.images:
         raise ValueError("there is no posed image to cut into faces")
@@ -108,8 +128,8 @@ def export_cubemap(
     write_colmap_model(output / "sparse" / "0", cube)
     mask_of = {face: f"masks/{face}.png" for face in names.values()} if cutter.masked else None
     write_nerfstudio(output / "transforms.json", cube, images="images", masks=mask_of)
-    cutter.remove_left(reconstruction)
-    return Cubemap(cube, done - kept, kept)
+    cutter.finish(reconstruction, turn)
+    return Cubemap(cube, done - kept, kept, turn)
 
 
 def check_cubemap_folder(
@@ -200,11 +220,11 @@ class _Cutter:
         both = {**record, "made_from": {**made_before, **record["made_from"]}}
         write_record(self.output / RECORD_FILE, both)
 
-    def remove_left(self, reconstruction: Reconstruction) -> None:
-        """Remove the faces of panoramas that left the model, once the new ones are there."""
-        if self._left:
-            self._remove(self._left)
-            write_record(self.output / RECORD_FILE, self._record(reconstruction))
+    def finish(self, reconstruction: Reconstruction, upright_from_world: Pose) -> None:
+        """Remove the faces of panoramas that left the model, and note the world of the new ones."""
+        self._remove(self._left)
+        world = {"upright_from_world": upright_from_world.matrix()[:3].tolist()}
+        write_record(self.output / RECORD_FILE, {**self._record(reconstruction), **world})
 
     def _record(self, reconstruction: Reconstruction) -> dict[str, Any]:
         made_from = {

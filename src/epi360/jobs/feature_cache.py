@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -76,7 +75,7 @@ class FeatureCache:
 
     def has(self, key: str) -> bool:
         """Whether there is a whole file for a key."""
-        return self._read(key) is not None
+        return self.load(key) is not None
 
     def extract(self, key: str, image: SourceImage, camera: Camera) -> SiftKeypoints:
         """Find the key points of an image, strongest first, and keep them; as `load` gives them."""
@@ -102,23 +101,17 @@ class FeatureCache:
 
     def load(self, key: str) -> SiftKeypoints | None:
         """Key points of a key, or None where the file is missing or damaged."""
-        arrays = self._read(key)
-        return None if arrays is None else _as_found(arrays)
-
-    def _read(self, key: str) -> Arrays | None:
-        arrays = read_arrays(self.path(key))
-        return arrays if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
+        return keypoints_in_file(self.path(key))
 
     def path(self, key: str) -> AnyPath:
         """Path of the file of a key."""
         return self.folder / f"{key}.npz"
 
 
-def keypoints_in_file(path: Path) -> SiftKeypoints | None:
+def keypoints_in_file(path: AnyPath) -> SiftKeypoints | None:
     """Key points in a file of a cache, or None where it is missing or damaged."""
     arrays = read_arrays(path)
-    whole = arrays is not None and set(arrays) == {*_TYPES, COLORS}
-    return _as_found(arrays) if arrays is not None and whole else None
+    return _as_found(arrays) if arrays is not None and set(arrays) == {*_TYPES, COLORS} else None
 
 
 def _as_found(arrays: Arrays) -> SiftKeypoints:

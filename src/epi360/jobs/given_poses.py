@@ -9,7 +9,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from epi360.extras import extra_library
-from epi360.jobs.colmap_mapper import MapperOptions, incremental_options, num_threads, quiet
+from epi360.interop.colmap_rigs import quiet
+from epi360.jobs.colmap_mapper import MapperOptions, incremental_options, num_threads
 from epi360.poses import Pose
 
 # Limit of the reprojection error and most steps of the adjustment, one round after the other:

@@ -18,8 +18,9 @@ from scipy.sparse.csgraph import connected_components
 
 from epi360.extras import extra_library
 from epi360.interop.colmap_database import CONFIG_OF_STATUS
+from epi360.interop.colmap_rigs import quiet
 from epi360.interop.match_graph import MatchGraph
-from epi360.jobs.colmap_mapper import MapperOptions, color_points, quiet, run_mapper
+from epi360.jobs.colmap_mapper import MapperOptions, color_points, run_mapper
 from epi360.jobs.given_poses import adjust_model, model_from_poses
 from epi360.jobs.matching import PairVerdict
 from epi360.jobs.model_check import PlacedImages, confirmed_images

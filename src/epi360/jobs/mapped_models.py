@@ -52,16 +52,15 @@ def read_models(
 def with_given_cameras(model: Reconstruction, cameras: Mapping[str, Camera]) -> Reconstruction:
     """Model whose cameras have their names again, and the limit of a lens that COLMAP lacks."""
     given = dict(enumerate(cameras.items(), start=1))  # as the database numbers them
-    restored = {}
+    names, restored = {}, {}
     for number, camera in model.cameras.items():
-        name, original = given[int(number)]
+        # Images that were localized in the map may have other cameras.
+        names[number], original = given.get(int(number), (number, camera))
         if isinstance(camera, KannalaBrandt) and isinstance(original, KannalaBrandt):
             camera = replace(camera, max_angle_deg=original.max_angle_deg)
-        restored[name] = camera
-    images = tuple(
-        replace(image, camera=given[int(str(image.camera))][0]) for image in model.images
-    )
-    rig = {given[int(number)][0]: pose for number, pose in model.cam_from_rig.items()}
+        restored[names[number]] = camera
+    images = tuple(replace(image, camera=names[str(image.camera)]) for image in model.images)
+    rig = {names[number]: pose for number, pose in model.cam_from_rig.items()}
     return replace(model, cameras=restored, images=images, cam_from_rig=rig)
 
 

@@ -161,19 +161,21 @@ def map_images(
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
-    mapper = MapperOptions(
-        options.mapper, options.refine_cameras, options.mapper_threads, options.match.seed
-    )
+    seed = options.match.seed % 2**31  # COLMAP takes no others
+    mapper = MapperOptions(options.mapper, options.refine_cameras, options.mapper_threads, seed)
     poses = given or ({} if tracked is None else tracked.cam_from_world)
     made_from = _fingerprint(graph, mapper, poses)
     was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
+    descriptors = descriptors_of(output) if options.descriptors else _no_descriptors
     if was_mapped:
         progress(STAGE, len(graph.images), len(graph.images))
+        if record.get("descriptors") != options.descriptors or not (output / DATABASE).is_file():
+            _write_database(output / DATABASE, graph, descriptors)
     else:
         how = "the given poses" if given else TRACKED_POSES
-        descriptors = descriptors_of(output) if options.descriptors else _no_descriptors
         made = _map(graph, matched, colors, output, mapper, (how, poses), descriptors, progress)
         record = {"fingerprint": made_from, **made}
+    record["descriptors"] = options.descriptors
     record["track"] = None if tracked is None else tracked.summary()
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
@@ -198,6 +200,11 @@ def map_images(
 
 def _no_descriptors(name: str) -> None:
     return None
+
+
+def _write_database(path: Path, graph: MatchGraph, descriptors: DescriptorsOf) -> None:
+    path.unlink(missing_ok=True)
+    write_colmap_database(path, graph, descriptors=descriptors)
 
 
 def _is_tried_as_sequence(images: ImageSet, options: MapOptions, video: Path | None) -> bool:
@@ -276,9 +283,8 @@ def _map(
     """Write database and models; returns what the record says of them."""
     start = time.perf_counter()
     write_record(output / RECORD, {})  # from here on database and models are ours
-    for name in (DATABASE, TRANSFORMS):
-        (output / name).unlink(missing_ok=True)
-    write_colmap_database(output / DATABASE, graph, descriptors=descriptors)
+    (output / TRANSFORMS).unlink(missing_ok=True)
+    _write_database(output / DATABASE, graph, descriptors)
     mapped = map_by_attempts(
         output / DATABASE,
         options,

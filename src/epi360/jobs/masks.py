@@ -9,6 +9,7 @@ from pathlib import Path
 from epi360.features.image_headers import read_image_header
 from epi360.image_folders import IMAGE_SUFFIXES
 from epi360.jobs.folder_files import files_below
+from epi360.runs.input_files import check_is_file
 
 
 class MaskSource:
@@ -24,11 +25,19 @@ class MaskSource:
         self._sizes: dict[Path, tuple[int, int] | None] = {}
         if path is not None and not path.exists():
             raise FileNotFoundError(f"mask {path} does not exist")
+        if path is not None:
+            check_is_file(path)
         if path is not None and path.is_dir():
             self._masks = {}
             for name, mask in files_below(path):
                 if mask.suffix.lower() in IMAGE_SUFFIXES:
                     self._masks.setdefault(_key(_without_suffix(name)), mask)
+
+    def files(self) -> list[Path]:
+        """All masks."""
+        if self._masks is not None:
+            return list(self._masks.values())
+        return [] if self._path is None else [self._path]
 
     def mask_of(self, name: str) -> Path | None:
         """Mask of an image by its name; None: it has none."""

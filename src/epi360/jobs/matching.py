@@ -141,8 +141,9 @@ def match_images(
 
     Every image has one list of key points, strongest first. A pair is matched with the stronger
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
-    warning. If the poses say that the folder is level, see `find_level`, pairs without a pose, and
-    those whose pose is tilted, are estimated again with that known. An image that cannot be read
+    warning, unless it leaves no hope: a pose less probable than 0.05. If the poses say that the
+    folder is level, see `find_level`, pairs without a pose, and those whose pose is tilted, are
+    estimated again with that known, and then from all key points. An image that cannot be read
     costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
     `judge_places`, and the pairs are held against each other, see `check_graph`.
 

@@ -30,10 +30,11 @@ from epi360.jobs.threads import on_threads
 from epi360.poses import Pose
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.remote_path import AnyPath
-from epi360.second_look import is_settled, later_is_better
+from epi360.second_look import has_hope, is_settled, later_is_better
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
+_LOOKS_IN_MEMORY = 1000  # at pairs without hope, of 0.1 MB; a level folder asks for them again
 _BELOW_HORIZON = np.sin(np.radians(5.0))  # y of what a level camera sees five degrees below it
 
 
@@ -94,6 +95,7 @@ class PairWork:
             }
         self._finding_again = Lock()
         self._first_looks: dict[Pair, Look] = {}  # of the pairs in work
+        self._left_looks: dict[Pair, Look] = {}  # of those that were left without hope
         self._features_of = lru_cache(_IMAGES_IN_MEMORY)(self._load_features)
 
     def find_key(self, index: int) -> None:
@@ -154,11 +156,26 @@ class PairWork:
             for pair, each in found.items()
             if not is_settled(each.verdict.status, each.verdict.warnings)
         ]
-        for pair, each in self._look(unsettled, strong=False).items():
+        hopeful = [pair for pair in unsettled if self._asks_for_more(pair, found[pair].verdict)]
+        for pair, each in self._look(hopeful, strong=False).items():
             if later_is_better(found[pair].verdict.status, each.verdict.status):
                 found[pair] = each
-        self._first_looks.clear()
+        self._forget_looks(set(unsettled) - set(hopeful))
         return [found[pair] for pair in pairs if pair in found and self.is_readable(pair)]
+
+    def _asks_for_more(self, pair: Pair, first: Verdict) -> bool:
+        """Whether all key points shall be matched where the stronger ones settle nothing."""
+        if has_hope(first.status, first.probability) or self.inputs.upright_deg is not None:
+            return True
+        sides = [self._features_or_none(index) for index in pair]
+        return any(side is None or 2 * len(side[1]) < len(side[0]) for side in sides)
+
+    def _forget_looks(self, kept: Collection[Pair]) -> None:
+        """Forget the first looks but those that a level folder may ask for, the newest of them."""
+        looks = [(pair, seen) for pair, seen in self._first_looks.items() if pair in kept]
+        before = [(pair, seen) for pair, seen in self._left_looks.items() if pair not in kept]
+        self._left_looks = dict((before + looks)[-_LOOKS_IN_MEMORY:])
+        self._first_looks.clear()
 
     def _look(self, pairs: Sequence[Pair], *, strong: bool) -> dict[Pair, VerifiedPair]:
         """Match and verify pairs, with the stronger key points or with all."""
@@ -181,9 +198,10 @@ class PairWork:
     def _verified_with_prior(
         self, finished: Mapping[Pair, VerifiedPair], level: Level
     ) -> list[VerifiedPair]:
-        """Estimate pairs again from the matches that they have."""
+        """Estimate pairs again from the matches that they have, or of all key points."""
         items = list(finished.items())
-        found = dict(on_threads(self._placed, items, self.num_threads))
+        with threadpool_limits(1, user_api="blas"):
+            found = dict(on_threads(self._placed, items, self.num_threads))
         matched = [(item[0], each) for item in items if (each := found[item]) is not None]
         results = self._estimated(
             matched,
@@ -229,7 +247,14 @@ class PairWork:
         sides = [self._features_or_none(index) for index in pair]
         if sides[0] is None or sides[1] is None:
             return None
-        return self._matched_at(pair, sides[0][0], sides[1][0], verified.matches)
+        features1, features2 = (side[0] for side in sides if side is not None)
+        matches, verdict = verified.matches, verified.verdict
+        num_strong = [len(side[1]) for side in sides if side is not None]
+        only_strong = bool((matches < num_strong).all())
+        # With what is known of a level folder, all key points may yet do where some left no hope.
+        if only_strong and not has_hope(verdict.status, verdict.probability):
+            matches = look(features1, features2, self._left_looks.pop(pair, None)).matches()
+        return self._matched_at(pair, features1, features2, matches)
 
     def _matched_at(
         self,

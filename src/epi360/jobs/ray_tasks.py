@@ -66,6 +66,8 @@ def ray_session(ray: Any, address: str | None) -> Iterator[None]:
 
 def _check_answers(address: str) -> None:
     """Raise at once where nobody listens: Ray tries for minutes and says so on stderr."""
+    if "://" in address and not address.startswith("ray://"):
+        raise ValueError(f"address must be HOST:PORT, ray://HOST:PORT or auto, got {address}")
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon or not port.isdigit():  # "auto": Ray looks for a cluster on this machine
         return

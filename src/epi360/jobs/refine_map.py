@@ -12,7 +12,7 @@ import numpy as np
 from epi360.cameras import Camera
 from epi360.extras import extra_library
 from epi360.interop import write_colmap_model
-from epi360.jobs.colmap_mapper import quiet
+from epi360.interop.colmap_rigs import quiet
 from epi360.jobs.track_files import key_frame_model
 from epi360.odometry import Odometry
 from epi360.poses import Pose

@@ -63,7 +63,7 @@ def alike_pairs(
     # Each of our threads multiplies descriptors, as those of `PairWork` do.
     with threadpool_limits(1, user_api="blas"):
         words = learn_words(np.concatenate(for_each(sampled, 0)))
-        looks = _Looks(for_each(lambda k: signature(descriptors_of(k), words), num_images))
+        looks = Looks(for_each(lambda k: signature(descriptors_of(k), words), num_images))
         passed = _passed_over(num_images, without)
         starts = range(0, num_images, _ROWS)
         alike = partial(looks.most_alike, count=count, passed=passed)
@@ -71,7 +71,7 @@ def alike_pairs(
     return sorted(chosen)
 
 
-class _Looks:
+class Looks:
     """Signatures of images, by their words."""
 
     def __init__(self, signatures: Sequence[Signature]) -> None:
@@ -100,6 +100,15 @@ class _Looks:
         ends = zip((rows + start).tolist(), order[rows, places].tolist(), strict=True)
         return [(min(pair), max(pair)) for pair in ends]
 
+    def scores_of(self, other: Signature) -> NDArray[np.float64]:
+        """How alike each of the images and another one are, up to a factor."""
+        scores = np.zeros(self._num_images)
+        for word, packed in zip(other.words, other.signs, strict=True):
+            having = slice(self._starts[word], self._ends[word])
+            agreement = _agreement(packed[None], self._signs[having])[0]
+            scores[self._images[having]] += self._weights[word] * agreement
+        return np.asarray(scores / self._lengths)
+
     def _scores(self, start: int) -> NDArray[np.float64]:
         """How alike some images and all others are: 1 for equal ones, 0 without a common word."""
         stop = min(start + _ROWS, self._num_images)
@@ -110,11 +119,16 @@ class _Looks:
             first, last = np.searchsorted(images, (start, stop))
             if first == last:
                 continue
-            signs = np.unpackbits(self._signs[having], axis=1).astype(np.float32) * 2 - 1
-            # Sums of ones, and their third powers, are exact in any order.
-            agreement = np.maximum(signs[first:last] @ signs.T / signs.shape[1], 0.0) ** 3
+            agreement = _agreement(self._signs[having][first:last], self._signs[having])
             scores[np.ix_(images[first:last] - start, images)] += self._weights[word] * agreement
         return np.asarray(scores / self._lengths[start:stop, None] / self._lengths)
+
+
+def _agreement(signs: NDArray[np.uint8], others: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """How alike descriptors of one word are, by their packed signs."""
+    # Sums of ones, and their third powers, are exact in any order.
+    rows, columns = (np.unpackbits(s, axis=1).astype(np.float32) * 2 - 1 for s in (signs, others))
+    return np.asarray(np.maximum(rows @ columns.T / rows.shape[1], 0.0) ** 3)
 
 
 def _passed_over(num_images: int, without: Collection[Pair]) -> list[NDArray[np.int64]]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -139,9 +139,14 @@ class _Frames:
         rules = (RULES, package_version(), OdometryOptions(), self.camera, mask_nadir_deg, seed)
         pieces: list[object] = [rules]
         pieces.append(b"" if self._video is None else content_key(self._video))
-        for image in self._images.images:
-            pieces.append((image.name,))
-            for path in (image.path, image.mask):
+        files: list[tuple[str, Sequence[Path | None]]] = [
+            (image.name, (image.path, image.mask)) for image in self._images.images
+        ]
+        if self._video is not None:
+            files.append(("masks of other frames", self._others.files()))
+        for name, paths in files:
+            pieces.append((name,))
+            for path in paths:
                 try:
                     pieces.append(b"" if path is None else digests.digest_of(path))
                 except OSError:
@@ -181,6 +186,7 @@ def _track(
     odometry = Odometry(frames.camera, mask=None if usable.all() else usable, seed=seed)
     names: list[str] = []
     num_jumps, most_jumps = 0, max(1.0, _MOST_JUMPS * len(images.images))
+    progress(STAGE, 0, max(frames.num_frames, 1))
     for frame in frames:
         names.append(frame.name)
         result = _added(odometry, frame, frames)
@@ -192,7 +198,8 @@ def _track(
                 seconds=time.perf_counter() - begun,
                 reason="points cannot be followed from image to image",
             )
-    progress(STAGE, len(names), len(names))
+    if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
+        progress(STAGE, len(names), len(names))
     odometry.finish()
     return _start_from(odometry, names, images, time.perf_counter() - begun)
 

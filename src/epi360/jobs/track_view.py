@@ -39,7 +39,8 @@ class TrackView:
     ImportError
         If rerun-sdk is missing.
     ValueError
-        If a window is asked for where there is no display, or the viewer does not open.
+        If a window is asked for where there is no display, the viewer does not open, or the
+        recording cannot be written.
     """
 
     def __init__(self, *, window: bool, recording: Path | None) -> None:
@@ -51,7 +52,10 @@ class TrackView:
             sinks.append(self._rr.GrpcSink(f"rerun+http://127.0.0.1:{_PORT}/proxy"))
         if recording is not None:
             sinks.append(self._rr.FileSink(str(recording)))
-        self._stream.set_sinks(*sinks)
+        try:
+            self._stream.set_sinks(*sinks)
+        except RuntimeError as error:
+            raise ValueError(f"recording {recording} cannot be written: {error}") from None
         self._stream.log("world", self._rr.ViewCoordinates.RDF, static=True)
         self._num_key_frames = 0
 

@@ -78,11 +78,6 @@ class SparseMap:
         self._same_as = np.empty(0, np.int64)
 
     @property
-    def num_landmarks(self) -> int:
-        """Number of landmarks with a position."""
-        return int(np.isfinite(self._positions[:, 0]).sum())
-
-    @property
     def ids(self) -> Ids:
         """Identities of the landmarks with a position."""
         return np.flatnonzero(np.isfinite(self._positions[:, 0])) + (self._first or 0)
@@ -192,12 +187,6 @@ class SparseMap:
             ids.append(key_frame.ids[rows])
             bearings.append(key_frame.bearings[rows])
         return np.concatenate(places), np.concatenate(ids), np.concatenate(bearings)
-
-    def scale(self, factor: float) -> None:
-        """Change the unit of length of the whole map."""
-        self._positions *= factor
-        for key_frame in self.key_frames:
-            key_frame.translation = key_frame.translation * factor
 
     def _rows(self, ids: Ids) -> NDArray[np.int64]:
         """Rows of the tables, which grow to hold all identities."""

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import resized_camera
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
+from epi360.features.images import usable_at
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -27,7 +29,7 @@ from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
-from epi360.odometry.pictures import PictureWatch, camera_of_width, mask_for, usable_at
+from epi360.odometry.pictures import PictureWatch, mask_for
 from epi360.odometry.recognition import Recognition
 from epi360.odometry.results import joined, no_points, trajectory_of, updated_results
 from epi360.odometry.segment import Segment
@@ -87,7 +89,7 @@ class Odometry:
         self._seed = seed
         self._gravity = GravityPrior.given(gravity, gravity_sigma_deg)
         usable = None if mask is None else read_mask(mask, (camera.height, camera.width))
-        working = camera_of_width(camera, self._options.max_width)
+        working = resized_camera(camera, min(camera.width, self._options.max_width))
         if usable is not None and working != camera:
             usable = mask_for(working, usable)
         self._tracker = FrameTracker(working, usable, max_points=self._options.max_points)

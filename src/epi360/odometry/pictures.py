@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Literal
 
 import cv2
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.base import FocalCamera
 
 PictureVerdict = Literal["good", "blank", "frozen"]
 _SMALL = (128, 64)  # width and height at which pictures are compared: 0.1 ms a picture
@@ -51,30 +49,11 @@ class PictureWatch:
         small = cv2.resize(gray, _SMALL, interpolation=cv2.INTER_AREA).astype(np.float32)
         if float(small[self._usable].std()) < _BLANK:
             return "blank"
-        before, self._before = self._before, small
-        if before is not None and float(np.abs(small - before).mean()) < _FROZEN:
+        # Compared with the last one that was new: slow changes add up.
+        if self._before is not None and float(np.abs(small - self._before).mean()) < _FROZEN:
             return "frozen"
+        self._before = small
         return "good"
-
-
-def camera_of_width(camera: Camera, max_width: int) -> Camera:
-    """Camera of the same pictures, made smaller where they are wider than this."""
-    if camera.width <= max_width:
-        return camera
-    width = max_width
-    height = round(camera.height * width / camera.width)
-    if isinstance(camera, FocalCamera):
-        across, down = width / camera.width, height / camera.height
-        return replace(
-            camera,
-            width=width,
-            height=height,
-            fx=camera.fx * across,
-            fy=camera.fy * down,
-            cx=camera.cx * across,
-            cy=camera.cy * down,
-        )
-    return replace(camera, width=width, height=height)
 
 
 def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -82,11 +61,3 @@ def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     size = (camera.width, camera.height)
     resized = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(resized > 0)
-
-
-def usable_at(mask: NDArray[np.bool_], pixels: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which pixels (N, 2) a mask leaves."""
-    height, width = mask.shape
-    columns = np.clip(pixels[:, 0].astype(np.intp), 0, width - 1)
-    rows = np.clip(pixels[:, 1].astype(np.intp), 0, height - 1)
-    return np.asarray(mask[rows, columns])

@@ -30,17 +30,6 @@ class TriangulatedTracks(NamedTuple):
     in_front: NDArray[np.bool_]
 
 
-def triangulate_rays(centers: ArrayLike, rays_world: ArrayLike) -> tuple[Array, float]:
-    """Return the point (3,) that is nearest to all rays by angle, and the widest parallax.
-
-    The parallax is the largest angle in radians between two of the rays (K, 3), which start at
-    the centers (K, 3) and are directions in the world. The point is NaN if no two rays have any.
-    """
-    num_rays = len(np.asarray(centers))
-    found = triangulate_tracks(centers, rays_world, np.zeros(num_rays, dtype=np.int64), 1)
-    return found.points[0], float(found.parallax_rad[0])
-
-
 def triangulate_tracks(
     centers: ArrayLike, rays: ArrayLike, track_index: ArrayLike, num_tracks: int
 ) -> TriangulatedTracks:

@@ -24,7 +24,6 @@ SCRIPTS = ("geometry.js", "table.js", "batch.js")
 MOST_ROWS = 20_000  # more make the page slow; with names of 100 letters they are 6 MB
 _LEAST_DOUBT = 1e-6  # nothing is more certain in a histogram
 _LARGE_SIGMA_DEG = 5.0  # of the direction of an ok pose: it hardly says where camera 2 is
-_MEANINGS = {str(status): sentence for status, sentence in STATUS_SENTENCES.items()}
 _PROBABILITIES = (0.0, 0.5, 0.9, 0.99, 0.999, 0.9999, 1.0)
 
 
@@ -164,6 +163,8 @@ def _warnings(rows: BatchRows) -> str:
                 f"<li>{_share(count, int(ok.sum()))} ok pairs {have} {escaped(each.what)}: "
                 f"{escaped(each.meaning)}.</li>"
             )
+    if not ok.any():
+        return "<p>No pair is ok.</p>"
     if not items:
         return "<p>Nothing: all have enough matches, parallax and certainty.</p>"
     return f"<ul>{''.join(items)}</ul>"

@@ -19,10 +19,16 @@ from epi360.jobs.image_set import ImageSet
 from epi360.jobs.matching import MatchRun, PairVerdict, load_matches
 from epi360.poses import Pose
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
-from epi360.report.match_table import CONTRADICTED, describe_level, rejection, verdict_reason
+from epi360.report.match_table import (
+    REJECTIONS,
+    describe_level,
+    groups_sentence,
+    rejection,
+    verdict_reason,
+)
 from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
-from epi360.report.text import describe_explanations
+from epi360.report.text import counted, describe_explanations
 from epi360.report.webgl import MISSING, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 
@@ -35,16 +41,6 @@ _PICTURE_SIZES = ((1600, 80), (1280, 78), (1024, 75), (768, 72), (512, 68), (384
 _MATCHES = 200_000
 _MOST_MATCHES, _FEWEST_MATCHES = 300, 20  # of one pair
 _SCALE = 65535  # places in a picture, and residuals up to three times the gate, are 16 bits
-# What is said of so many pairs, by the words of `rejection`.
-_REJECTIONS = {
-    "too_few_matches": "had too few matches",
-    "too_few_inliers": "had too few matches that agree with one pose",
-    "pure_rotation": "showed a camera that turned without moving",
-    "planar_ambiguous": "fitted two poses about equally well",
-    "concentrated_inliers": "had agreeing matches on too small a part of the sphere",
-    "unreadable_image": "had an image that could not be read",
-    CONTRADICTED: "did not fit other pairs",
-}
 _NAMED = 10  # images of one kind that the page names
 _GATE_SIGMAS = 3.0  # the residuals of a pair are coloured up to so many times its noise
 
@@ -58,13 +54,23 @@ class MapShown:
 
 
 def write_match_report(
-    path: PathLike, run: MatchRun, images: ImageSet, shown_map: MapShown | None = None
+    path: PathLike,
+    run: MatchRun,
+    images: ImageSet,
+    shown_map: MapShown | None = None,
+    *,
+    name: str | None = None,
 ) -> None:
-    """Write the report of `match_images` on a folder, or with the map that of `map_images`."""
-    write_file(path, match_page(run, images, shown_map).encode())
+    """Write the report of `match_images` on a folder, or with the map that of `map_images`.
+
+    ``name`` is that of the folder unless it is given, as where its images are a video's frames.
+    """
+    write_file(path, match_page(run, images, shown_map, name=name).encode())
 
 
-def match_page(run: MatchRun, images: ImageSet, shown_map: MapShown | None = None) -> Page:
+def match_page(
+    run: MatchRun, images: ImageSet, shown_map: MapShown | None = None, *, name: str | None = None
+) -> Page:
     """Return the page of a folder, with its map where it was mapped."""
     models = shown_map.models if shown_map else ()
     webgl = find_webgl_library() if models else None
@@ -82,7 +88,7 @@ def match_page(run: MatchRun, images: ImageSet, shown_map: MapShown | None = Non
         "pairs": _pair_records(run, graph, images, names),
         "scene": model_scene(models[0]) if models and webgl else None,
     }
-    title = f"{'Map' if shown_map else 'Pairs'} of {images.folder.resolve().name}"
+    title = f"{'Map' if shown_map else 'Pairs'} of {name or images.folder.resolve().name}"
     scene = _map_section(shown_map, len(names), webgl is not None) if shown_map else ""
     return Page(title, _body(title, run, images, scene), data, SCRIPTS, webgl)
 
@@ -144,50 +150,19 @@ its matches have a pose <i class="none"></i> no pose</p>
 def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> list[str]:
     """Return what became of the images and pairs of a folder, in whole sentences."""
     accepted = [verdict for verdict in run.verdicts if verdict.accepted]
-    sentences = [
-        f"{_count(len(run.images), 'image')} gave {_count(len(run.verdicts), 'pair')} ({run.how}), "
-        f"and {_count(len(accepted), 'pair')} {'is' if len(accepted) == 1 else 'are'} accepted."
-    ]
+    images, pairs = counted(len(run.images), "image"), counted(len(run.verdicts), "pair")
+    taken = f"{counted(len(accepted), 'pair')} {'is' if len(accepted) == 1 else 'are'} accepted"
+    sentences = [f"{images} gave {pairs} ({run.how}), and {taken}."]
     counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
-    if counts:
-        sentences += [
-            f"Of the others, {count} {_REJECTIONS.get(reason, f'got no pose: {reason}')}."
-            for reason, count in counts.most_common()
-        ]
-    sentences.append(_groups_sentence(run.images, accepted))
+    for words, count in counts.most_common():
+        refused = f"{'was' if count == 1 else 'were'} refused: {words}"
+        sentences.append(f"Of the others, {count} {REJECTIONS.get(words, refused)}.")
+    sentences.append(groups_sentence(run.images, accepted))
     not_used = sorted([*run.unreadable.items(), *skipped])
     sentences += [f"Not used: {name}: {why}." for name, why in not_used[:_NAMED]]
     if len(not_used) > _NAMED:
-        sentences.append(f"So many more were not used: {len(not_used) - _NAMED}.")
+        sentences.append(f"Not used: {len(not_used) - _NAMED} more.")
     return sentences + describe_level(run)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def _groups_sentence(names: Sequence[str], accepted: Sequence[PairVerdict]) -> str:
-    group_of = {name: name for name in names}
-
-    def root(name: str) -> str:
-        while group_of[name] != name:
-            group_of[name] = group_of[group_of[name]]
-            name = group_of[name]
-        return name
-
-    for verdict in accepted:
-        group_of[root(verdict.image1)] = root(verdict.image2)
-    sizes = Counter(root(name) for name in names)
-    groups = [size for size in sizes.values() if size > 1]
-    alone = len(names) - sum(groups)
-    if len(groups) == 1 and not alone:
-        return "The accepted pairs join all images."
-    if not groups:
-        return "No image is joined to another one."
-    joined = " and ".join(str(size) for size in sorted(groups, reverse=True)[:6])
-    what = f"one group of {joined}" if len(groups) == 1 else f"{len(groups)} groups of {joined}"
-    left = f" and leave {_count(alone, 'image')} alone" if alone else ""
-    return f"The accepted pairs join {what} images{left}."
 
 
 def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:

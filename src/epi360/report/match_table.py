@@ -10,7 +10,7 @@ from dataclasses import astuple
 import numpy as np
 
 from epi360.jobs.matching import MatchRun, PairVerdict
-from epi360.report.text import STATUS_SENTENCES, wrapped
+from epi360.report.text import STATUS_SENTENCES, counted, wrapped
 
 COLUMNS = (
     "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
@@ -20,7 +20,18 @@ COLUMNS = (
     "probability_motion", "probability_rival",
 )  # fmt: skip
 CONTRADICTED = "contradicted by other pairs"
+# What is said of so many pairs, by the words of `rejection`; other words say it by themselves.
+REJECTIONS = {
+    "too_few_matches": "had too few matches",
+    "too_few_inliers": "had too few matches that agree with one pose",
+    "pure_rotation": "showed a camera that turned without moving",
+    "planar_ambiguous": "fitted two poses about equally well",
+    "concentrated_inliers": "had agreeing matches on too small a part of the sphere",
+    "unreadable_image": "had an image that could not be read",
+    CONTRADICTED: "did not fit other pairs",
+}
 _MAX_LISTED = 10
+_GROUPS_NAMED = 6
 
 
 def pairs_csv(run: MatchRun) -> bytes:
@@ -70,11 +81,13 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
         inliers = np.median([verdict.num_inliers for verdict in accepted])
         rows.append(("", f"median of {inliers:.0f} inliers"))
     counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
-    rows += [("Rejected", f"{count} {status}") for status, count in counts.most_common()]
+    rows += [("Rejected", f"{count} {_rejected(words)}") for words, count in counts.most_common()]
     not_used = sorted([*run.unreadable.items(), *skipped])
     rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used])
     paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
     rows += _listed("No pair", [name for name in run.images if name not in paired])
+    if len(groups_of(run.images, accepted)) > 1:
+        rows.append(("Groups", groups_sentence(run.images, accepted)))
     lines = [wrapped(label, value) for label, value in rows]
     return "\n".join([*lines, *describe_level(run)])
 
@@ -86,9 +99,43 @@ def describe_level(run: MatchRun) -> list[str]:
     known = f"tilt {run.level.gravity_sigma_deg:.1f} degrees"
     if run.level.elevation_sigma_deg is not None:
         known += f", one height within {run.level.elevation_sigma_deg:.1f} degrees"
+    if not run.num_gained and not run.num_lost:
+        return [f"The panoramas are level ({known})."]
     gained = "1 more pair was" if run.num_gained == 1 else f"{run.num_gained} more pairs were"
     line = f"The panoramas are level ({known}): {gained} accepted with that"
     return [line + (f", {run.num_lost} not any more." if run.num_lost else ".")]
+
+
+def groups_of(names: Sequence[str], accepted: Sequence[PairVerdict]) -> list[int]:
+    """Sizes of the groups of images that accepted pairs join, the largest first."""
+    group_of = {name: name for name in names}
+
+    def root(name: str) -> str:
+        while group_of[name] != name:
+            group_of[name] = group_of[group_of[name]]
+            name = group_of[name]
+        return name
+
+    for verdict in accepted:
+        group_of[root(verdict.image1)] = root(verdict.image2)
+    sizes = Counter(root(name) for name in names)
+    return sorted((size for size in sizes.values() if size > 1), reverse=True)
+
+
+def groups_sentence(names: Sequence[str], accepted: Sequence[PairVerdict]) -> str:
+    """Whether accepted pairs join all images, as a sentence."""
+    groups = groups_of(names, accepted)
+    alone = len(names) - sum(groups)
+    if len(groups) == 1 and not alone:
+        return "The accepted pairs join all images."
+    if not groups:
+        return "No image is joined to another one."
+    joined = " and ".join(str(size) for size in groups[:_GROUPS_NAMED])
+    if len(groups) > _GROUPS_NAMED:
+        joined += " and fewer"
+    what = f"one group of {joined}" if len(groups) == 1 else f"{len(groups)} groups of {joined}"
+    left = f" and leave {counted(alone, 'image')} alone" if alone else ""
+    return f"The accepted pairs join {what} images{left}."
 
 
 def rejection(verdict: PairVerdict) -> str:
@@ -108,6 +155,10 @@ def verdict_reason(verdict: PairVerdict, run: MatchRun) -> str:
         return STATUS_SENTENCES[verdict.status]
     names = (verdict.image1, verdict.image2)
     return "; ".join(run.unreadable[name] for name in names if name in run.unreadable)
+
+
+def _rejected(words: str) -> str:
+    return f"{REJECTIONS[words]} ({words})" if words in REJECTIONS else words
 
 
 def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:

@@ -166,6 +166,8 @@ def _alternatives(result: RelativePoseResult) -> list[Evidence]:
 
 def _pose_words(pose: Pose) -> str:
     angle = rotation_axis_angle(pose.rotation)[1]
+    if not np.isfinite(pose.translation).all():
+        return f"a turn by {angle:.2f}°"
     where = describe_direction(-pose.rotation.T @ pose.translation).replace(" deg", "°")
     return f"a turn by {angle:.2f}°, with camera 2 at {where}"
 

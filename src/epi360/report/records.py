@@ -55,15 +55,15 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
         record["pixels"] = PIXEL_CONVENTION
         record["keypoints1"] = result.keypoints1
         record["keypoints2"] = result.keypoints2
-    return {key: _plain(value) for key, value in record.items()}
+    return {key: plain(value) for key, value in record.items()}
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:
     """Plain lists ``rotation`` (3 rows), ``quaternion_wxyz`` and ``translation``; NaN is None."""
     return {
-        "rotation": _plain(pose.rotation),
-        "quaternion_wxyz": _plain(pose.quaternion_wxyz),
-        "translation": _plain(pose.translation),
+        "rotation": plain(pose.rotation),
+        "quaternion_wxyz": plain(pose.quaternion_wxyz),
+        "translation": plain(pose.translation),
     }
 
 
@@ -71,8 +71,8 @@ def truth_record(pose: Pose, truth: Pose) -> dict[str, Any]:
     """Errors of an estimate beside the true pose, as plain values; NaN is None."""
     return {
         **pose_record(truth),
-        "rotation_error_deg": _plain(rotation_error_deg(pose, truth)),
-        "translation_error_deg": _plain(translation_error_deg(pose, truth)),
+        "rotation_error_deg": plain(rotation_error_deg(pose, truth)),
+        "translation_error_deg": plain(translation_error_deg(pose, truth)),
     }
 
 
@@ -93,13 +93,14 @@ def write_json(path: PathLike, record: Mapping[str, Any]) -> None:
     write_file(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Value that strict JSON can hold: arrays are lists, and what is not finite is None."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: plain(item) for key, item in value.items()}
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

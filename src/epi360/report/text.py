@@ -61,8 +61,14 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     rows = [("Status", describe_status(result.status))]
     rows += [("Warning", warning) for warning in result.warnings]
     rows += [*_pose_rows(result), *_evidence_rows(result)]
+    has_pose = bool(np.isfinite(result.E).all())
     for pose in result.alternatives:
-        rows.append(("Also fits", f"{_rotation_text(pose)}; t = {_vector_text(pose.translation)}"))
+        rows.append(
+            (
+                "Also fits" if has_pose else "Refused",
+                f"{_rotation_text(pose)}; t = {_vector_text(pose.translation)}",
+            )
+        )
     lines = [wrapped(label, value) for label, value in rows]
     if truth is not None:
         lines += ["", *_truth_lines(result.cam2_from_cam1, truth)]
@@ -220,6 +226,11 @@ def _probability_text(probability: float) -> str:
 
 def _sigma_text(sigma_deg: float) -> str:
     return f", 1 sigma {sigma_deg:.3f} deg" if np.isfinite(sigma_deg) else ""
+
+
+def counted(number: int, noun: str) -> str:
+    """A number with its noun."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def number_text(value: float, template: str) -> str:

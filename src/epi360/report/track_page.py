@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from epi360.odometry import FrameResult
 from epi360.report.html_page import Page, escaped, packed
 from epi360.report.model_scene import cloud_scene
+from epi360.report.text import counted
 from epi360.report.track_pictures import TrackPictures
 from epi360.report.track_words import (
     STATUS_MEANINGS,
@@ -156,11 +157,11 @@ def _body(title: str, run: TrackRun, *, has_scene: bool, has_webgl: bool) -> str
 
 
 def _view(has_scene: bool, has_webgl: bool) -> str:
-    chosen = """<figure class="chosen"><img alt="The chosen key frame">
+    chosen = """<figure class="chosen"><img alt="The chosen frame">
 <figcaption></figcaption><p class="bar"><button name="earlier">Previous picture</button>
 <button name="later">Next picture</button></p></figure>"""
     if not has_scene:
-        return f"<h2>The frames</h2>{chosen}"
+        return f"<h2>The pictures</h2>{chosen}"
     how = (
         "Drag to turn, scroll to zoom, and click a yellow camera to see its picture. Each key "
         "frame has its axes: x in red, y in green, z in blue. The grey line is the way of all "
@@ -178,7 +179,7 @@ def _legend(run: TrackRun) -> str:
     counts = run.counts
     items = "".join(
         f'<li><svg viewBox="0 0 14 14"><rect class="{status}" width="14" height="14"/></svg>'
-        f"<b>{status}</b>, {counts[status]} frames: {meaning}</li>"
+        f"<b>{status}</b>, {counted(counts[status], 'frame')}: {meaning}</li>"
         for status, meaning in STATUS_MEANINGS.items()
         if counts[status]
     )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.odometry.frame_result import FrameResult, FrameStatus
+from epi360.report.text import counted
 
 if TYPE_CHECKING:
     from epi360.jobs.track_job import TrackRun
@@ -61,7 +62,7 @@ def track_sentences(run: TrackRun) -> list[str]:
     num_tracked = run.counts["tracked"]
     ending = []
     if run.was_interrupted:
-        ending = [f"The run was interrupted after {_count(len(run.results), 'frame')}."]
+        ending = [f"The run was interrupted after {counted(len(run.results), 'frame')}."]
     if not num_tracked:
         return [
             *ending,
@@ -79,7 +80,7 @@ def track_sentences(run: TrackRun) -> list[str]:
         *ending,
         f"The camera was followed through {num_tracked} of {len(run.results)} frames, from frame "
         f"{first.index} on.{parts}",
-        f"The map has {_count(run.num_key_frames, 'key frame')} and {run.num_points} points.",
+        f"The map has {counted(run.num_key_frames, 'key frame')} and {run.num_points} points.",
         *_way_words(run.results),
         *_loop_words(run.results),
         *_stretch_words(run.results),
@@ -131,7 +132,3 @@ def _stretch_sentence(stretch: Stretch, results: Sequence[FrameResult]) -> str:
     inside = results[stretch.first : stretch.last + 1]
     said = next((each.message for each in inside if each.message), "")
     return f"{which} {are} {stretch.status}.{f' The log says of {said}.' if said else ''}"
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from typing import Any
 
 from epi360.extras import package_version
 from epi360.jobs.evaluation import Evaluation, PairErrors, Statistics
+from epi360.report.records import plain
 
 ALIGNMENTS = {
     "sim3": "Sim(3): rotation, translation and scale of the estimate are fitted",
@@ -107,7 +107,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
         "rotation_errors_deg": result.rotation_errors_deg.tolist(),
         "orientation_errors_deg": result.orientation_errors_deg.tolist(),
     }
-    return {key: _plain(value) for key, value in record.items()}
+    return {key: plain(value) for key, value in record.items()}
 
 
 def _pair_record(errors: PairErrors) -> dict[str, Any]:
@@ -120,13 +120,3 @@ def _pair_record(errors: PairErrors) -> dict[str, Any]:
         "paper_rotation_error": Statistics.of(errors.rotation_deg).mean / 180,
         "paper_translation_error": Statistics.of(errors.direction_deg).mean / 180,
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

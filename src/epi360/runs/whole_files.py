@@ -11,6 +11,7 @@ import re
 import secrets
 import shutil
 import socket
+import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -35,7 +36,8 @@ def write_file(path: PathLike | RemotePath, data: bytes) -> None:
         return
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():  # renaming would replace /dev/null
-        target.write_bytes(data)
+        with _named(path, target):
+            target.write_bytes(data)
         return
     with whole_file(path) as file:
         file.write(data)
@@ -114,6 +116,13 @@ def _named(path: PathLike, temporary: Path) -> Iterator[None]:
             raise  # the block reads another file
         reason = f"cannot write ({error.strerror or error})"
         raise OSError(error.errno, reason, os.fspath(path)) from error
+
+
+def scratch_folder() -> Path:
+    """New folder that only this user reads; if this process is killed, the next one removes it."""
+    folder = _temporary(Path(tempfile.gettempdir(), "scratch"))
+    folder.mkdir(mode=0o700)
+    return folder
 
 
 def _temporary(target: Path) -> Path:

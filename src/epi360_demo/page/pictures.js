@@ -44,6 +44,7 @@ const pictures = {
   async send(file, slot) {
     if (file.size > this.largest) {
       this.problem(slot, `${file.name} is larger than ${Math.round(this.largest / 2 ** 20)} MB, the limit.`);
+      fetch(`/pictures/${this.token}/${slot}`, { method: "DELETE" }).catch(() => {});
       return;
     }
     this.say(slot, `Sending ${file.name} …`);

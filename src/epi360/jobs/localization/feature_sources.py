@@ -9,17 +9,28 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.features import Features, ImageSource
-from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, find_keypoints
+from epi360.features import Features, ImageSource, read_mask
+from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, find_keypoints, usable_rows
 from epi360.interop.colmap_database import read_descriptors
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.descriptors import is_sift_bytes, unit_descriptors
-from epi360.interop.hloc_layout import HLOC_TO_CONTINUOUS, dataset, image_names, opened
+from epi360.interop.hloc_layout import (
+    HLOC_TO_CONTINUOUS,
+    dataset,
+    image_names,
+    opened,
+    own_group,
+    reading,
+)
 from epi360.jobs.feature_cache import keypoints_in_file
 from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
+
+Picture = NDArray[np.uint8]
+_REMEDY = "run epi360 map with this --output again"
 
 
 @dataclass(frozen=True)
@@ -40,9 +51,14 @@ class FeatureSource(Protocol):
         """Features of an image of the map; None if there are none."""
 
     def of_new(
-        self, image: ImageSource, camera: Camera, mask: ImageSource | None, nadir_deg: float
+        self,
+        picture: Picture,
+        camera: Camera,
+        mask: ImageSource | None,
+        nadir_deg: float,
+        path: str | None = None,
     ) -> Features:
-        """Features of a new image."""
+        """Features of a new image, whose file may lie at a path."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +68,14 @@ class _Extracting:
     settings: ExtractionSettings
 
     def of_new(
-        self, image: ImageSource, camera: Camera, mask: ImageSource | None, nadir_deg: float
+        self,
+        picture: Picture,
+        camera: Camera,
+        mask: ImageSource | None,
+        nadir_deg: float,
+        path: str | None = None,
     ) -> Features:
-        return _extracted(image, camera, mask, self.settings, nadir_deg)
+        return _extracted(picture, camera, mask, self.settings, nadir_deg)
 
 
 @dataclass(frozen=True)
@@ -68,24 +89,26 @@ class MatchedFolder(_Extracting):
     @classmethod
     def opened(cls, output: Path) -> MatchedFolder:
         """Read which key points the images of an output have, and how they were found."""
-        remedy = "run epi360 map with this --output again"
-        index = read_record(output / "images.json", remedy=remedy) or {}
-        made = (read_record(output / "epi360-match.json", remedy=remedy) or {}).get("options", {})
+        index = read_record(output / "images.json", remedy=_REMEDY) or {}
+        made = (read_record(output / "epi360-match.json", remedy=_REMEDY) or {}).get("options", {})
         try:
             keys = {image["name"]: image["key"] for image in index["images"]}
             settings = ExtractionSettings(
                 int(made["max_width"]), int(made["max_features"]), float(made["mask_nadir_deg"])
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{output / 'images.json'} is damaged: {error}; {remedy}") from None
+            raise ValueError(f"{output / 'images.json'} is damaged: {error}; {_REMEDY}") from None
         return cls(settings, output / "features", keys)
 
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
         if name not in self.keys:
             return None
-        found = keypoints_in_file(inside(self.folder, f"{self.keys[name]}.npz"))
-        return None if found is None else found.features()
+        path = inside(self.folder, f"{self.keys[name]}.npz")
+        found = keypoints_in_file(path)
+        if found is None:
+            raise ValueError(f"the features of {name} in {path} are missing or damaged; {_REMEDY}")
+        return found.features()
 
 
 @dataclass(frozen=True)
@@ -125,27 +148,31 @@ class HlocFile:
             return self._read(file, name) if name in file else None
 
     def of_new(
-        self, image: ImageSource, camera: Camera, mask: ImageSource | None, nadir_deg: float
+        self,
+        picture: Picture,
+        camera: Camera,
+        mask: ImageSource | None,
+        nadir_deg: float,
+        path: str | None = None,
     ) -> Features:
-        """Features of a new image; a mask is not used."""
+        """Features of a new image, by the end of its path."""
+        if path is None:
+            raise ValueError(f"{self.path} has features by the names of files, got an array")
+        usable = None if mask is None else read_mask(mask, picture.shape[:2])
         with opened(self.path) as file:
-            found = self._read(file, self._name_in(file, image))
-        kept = np.ones(len(found), dtype=bool)
-        if nadir_deg > 0.0:
-            down = camera.bearings_from_pixels(found.keypoints)[:, 1]
-            kept = down < np.cos(np.radians(nadir_deg))
-        return Features(found.keypoints[kept], found.descriptors[kept], found.sizes_px[kept])
+            found = self._read(file, self._name_in(file, Path(path).as_posix()))
+        return found.chosen(usable_rows(found.keypoints, camera, usable, nadir_deg))
 
-    def _name_in(self, file: Any, image: ImageSource) -> str:
-        path = Path(image).as_posix() if isinstance(image, str | Path) else ""
+    def _name_in(self, file: Any, path: str) -> str:
         names = image_names(file, self.path)
         fitting = [name for name in names if path == name or path.endswith(f"/{name}")]
         if not fitting:
-            raise ValueError(f"{self.path} has no features of {path or 'the image'}")
+            raise ValueError(f"{self.path} has no features of {path}")
         return max(fitting, key=len)
 
     def _read(self, file: Any, name: str) -> Features:
-        group = file[name]
+        with reading(self.path):
+            group = file[own_group(file, name, self.path)]
         keypoints = dataset(group, "keypoints", self.path)
         descriptors = dataset(group, "descriptors", self.path)
         if keypoints is None or descriptors is None or descriptors.ndim != 2:
@@ -156,7 +183,11 @@ class HlocFile:
                 f"got {descriptors.shape}"
             )
         pixels = keypoints[:, :2].astype(np.float64) + HLOC_TO_CONTINUOUS
-        return Features(pixels, unit_descriptors(descriptors.T), np.zeros(len(pixels)))
+        try:
+            units = unit_descriptors(descriptors.T)
+        except ValueError as error:
+            raise ValueError(f"{self.path}: {name}: {error}") from None
+        return Features(pixels, units, np.zeros(len(pixels)))
 
 
 @dataclass(frozen=True)

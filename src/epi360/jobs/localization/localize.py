@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
+from epi360.estimation.absolute_evidence import num_cells
+from epi360.estimation.absolute_result import no_pose
 from epi360.features import Features, ImageSource, read_image
 from epi360.features.image_cameras import find_camera
 from epi360.jobs.localization.map_matches import (
@@ -25,6 +28,7 @@ from epi360.jobs.localization.map_matches import (
     no_matches,
 )
 from epi360.jobs.localization.map_views import LocalizationMap
+from epi360.jobs.localization.other_places import Found, PoseOf, other_places, with_rival
 from epi360.poses import Pose
 from epi360.two_view import MAX_NOISE_PX, smallest_pixel_deg
 
@@ -36,8 +40,12 @@ _MIN_INLIERS, _SHARED_ERROR = 15, 1.0  # as for pairs of images
 _FIRST_VIEWS = 4  # that are looked at together, before twice as many
 _NUM_AROUND = 4  # further images of the map that the second look takes in
 _RADIUS_PX = 2.0  # of the second look, at least
-# A right pose shows more of the map's points than poses that are turned away.
+# A right pose shows more of the map's points than poses that are turned away; of those on rendered
+# homes the right ones at least five times as many.
 _LEAST_LIFT = 1.5
+# Of the cells with features, those with an inlier. In copies of a room (two rendered homes) wrong
+# poses reach 0.66; right ones have more where the map has seen the room from about there.
+_LEAST_COVERAGE = 0.7
 
 
 @dataclass(frozen=True)
@@ -150,17 +158,17 @@ def localize_image(
     Notes
     -----
     Four images of the map that look most alike are matched first, then more of them while the
-    verdict is not "ok". The pose then says where every point of these images and of those around
-    must be, and what looks alike there is matched as well; the pose is refined with all.
+    verdict is not "ok". Then the next ones that show other places are asked: where they explain
+    half as much of the view by another pose, the verdict is "ambiguous". The pose says where every
+    point of these images and of those around must be, and what looks alike there is matched as
+    well; the pose is refined with all, unless poses that are turned away show as much.
     """
     begun = time.perf_counter()
     picture = read_image(image)
     camera = _camera_of(image, picture, camera, world)
-    if isinstance(image, str) or hasattr(image, "__fspath__"):
-        features = world.source.of_new(image, camera, mask, options.mask_nadir_deg)
-    else:
-        features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg)
-    found = _localized(features, camera, world, frozenset(without), options)
+    path = os.fspath(image) if isinstance(image, str | os.PathLike) else None
+    features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg, path)
+    found = localize_features(features, camera, world, frozenset(without), options)
     return dataclasses.replace(found, seconds=time.perf_counter() - begun)
 
 
@@ -172,34 +180,48 @@ def _camera_of(
     except ValueError:
         height, width = picture.shape[:2]
         known = world.camera_of_size(width, height) if camera is None else None
-        if known is None:
+        if known in (None, Equirectangular(width, height)):  # the raw frame of a 360 camera
             raise
         return known
 
 
-def _localized(
+def localize_features(
     features: Features,
     camera: Camera,
     world: LocalizationMap,
     without: frozenset[str],
     options: LocalizationOptions,
 ) -> LocalizationResult:
+    """`localize_image` for an image whose features are known."""
     bearings = camera.bearings_from_pixels(features.keypoints)
+    # Features of another program may lie where a lens sees nothing.
+    is_seen = np.isfinite(bearings[:, 0])
+    features, bearings = features.chosen(is_seen), bearings[is_seen]
     ranked = [
         number
         for number in world.similar_views(features)
         if world.model.images[number].name not in without
     ][: options.max_views]
-    parts: list[MapMatches] = []
-    matches, result = no_matches(), _pose_of(no_matches(), bearings, camera, options, None)
-    while len(parts) < len(ranked):
-        more = ranked[len(parts) : max(2 * len(parts), _FIRST_VIEWS)]
-        parts += [matches_with(world.view(number), number, features) for number in more]
-        matches = joined(parts)
-        result = _robust_pose(matches, parts, bearings, camera, options)
-        if result.success:
-            break
-    views = _names_by_inliers(world, ranked[: len(parts)], matches, result)
+    parts: dict[int, MapMatches] = {}
+
+    def matched(numbers: Sequence[int]) -> list[MapMatches]:
+        for number in numbers:
+            if number not in parts:
+                parts[number] = matches_with(world.view(number), number, features)
+        return [parts[number] for number in numbers]
+
+    def pose_of(matches: MapMatches, guess: Pose | None = None) -> AbsolutePoseResult:
+        return _pose_of(matches, bearings, camera, options, guess)
+
+    found = Found(pose_of(no_matches()), no_matches())
+    while len(parts) < len(ranked) and not found.result.success:
+        looked_at = matched(ranked[: max(2 * len(parts), _FIRST_VIEWS)])
+        matches = joined(looked_at)
+        found = Found(_robust_pose(matches, looked_at, pose_of), matches)
+    if found.result.success:
+        found = with_rival(found, matched(other_places(world, found, ranked)), bearings, pose_of)
+    result, matches = found.result, found.matches
+    views = _names_by_inliers(world, list(parts), matches, result)
     if not result.success:
         return _with_matches(result, matches, features, camera, views, len(matches))
     second = _second_look(world, matches, result, features, bearings, camera)
@@ -207,20 +229,16 @@ def _localized(
 
 
 def _robust_pose(
-    matches: MapMatches,
-    parts: Sequence[MapMatches],
-    bearings: Array,
-    camera: Camera,
-    options: LocalizationOptions,
+    matches: MapMatches, parts: Sequence[MapMatches], pose_of: PoseOf
 ) -> AbsolutePoseResult:
     """Pose from all matches; where that fails, from where the best single image leads."""
-    result = _pose_of(matches, bearings, camera, options, None)
+    result = pose_of(matches, None)
     if result.status != "too_few_inliers":
         return result
     for part in sorted(parts, key=len, reverse=True)[:_FIRST_VIEWS]:
-        alone = _pose_of(part, bearings, camera, options, None)
+        alone = pose_of(part, None)
         if alone.success:
-            return _pose_of(matches, bearings, camera, options, alone.cam_from_world)
+            return pose_of(matches, alone.cam_from_world)
     return result
 
 
@@ -273,6 +291,10 @@ def _refined(
     options: LocalizationOptions,
 ) -> LocalizationResult:
     """Pose from the matches of both looks, with the verdict on the first."""
+    if second.seen_share < _LEAST_LIFT * second.chance_share:
+        refused = _refused(result, second)
+        shown = _with_matches(refused, matches, features, camera, views, len(matches))
+        return _with_shares(shown, second)
     both = joined([matches.chosen(result.inlier_mask), second.matches])
     final = _pose_of(both, bearings, camera, options, result.cam_from_world)
     if final.success and final.num_inliers >= result.num_inliers:
@@ -281,17 +303,36 @@ def _refined(
     else:
         final, used = result, matches
     shown = _with_matches(final, used, features, camera, views, len(matches))
-    warnings = shown.warnings
-    if second.seen_share < _LEAST_LIFT * second.chance_share:
-        warnings += (
-            f"the image shows {second.seen_share:.0%} of the points that the map expects, hardly "
-            "more than by chance: the place has changed, or is another one that looks alike",
-        )
+    cells = num_cells(bearings[used.rows[shown.inlier_mask]])
+    warnings = shown.warnings + _doubts(cells, num_cells(bearings))
+    return dataclasses.replace(_with_shares(shown, second), warnings=warnings)
+
+
+def _with_shares(result: LocalizationResult, second: SecondLook) -> LocalizationResult:
     return dataclasses.replace(
-        shown,
-        seen_share=second.seen_share,
-        chance_share=second.chance_share,
-        warnings=warnings,
+        result, seen_share=second.seen_share, chance_share=second.chance_share
+    )
+
+
+def _refused(result: AbsolutePoseResult, second: SecondLook) -> AbsolutePoseResult:
+    """No pose, because the image shows no more of what the map expects than by chance."""
+    beyond_chance = max(0.0, 1.0 - second.chance_share / max(second.seen_share, 1e-9))
+    return dataclasses.replace(
+        no_pose(len(result.inlier_mask), "too_few_inliers"),
+        probability=result.probability * beyond_chance,
+        alternatives=(result.cam_from_world,),
+        noise_deg=result.noise_deg,
+        inlier_threshold_deg=result.inlier_threshold_deg,
+    )
+
+
+def _doubts(cells: int, cells_of_features: int) -> tuple[str, ...]:
+    """A sentence where a right pose in an unchanged place would explain more of the view."""
+    if cells >= _LEAST_COVERAGE * cells_of_features:
+        return ()
+    return (
+        f"the map explains {cells} of {cells_of_features} parts of the view: it knows little of "
+        "the rest, the place has changed, or it is another one that looks alike",
     )
 
 

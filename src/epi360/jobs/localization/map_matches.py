@@ -70,11 +70,6 @@ def joined(parts: Sequence[MapMatches]) -> MapMatches:
 
 def matches_with(view: MapView, number: int, features: Features) -> MapMatches:
     """Matches by descriptors alone, where the image of the map knows the point."""
-    if view.features.descriptors.shape[1:] != features.descriptors.shape[1:]:
-        raise ValueError(
-            f"the features of {view.name} have {view.features.descriptors.shape[1]} numbers, those "
-            f"of the new image {features.descriptors.shape[1]}: they are not of one kind"
-        )
     # Only features with a point: a third of the work.
     matches = match_features(view.known, features)
     return _of_view(view, number, view.rows[matches[:, 0]], matches[:, 1])

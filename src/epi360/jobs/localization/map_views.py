@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -22,9 +23,13 @@ from epi360.poses import Pose
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _VIEWS_IN_MEMORY = 64  # of 6 MB each
 _TO_SAME_PIXEL = 0.02  # px: key points in single precision
-_FEWEST_FOUND = 0.5  # share of an image's observations that must be key points of its features
+# Share of an image's observations that must be key points of its features, and of the images that
+# must have features.
+_FEWEST_FOUND = 0.5
+_NO_FEATURES = Features(np.zeros((0, 2)), np.zeros((0, 0), np.float32), np.zeros(0))
 # For features without points: images that see most of the same points, and how well rays meet.
 _NUM_NEIGHBOURS = 5
 _MEETING_RAD, _LEAST_PARALLAX_RAD = 0.006, 0.01
@@ -51,10 +56,7 @@ class MapView:
     @cached_property
     def known(self) -> Features:
         """Those features."""
-        found = self.features
-        return Features(
-            found.keypoints[self.rows], found.descriptors[self.rows], found.sizes_px[self.rows]
-        )
+        return self.features.chosen(self.rows)
 
 
 class LocalizationMap:
@@ -67,6 +69,9 @@ class LocalizationMap:
         seen = model.observations
         if seen is None or not len(model.points):
             raise ValueError(f"{name} has no points with observations; triangulate them first")
+        places = [image.cam_from_world.translation for image in model.images]
+        if max(np.abs(each).max(initial=0.0) for each in (model.points, places)) > _LARGEST:
+            raise ValueError(f"{name} must have coordinates of {_LARGEST:g} at most, got more")
         self.model = model
         self.name = name
         self.source = source
@@ -107,16 +112,18 @@ class LocalizationMap:
         """
         if not len(features):
             return []
-        found = self._index.most_similar(features.descriptors)
-        return [self._with_points[k] for k in found]
+        index, numbers = self._index
+        return [numbers[k] for k in index.most_similar(features.descriptors)]
 
-    def covisible(self, number: int) -> list[int]:
+    def covisible(self, number: int, least: int = 1) -> list[int]:
         """Other images that see points of an image, those with most of them first.
 
         Parameters
         ----------
         number : int
             Row of the image in the model.
+        least : int
+            Points that both must see.
         """
         seen = self.model.observations
         assert seen is not None
@@ -124,38 +131,40 @@ class LocalizationMap:
         counts = np.bincount(seen.images[shown], minlength=len(self.model.images))
         counts[number] = 0
         order = np.argsort(-counts, kind="stable")
-        return [int(k) for k in order[: np.count_nonzero(counts)]]
+        return [int(k) for k in order[: np.count_nonzero(counts >= max(least, 1))]]
 
     @cached_property
-    def _with_points(self) -> list[int]:
-        return [number for number, rows in enumerate(self._observations) if len(rows)]
+    def _index(self) -> tuple[ViewIndex, list[int]]:
+        """Index of the images that have points and features, and their numbers."""
+        with_points = [number for number, rows in enumerate(self._observations) if len(rows)]
+        numbers: list[int] = []
 
-    @cached_property
-    def _index(self) -> ViewIndex:
-        return ViewIndex(self._described(number) for number in self._with_points)
+        def descriptors() -> Iterator[NDArray[np.float32]]:
+            for number in with_points:
+                if len(found := self._features(number).descriptors):
+                    numbers.append(number)
+                    yield found
+            if len(numbers) < _FEWEST_FOUND * len(with_points):
+                lost = self.model.images[min(set(with_points) - set(numbers))].name
+                others = len(with_points) - len(numbers) - 1
+                raise ValueError(
+                    f"{self.name} has no features of {lost} and {others} other images; give the "
+                    "folder of its images (--images)"
+                )
 
-    def _described(self, number: int) -> NDArray[np.float32]:
-        """Descriptors of what the map knows: of all features where none has a point yet."""
-        if not self.source.are_of_the_points:
-            return self._features(number).descriptors
-        return self.view(number).known.descriptors
+        return ViewIndex(descriptors()), numbers
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]
-        found = self.source.of_map(image.name, self._camera(number))
-        if found is None:
-            raise ValueError(
-                f"{self.name} has no features of {image.name}; give the folder of its images "
-                "(--images)"
-            )
-        return found
+        # An image that was localized in the map may have none: nothing is matched with it.
+        return self.source.of_map(image.name, self._camera(number)) or _NO_FEATURES
 
     def _camera(self, number: int) -> Camera:
         return self.model.cameras[str(self.model.images[number].camera)]
 
     def _view(self, number: int) -> MapView:
         features = self._features(number)
-        if self.source.are_of_the_points:
+        if self.source.are_of_the_points or not len(features):
             points, covariances, ids = self._points_of_model(number, features)
         else:
             points, covariances, ids = self._points_of_rays(number, features)

@@ -84,7 +84,9 @@ def model_with(
     for name, result in results.items():
         if not result.success:
             continue
-        names[name] = f"{_NEW}/{name}" if name in taken else name
+        names[name] = name
+        while names[name] in taken:
+            names[name] = f"{_NEW}/{names[name]}"
         taken.add(names[name])
         camera = _camera_name(cameras, result.camera)
         kept = _observed(result, len(model.points))

@@ -39,8 +39,9 @@ def point_covariances(model: Reconstruction) -> Array:
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     np.add.at(information, seen.points, across / (distances * max(noise, 1e-9))[:, None, None] ** 2)
     values, vectors = np.linalg.eigh(information)
-    largest = np.maximum(values[:, -1:], 1e-300)
-    inverse = np.where(values > 0.0, 1.0 / np.maximum(values, _RELATIVE_FLOOR * largest), 0.0)
+    largest = values[:, -1:]
+    least = np.maximum(values, _RELATIVE_FLOOR * largest)  # rounding may leave less than nothing
+    inverse = np.divide(1.0, least, out=np.zeros_like(values), where=largest > 0.0)
     return np.asarray((vectors * inverse[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 

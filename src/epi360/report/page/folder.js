@@ -16,6 +16,7 @@ class Folder {
     this.text = document.querySelector("input[name=text]");
     this.verdict = document.querySelector("select[name=verdict]");
     this.dialog = document.querySelector("dialog");
+    this.names = new Set(data.images.map(({ name }) => name.toLowerCase()));
     this.table = new SortedTable(document.querySelector(".table"), {
       titles: COLUMNS, rows: data.pairs, noun: "pairs",
       values: (pair) => this.values(pair),
@@ -37,7 +38,10 @@ class Folder {
 
   _passes(pair, values) {
     const wanted = this.text.value.toLowerCase(), kind = this.verdict.value;
-    return (!kind || pair.kind === kind) && `${values[0]} ${pair.reason}`.toLowerCase().includes(wanted);
+    if (kind && pair.kind !== kind) return false;
+    // The whole name of an image means this image: 1.png is not 11.png.
+    if (this.names.has(wanted)) return [pair.i, pair.j].some((i) => this.name(i).toLowerCase() === wanted);
+    return `${values[0]} ${pair.reason}`.toLowerCase().includes(wanted);
   }
 
   _row(pair, values, index) {

@@ -11,7 +11,8 @@ class Track {
     this.camera_of = new Map(data.cameras.map((frame, k) => [frame, k]));
     this.says = document.querySelector(".says");
     this.shown = document.querySelector(".chosen");
-    const { statuses, keys, loops, curves } = data;
+    const { statuses, keys, loops } = data;
+    const curves = data.curves.filter(({ values }) => values.some((value) => value !== null));
     this.timeline = new Timeline(document.querySelector(".timeline"), { statuses, keys, loops, curves },
       (frame) => (this.says.textContent = this.words(frame)), (frame) => this.select(frame));
     this._thumbnails();
@@ -19,7 +20,9 @@ class Track {
     for (const [name, by] of [["earlier", -1], ["later", 1]])
       document.querySelector(`button[name=${name}]`).addEventListener("click", () => this._step(by));
     if (data.scene) this._scene();
-    if (data.cameras.length) this.select(data.cameras[0]);
+    this.shown.hidden = !data.pictures.length;
+    const first = data.cameras[0] ?? this.keys[0];
+    if (first !== undefined) this.select(first);
   }
 
   async _scene() {
