@@ -4,6 +4,7 @@
 #include <nanobind/stl/string.h>
 
 #include <algorithm>
+#include <limits>
 #include <vector>
 
 #include "bindings/arrays.h"
@@ -47,20 +48,20 @@ nb::tuple refine_binding(Bearings b1, Bearings b2, Matrix3 R, Vector3 t,
   options.max_iterations = max_iterations;
   RefineResult result;
   RefineWorkspace workspace;
-  std::vector<double> residuals(m.padded), in_front(m.padded);
+  std::vector<double> residuals(m.padded), margins(m.padded);
   const RelativePose start = to_pose(R, t);
   {
     nb::gil_scoped_release unlocked;
     if (options.loss.loss == Loss::kMixture && !(scale > 0.0)) {
-      compute_residuals(m, options.residual, plain(start), 0.0, residuals.data(), in_front.data());
-      std::fill(in_front.begin(), in_front.end(), 1.0);
-      options.loss = fit_mixture(m, residuals.data(), in_front.data(), options.loss.outlier_density,
-                                 options.smallest_scale);
+      compute_residuals(m, options.residual, plain(start), residuals.data(), margins.data());
+      options.loss =
+          fit_mixture(m, residuals.data(), margins.data(), std::numeric_limits<double>::infinity(),
+                      options.loss.outlier_density, options.smallest_scale);
     }
     result = refine(m, start, options, workspace);
     set_statistics(m, workspace, result);
-    compute_residuals(m, options.residual, plain(result.cam2_from_cam1), 0.0, residuals.data(),
-                      in_front.data());
+    compute_residuals(m, options.residual, plain(result.cam2_from_cam1), residuals.data(),
+                      margins.data());
   }
   residuals.resize(m.size);
   return nb::make_tuple(
@@ -123,9 +124,9 @@ NB_MODULE(_core, m) {
         check_jacobians(residual_named(kind), matches);
         const RelativePose pose = to_pose(R, t);
         const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
-        std::vector<double> r(matches.padded), in_front(matches.padded), J(5 * matches.padded);
-        compute_jacobians(matches, residual_named(kind), plain(pose), basis.data(), 0.0, r.data(),
-                          in_front.data(), J.data());
+        std::vector<double> r(matches.padded), margins(matches.padded), J(5 * matches.padded);
+        compute_jacobians(matches, residual_named(kind), plain(pose), basis.data(), r.data(),
+                          margins.data(), J.data());
         std::vector<double> rows;
         for (std::size_t i = 0; i < matches.size; ++i) {
           for (std::size_t k = 0; k < 5; ++k) rows.push_back(J[k * matches.padded + i]);

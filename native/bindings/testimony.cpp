@@ -39,8 +39,8 @@ void bind_testimony(nb::module_& m) {
         const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
         Linearisation at;
         at.resize(m.padded);
-        compute_jacobians(m, Residual::kSampson, plain(pose), basis.data(), 1.0,
-                          at.residuals.data(), at.in_front.data(), at.jacobian.data());
+        compute_jacobians(m, Residual::kSampson, plain(pose), basis.data(), at.residuals.data(),
+                          at.margins.data(), at.jacobian.data());
         std::copy(m.weight.begin(), m.weight.end(), at.weights.begin());
         const Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance =
             shared_error_covariance(m, pose, at, scale, least);

@@ -72,15 +72,15 @@ class Linearisation {
         weights_(weights),
         reweight_(reweight),
         residuals_(m.padded),
-        in_front_(m.padded),
+        margins_(m.padded),
         jacobian_(5 * m.padded) {}
 
   // Moves here; returns the cost.
   double move_to(const RelativePose& pose) {
     basis = tangent_basis(pose.t.normalized());
     const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> rows = basis;
-    compute_jacobians(m_, Residual::kPaper, plain_unit(pose), rows.data(), 0.0, residuals_.data(),
-                      in_front_.data(), jacobian_.data());
+    compute_jacobians(m_, Residual::kPaper, plain_unit(pose), rows.data(), residuals_.data(),
+                      margins_.data(), jacobian_.data());
     if (reweight_ != Weighting::kNone) {
       residual_weights(m_, residuals_.data(), reweight_, weights_.data());
     }
@@ -95,8 +95,7 @@ class Linearisation {
   }
   // Under the weights of the last move.
   double cost_at(const RelativePose& pose) {
-    compute_residuals(m_, Residual::kPaper, plain_unit(pose), 0.0, residuals_.data(),
-                      in_front_.data());
+    compute_residuals(m_, Residual::kPaper, plain_unit(pose), residuals_.data(), margins_.data());
     return weighted_squares(m_, residuals_.data(), weights_.data());
   }
   typename Chart::Vector step(double damping) const {
@@ -113,7 +112,7 @@ class Linearisation {
   const Matches& m_;
   std::vector<double>& weights_;
   Weighting reweight_;
-  std::vector<double> residuals_, in_front_, jacobian_;
+  std::vector<double> residuals_, margins_, jacobian_;
   Eigen::Matrix<double, Chart::kSize, Chart::kSize> hessian_;
   typename Chart::Vector gradient_;
 };

@@ -57,14 +57,14 @@ void set_shares(const double* in_part, double count, LossModel& loss) {
 
 double scale_evidence(const LossModel& mixture) { return 5.0 * std::log(mixture.scale); }
 
-LossModel fit_mixture(const Matches& m, const double* residuals, const double* in_front,
-                      double outlier_density, double smallest_scale) {
+LossModel fit_mixture(const Matches& m, const double* residuals, const double* margins,
+                      double tolerance, double outlier_density, double smallest_scale) {
   static const BinTable table;
   std::array<double, kBins> counts{};
   double total = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     total += m.weight[i];
-    if (in_front[i] < 0.5 || !std::isfinite(residuals[i])) continue;
+    if (!(margins[i] > -tolerance) || !std::isfinite(residuals[i])) continue;
     const double octave = std::log2(std::abs(residuals[i]) / kFirstBin + 1e-30);
     const int b = static_cast<int>(kBinsPerOctave * octave);
     if (b < kBins) counts[std::max(b, 0)] += m.weight[i];

@@ -17,8 +17,9 @@ void set_shares(const double* in_part, double count, LossModel& loss);
 double scale_evidence(const LossModel& mixture);
 
 // Scale and shares of the mixture that make these residuals most likely, from a grid of scales:
-// where the iteration starts. residuals and in_front have m.padded entries.
-LossModel fit_mixture(const Matches& m, const double* residuals, const double* in_front,
-                      double outlier_density, double smallest_scale);
+// where the iteration starts. residuals and margins have m.padded entries; a match behind a camera
+// by more than `tolerance` belongs to the uniform part.
+LossModel fit_mixture(const Matches& m, const double* residuals, const double* margins,
+                      double tolerance, double outlier_density, double smallest_scale);
 
 }  // namespace epi360

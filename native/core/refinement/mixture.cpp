@@ -32,13 +32,16 @@ EPI360_INLINE Model prepared(const LossModel& m) {
   return out;
 }
 
-EPI360_INLINE MixtureParts parts_at(double residual, double in_front, const Model& m) {
+// near_miss: share of the wider Gaussians that is left to a match behind a camera, 0 or 1.
+EPI360_INLINE MixtureParts parts_at(double residual, bool in_front, double near_miss,
+                                    const Model& m) {
   MixtureParts p;
-  double e = vector_exp(residual * residual * m.factor) * in_front;
+  double e = vector_exp(residual * residual * m.factor) * (in_front ? 1.0 : near_miss);
   for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
     p.gaussian[k] = m.height[k] * e;
     for (int squaring = 0; squaring < 4; ++squaring) e *= e;
   }
+  p.gaussian[0] = in_front ? p.gaussian[0] : 0.0;
   p.uniform = m.uniform;
   return p;
 }
@@ -56,8 +59,8 @@ EPI360_INLINE double total_of(const LaneSum& s) { return lane_sum(s.lane); }
 
 template <bool unit>
 EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
-                                    const double* in_front, const LossModel& loss,
-                                    double* weights) {
+                                    const double* margins, double tolerance, double near_miss,
+                                    const LossModel& loss, double* weights) {
   const Model model = prepared(loss);
   LaneSum part[LossModel::kGaussians], squares, count, log_density;
   double weight[kBlock], total[kBlock];
@@ -66,7 +69,7 @@ EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
         const std::size_t j = group + lane, i = start + j;
         const double r = residuals[i], own = m.weight[i];
-        const MixtureParts p = parts_at(r, in_front[i], model);
+        const MixtureParts p = parts_at(r, margins[i] > -tolerance, near_miss, model);
         const double all = p.total(), share = own / all;
         for (int k = 0; k < LossModel::kGaussians; ++k) part[k].lane[lane] += share * p.gaussian[k];
         weight[j] = share * precision_of(p.gaussian);
@@ -98,21 +101,25 @@ EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
 }  // namespace
 
 EPI360_MULTIVERSION
-MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* in_front,
-                         const LossModel& model, double* weights) {
-  return m.unit_weights ? pass_loop<true>(m, residuals, in_front, model, weights)
-                        : pass_loop<false>(m, residuals, in_front, model, weights);
+MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* margins,
+                         double tolerance, bool may_be_near_miss, const LossModel& model,
+                         double* weights) {
+  const double near_miss = may_be_near_miss ? 1.0 : 0.0;
+  return m.unit_weights
+             ? pass_loop<true>(m, residuals, margins, tolerance, near_miss, model, weights)
+             : pass_loop<false>(m, residuals, margins, tolerance, near_miss, model, weights);
 }
 
 EPI360_MULTIVERSION
-double geman_mcclure_pass(const Matches& m, const double* residuals, const double* in_front,
-                          double scale, double* weights) {
+double geman_mcclure_pass(const Matches& m, const double* residuals, const double* margins,
+                          double tolerance, double scale, double* weights) {
   const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;
   LaneSum cost;
   for (std::size_t start = 0; start < m.padded; start += kLanes) {
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
       const std::size_t i = start + lane;
-      const double s = residuals[i] * residuals[i], own = m.weight[i], front = in_front[i];
+      const double s = residuals[i] * residuals[i], own = m.weight[i];
+      const double front = margins[i] > -tolerance ? 1.0 : 0.0;
       const double d = 1.0 / (1.0 + s * inverse);
       weights[i] = own * d * d * front;
       cost.lane[lane] += own * (s * d * front + squared_scale * (1.0 - front));

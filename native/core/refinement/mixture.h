@@ -16,13 +16,15 @@ struct MixtureSums {
   double log_likelihood;
 };
 
-// residuals, in_front and weights: m.padded entries. A match with in_front 0 belongs to the uniform
-// part whatever its residual.
-MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* in_front,
-                         const LossModel& model, double* weights);
+// residuals, margins (see residuals.h) and weights: m.padded entries. A match behind a camera by
+// more than `tolerance` is no inlier whatever its residual; it may be a near miss, or else belongs
+// to the uniform part.
+MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* margins,
+                         double tolerance, bool may_be_near_miss, const LossModel& model,
+                         double* weights);
 
 // Weights and cost of the Geman-McClure loss, also as one pass.
-double geman_mcclure_pass(const Matches& m, const double* residuals, const double* in_front,
-                          double scale, double* weights);
+double geman_mcclure_pass(const Matches& m, const double* residuals, const double* margins,
+                          double tolerance, double scale, double* weights);
 
 }  // namespace epi360

@@ -2,6 +2,7 @@
 #include "core/refinement/refine.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "core/refinement/fit_mixture.h"
 #include "core/refinement/mixture.h"
@@ -10,6 +11,8 @@
 namespace epi360 {
 namespace {
 
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kSameTolerance = 1e-2;  // of depths: relative change that counts as none
 constexpr double kSettled = 3e-3;  // change of scale (relative) and shares that counts as none
 
 RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& basis,
@@ -20,16 +23,22 @@ RelativePose moved(const RelativePose& pose, const Eigen::Matrix<double, 3, 2>& 
   return next;
 }
 
+double tolerance_of(const RefineOptions& options, const LossModel& loss) {
+  return options.behind == Behind::kAsOthers ? kInfinity : depth_tolerance(loss.scale);
+}
+
 // Weights of all matches and what they cost together; the user's weights multiply both.
-void weigh_matches(const Matches& m, const LossModel& loss, Linearisation& at) {
+void weigh_matches(const Matches& m, const RefineOptions& options, const LossModel& loss,
+                   Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
-    at.sums = mixture_pass(m, at.residuals.data(), at.in_front.data(), loss, at.weights.data());
+    at.sums = mixture_pass(m, at.residuals.data(), at.margins.data(), at.tolerance,
+                           options.behind == Behind::kNearMiss, loss, at.weights.data());
     at.objective = -at.sums.log_likelihood;
     return;
   }
   if (loss.loss == Loss::kGemanMcClure) {
-    at.objective = geman_mcclure_pass(m, at.residuals.data(), at.in_front.data(), loss.scale,
-                                      at.weights.data());
+    at.objective = geman_mcclure_pass(m, at.residuals.data(), at.margins.data(), at.tolerance,
+                                      loss.scale, at.weights.data());
     return;
   }
   at.objective = 0.0;
@@ -43,7 +52,7 @@ void weigh_matches(const Matches& m, const LossModel& loss, Linearisation& at) {
 // The same, with what the prior costs in the unit of the loss.
 void weigh(const Matches& m, const RefineOptions& options, const LossModel& loss,
            const RelativePose& pose, Linearisation& at) {
-  weigh_matches(m, loss, at);
+  weigh_matches(m, options, loss, at);
   const double unit = loss.loss == Loss::kMixture ? 1.0 : 2.0 * loss.scale * loss.scale;
   if (options.prior.has_gravity) at.objective += unit * options.prior.cost(pose);
 }
@@ -71,9 +80,9 @@ bool changed(const LossModel& before, const LossModel& after) {
 void linearise(const Matches& m, const RefineOptions& options, const LossModel& loss,
                const RelativePose& pose, Linearisation& at) {
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
-  const double tolerance = options.use_depths ? depth_tolerance(loss.scale) : 1e300;
-  compute_jacobians(m, options.residual, plain(pose), basis.data(), tolerance, at.residuals.data(),
-                    at.in_front.data(), at.jacobian.data());
+  compute_jacobians(m, options.residual, plain(pose), basis.data(), at.residuals.data(),
+                    at.margins.data(), at.jacobian.data());
+  at.tolerance = tolerance_of(options, loss);
   weigh(m, options, loss, pose, at);
 }
 
@@ -89,7 +98,7 @@ PlainPose plain(const RelativePose& pose) {
 }
 
 void Linearisation::resize(std::size_t padded) {
-  for (auto* array : {&residuals, &in_front, &weights}) array->resize(padded);
+  for (auto* array : {&residuals, &margins, &weights}) array->resize(padded);
   jacobian.resize(5 * padded);
 }
 
@@ -166,6 +175,13 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     // Without a step that lowers the cost it is a minimum to working precision.
     result.converged = !accepted || step.norm() < options.step_tolerance;
     if (result.converged) break;
+  }
+  // On the way the tolerance may be that of an earlier scale. Likelihoods can be compared only if
+  // each is that of its own scale.
+  const double tolerance = tolerance_of(options, result.loss);
+  if (std::abs(tolerance - w.current.tolerance) > kSameTolerance * tolerance) {
+    w.current.tolerance = tolerance;
+    fresh = false;
   }
   if (!fresh) weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
   result.cost = w.current.objective;

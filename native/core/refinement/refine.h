@@ -29,11 +29,15 @@ inline Eigen::Matrix<double, 5, 5> symmetric(const double* upper) {
   return matrix;
 }
 
+// What a match is whose point lies behind a camera by more than noise explains: like any other; an
+// outlier; or, under the mixture, a near miss or an outlier, but no inlier.
+enum class Behind { kAsOthers, kOutlier, kNearMiss };
+
 struct RefineOptions {
   Residual residual = Residual::kSampson;
   LossModel loss;
   PosePrior prior;
-  bool use_depths = false;  // a match behind a camera is an outlier (bounded losses only)
+  Behind behind = Behind::kAsOthers;  // bounded losses only
   double smallest_scale = kSmallestScale;
   double largest_scale = 0.06;  // radians: with more noise than that nothing is an outlier
   int max_iterations = 100;
@@ -55,7 +59,8 @@ struct RefineResult {
 
 // All matches at one pose: residuals, depths, derivatives, and their weights under a loss.
 struct Linearisation {
-  std::vector<double> residuals, in_front, weights, jacobian;
+  std::vector<double> residuals, margins, weights, jacobian;
+  double tolerance = 0.0;  // parallax of the wrong sign that noise explains, radians
   double objective = 0.0;  // cost, or the negative log-likelihood of a mixture
   MixtureSums sums{};      // of a mixture
   void resize(std::size_t padded);

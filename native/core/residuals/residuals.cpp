@@ -74,29 +74,29 @@ EPI360_INLINE double squared_denominator(const Matches& m, const PlainPose& p, c
 
 // Results go through local blocks: see block_sum.h.
 template <Residual kind>
-EPI360_INLINE void residual_loop(const Matches& m, const PlainPose& pose, double tolerance,
-                                 double* residuals, double* in_front) {
+EPI360_INLINE void residual_loop(const Matches& m, const PlainPose& pose, double* residuals,
+                                 double* margins) {
   const PlainPose p = pose;
   double r[kBlock], f[kBlock];
   for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
       const Geometry g = geometry_of(m, p, start + j);
       r[j] = g.C / std::sqrt(at_least(squared_denominator<kind>(m, p, g, start + j)));
-      f[j] = depth_margin(g) > -tolerance ? 1.0 : 0.0;
+      f[j] = depth_margin(g);
     }
     std::copy(r, r + kBlock, residuals + start);
-    std::copy(f, f + kBlock, in_front + start);
+    std::copy(f, f + kBlock, margins + start);
   }
 }
 
 // With s = C D^(-1/2): ds = D^(-1/2) (dC - C dD / (2 D)).
 struct JacobianRow {
-  double residual, in_front, J[5];
+  double residual, margin, J[5];
 };
 
 template <Residual kind>
 EPI360_INLINE JacobianRow jacobian_row(const Matches& m, const PlainPose& p, const double* B,
-                                       double tolerance, std::size_t i) {
+                                       std::size_t i) {
   const Geometry g = geometry_of(m, p, i);
   // Gradients by a, turned into those by w by a x gradient, and by t: dC / da = b x t and
   // dC / dt = a x b.
@@ -121,27 +121,26 @@ EPI360_INLINE JacobianRow jacobian_row(const Matches& m, const PlainPose& p, con
   const Vec3 by_w = inverse * (cross(g.a, bt) - share * hw);
   const Vec3 by_t = inverse * (g.normal - share * ht);
   return {s,
-          depth_margin(g) > -tolerance ? 1.0 : 0.0,
+          depth_margin(g),
           {by_w.x, by_w.y, by_w.z, B[0] * by_t.x + B[2] * by_t.y + B[4] * by_t.z,
            B[1] * by_t.x + B[3] * by_t.y + B[5] * by_t.z}};
 }
 
 template <Residual kind>
 EPI360_INLINE void jacobian_loop(const Matches& m, const PlainPose& pose, const double* basis,
-                                 double tolerance, double* residuals, double* in_front,
-                                 double* jacobian) {
+                                 double* residuals, double* margins, double* jacobian) {
   const PlainPose p = pose;
   const double B[6] = {basis[0], basis[1], basis[2], basis[3], basis[4], basis[5]};
   double r[kBlock], f[kBlock], J[5][kBlock];
   for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
-      const JacobianRow row = jacobian_row<kind>(m, p, B, tolerance, start + j);
+      const JacobianRow row = jacobian_row<kind>(m, p, B, start + j);
       r[j] = row.residual;
-      f[j] = row.in_front;
+      f[j] = row.margin;
       for (int k = 0; k < 5; ++k) J[k][j] = row.J[k];
     }
     std::copy(r, r + kBlock, residuals + start);
-    std::copy(f, f + kBlock, in_front + start);
+    std::copy(f, f + kBlock, margins + start);
     for (int k = 0; k < 5; ++k) std::copy(J[k], J[k] + kBlock, jacobian + k * m.padded + start);
   }
 }
@@ -216,10 +215,10 @@ EPI360_INLINE auto with_kind(Residual kind, const Loop& loop) {
 }  // namespace
 
 EPI360_MULTIVERSION
-void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double tolerance,
-                       double* residuals, double* in_front) {
+void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double* residuals,
+                       double* margins) {
   with_kind(kind, [&](auto loop_kind) EPI360_INLINE_LAMBDA {
-    residual_loop<loop_kind>(m, pose, tolerance, residuals, in_front);
+    residual_loop<loop_kind>(m, pose, residuals, margins);
   });
   if (kind != Residual::kAngular) return;
   for (std::size_t i = 0; i < m.padded; ++i) residuals[i] = std::asin(within_one(residuals[i]));
@@ -227,9 +226,9 @@ void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, d
 
 EPI360_MULTIVERSION
 void compute_jacobians(const Matches& m, Residual kind, const PlainPose& pose, const double* basis,
-                       double tolerance, double* residuals, double* in_front, double* jacobian) {
+                       double* residuals, double* margins, double* jacobian) {
   with_kind(kind, [&](auto loop_kind) EPI360_INLINE_LAMBDA {
-    jacobian_loop<loop_kind>(m, pose, basis, tolerance, residuals, in_front, jacobian);
+    jacobian_loop<loop_kind>(m, pose, basis, residuals, margins, jacobian);
   });
   if (kind != Residual::kAngular) return;
   for (std::size_t i = 0; i < m.padded; ++i) {

@@ -17,15 +17,15 @@ struct PlainPose {
   double t[3];
 };
 
-// residuals[i] for every match, padding included. `in_front[i]` is 1 where both depths are positive
-// up to `tolerance` radians of parallax (see is_in_front), else 0.
-void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double tolerance,
-                       double* residuals, double* in_front);
+// residuals[i] for every match, padding included. margins[i] is negative where a depth is: parallax
+// of the wrong sign, in radians (see depth_margins).
+void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double* residuals,
+                       double* margins);
 
 // Also the derivatives by (w, d): R' = exp([w]x) R, t' = (t + B d) / |.|. basis: B, row-major
 // (3, 2). jacobian[k * padded + i] is the derivative of residual i by parameter k.
 void compute_jacobians(const Matches& m, Residual kind, const PlainPose& pose, const double* basis,
-                       double tolerance, double* residuals, double* in_front, double* jacobian);
+                       double* residuals, double* margins, double* jacobian);
 
 // With one gate or four. Sum over matches of weight * mean over gates of min(residual^2 / gate^2,
 // 1); a match behind either camera by more than a gate costs 1 there. Stops early with a value

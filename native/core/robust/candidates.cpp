@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "core/refinement/fit_mixture.h"
+#include "core/robust/evidence.h"
 
 namespace epi360 {
 namespace {
@@ -16,6 +17,14 @@ constexpr double kCompetitive = 0.5;
 constexpr double kFinal = 1e-4;
 // Akaike's criterion: what three shares of wider Gaussians must add to the log-likelihood.
 constexpr double kSimpler = 3.0;
+// Log-likelihood by which near misses among the matches behind a camera must explain more, in all
+// and for each match: random outliers gain a hundredth, real ones a tenth to one and a half.
+constexpr double kNearMisses = 30.0, kNearMissesPerMatch = 0.05;
+constexpr double kMajority = 0.5;  // of the matches, which must agree with the pose
+// In noise: the median parallax with which the sign of one tells where a point lies.
+constexpr double kTellingParallax = 6.0;
+constexpr int kProbe = 1;            // steps after which it shows whether they may
+constexpr double kProbeGain = 0.3;   // share of that by then
 constexpr double kNarrowest = 1e-4;  // radians, of annealing
 constexpr double kAnnealFrom = 2.0 * kDegree;
 
@@ -37,14 +46,14 @@ Candidates::Candidates(const Matches& m, Residual residual, const PosePrior& pri
 }
 
 void Candidates::compute_residuals_at(const RelativePose& pose) {
-  compute_residuals(m_, residual_, plain(pose), depth_tolerance_,
-                    workspace_.current.residuals.data(), workspace_.current.in_front.data());
+  compute_residuals(m_, residual_, plain(pose), workspace_.current.residuals.data(),
+                    workspace_.current.margins.data());
 }
 
 LossModel Candidates::fitted_mixture(const RelativePose& pose) {
   compute_residuals_at(pose);
-  return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.in_front.data(),
-                     kTypicalDensity, kSmallestScale);
+  return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.margins.data(),
+                     depth_tolerance_, kTypicalDensity, kSmallestScale);
 }
 
 LossModel Candidates::mixture_at(const RelativePose& pose) {
@@ -57,12 +66,12 @@ LossModel Candidates::mixture_at(const RelativePose& pose) {
 }
 
 RefineResult Candidates::local(const RelativePose& pose, const LossModel& start, int max_iterations,
-                               double sigma_tolerance, bool use_depths) {
+                               double sigma_tolerance, Behind behind) {
   RefineOptions options;
   options.residual = residual_;
   options.prior = prior_;
   options.loss = start;
-  options.use_depths = use_depths;
+  options.behind = behind;
   options.max_iterations = max_iterations;
   options.step_tolerance = 1e-12;
   options.sigma_tolerance = sigma_tolerance;
@@ -123,7 +132,7 @@ RelativePose Candidates::annealed(RelativePose pose, double narrowest) {
   options.residual = residual_;
   options.prior = prior_;
   options.loss.loss = Loss::kGemanMcClure;
-  options.use_depths = true;
+  options.behind = Behind::kOutlier;
   options.max_iterations = 2;
   options.step_tolerance = 1e-7;
   for (double scale = std::max(kAnnealFrom, 2.0 * narrowest); scale > narrowest; scale *= 0.5) {
@@ -151,9 +160,47 @@ void Candidates::finish(const std::vector<Candidate>& candidates, double range) 
 }
 
 Candidate Candidates::without_depths(const Candidate& start) {
-  const RefineResult refined = local(start.cam2_from_cam1, start.loss, 30, 1e-1, false);
+  const RefineResult refined = local(start.cam2_from_cam1, start.loss, 30, 1e-1, Behind::kAsOthers);
   return {refined.cam2_from_cam1, refined.loss,
           scale_evidence(refined.loss) - workspace_.current.objective};
+}
+
+bool Candidates::has_parallax(const RefineResult& at) const {
+  const double gate = gate_of(at.loss);
+  std::vector<unsigned char> agrees(m_.size);
+  for (std::size_t i = 0; i < m_.size; ++i) {
+    agrees[i] = std::abs(workspace_.current.residuals[i]) < gate;
+  }
+  const double parallax = median_parallax(m_, at.cam2_from_cam1, agrees.data());
+  return parallax > kTellingParallax * at.loss.scale;
+}
+
+void Candidates::allow_near_misses() {
+  if (candidates_.empty()) return;
+  Candidate& best = candidates_.front();
+  // With so much noise the sign of a parallax tells little, and nothing is a near miss by it.
+  if (!(epi360::depth_tolerance(best.loss.scale) < kLargestWrongParallax)) return;
+  // Where most matches are wrong, they would decide.
+  if (!(best.loss.share[0] + best.loss.share[1] > kMajority)) return;
+  const auto refined = [&](const RefineResult& start, int max_iterations, double sigma_tolerance) {
+    return local(start.cam2_from_cam1, start.loss, max_iterations, sigma_tolerance,
+                 Behind::kNearMiss);
+  };
+  const auto gain = [&](const RefineResult& result) {
+    return scale_evidence(result.loss) - workspace_.current.objective - best.own_evidence;
+  };
+  const double needed = std::max(
+      kNearMisses, kNearMissesPerMatch * std::accumulate(m_.weight.begin(), m_.weight.end(), 0.0));
+  RefineResult result;
+  result.cam2_from_cam1 = best.cam2_from_cam1;
+  result.loss = best.loss;
+  result = refined(result, kProbe, 1e-1);  // for most pairs it ends here
+  if (!(gain(result) > kProbeGain * needed)) return;
+  result = refined(result, 50, kFinal);
+  if (!(gain(result) > needed) || !has_parallax(result)) return;
+  best.own_evidence += gain(result);  // its rivals are judged without near misses, and so is it
+  best.cam2_from_cam1 = result.cam2_from_cam1;
+  best.loss = result.loss;
 }
 
 void Candidates::prefer(std::size_t index) {

@@ -28,6 +28,8 @@ class Candidates {
   // Parallax of the wrong sign (radians) that a match may show under a pose not yet refined.
   void set_depth_tolerance(double tolerance) { depth_tolerance_ = tolerance; }
 
+  double depth_tolerance() const { return depth_tolerance_; }
+
   // The most likely mixture at a pose: the one it was refined with, or a fit to its residuals.
   // `linearisation` then holds the residuals and depths.
   LossModel mixture_at(const RelativePose& cam2_from_cam1);
@@ -48,6 +50,11 @@ class Candidates {
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
   // Puts one of them first, whatever its evidence.
   void prefer(std::size_t index);
+  // Refines the best candidate once more, so that a match behind a camera may be a near miss, and
+  // takes that pose where it makes the matches much more likely. What moves far away (clouds,
+  // traffic) lies behind the cameras by degrees under the right pose; if it can only be outliers,
+  // a wrong pose with more noise, which has it in front, becomes the likelier one.
+  void allow_near_misses();
   // Gives the best candidate up for the pose under one Gaussian and the uniform part where the
   // wider Gaussians explain nothing: they would cost a tenth of the accuracy.
   void simplify();
@@ -64,7 +71,9 @@ class Candidates {
   LossModel fitted_mixture(const RelativePose& cam2_from_cam1);
   void compute_residuals_at(const RelativePose& cam2_from_cam1);
   RefineResult local(const RelativePose& cam2_from_cam1, const LossModel& start, int max_iterations,
-                     double sigma_tolerance = 1e-2, bool use_depths = true);
+                     double sigma_tolerance = 1e-2, Behind behind = Behind::kOutlier);
+  // Whether the matches that agree with a pose, at which the workspace is, show more than noise.
+  bool has_parallax(const RefineResult& at) const;
   bool is_known(const RelativePose& cam2_from_cam1, double reach) const;
   void keep(const Candidate& candidate);
 

@@ -118,15 +118,15 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   Linearisation at;
   at.resize(m.padded);
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(cam2_from_cam1.t);
-  compute_jacobians(m, residual, plain(cam2_from_cam1), basis.data(), gate, at.residuals.data(),
-                    at.in_front.data(), at.jacobian.data());
+  compute_jacobians(m, residual, plain(cam2_from_cam1), basis.data(), at.residuals.data(),
+                    at.margins.data(), at.jacobian.data());
   std::fill(at.weights.begin(), at.weights.end(), 0.0);
   double slope = 0.0, square = 0.0, count = 0.0;
   std::vector<double> trusts(m.size, 0.0);
   std::array<Vector5, kNumCells> sums;
   sums.fill(Vector5::Zero());
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (at.in_front[i] < 0.5 || dropped[i]) continue;
+    if (!(at.margins[i] > -gate) || dropped[i]) continue;
     const double r = at.residuals[i];
     const LossSlopes psi = mixture_slopes(r, loss);
     slope += m.weight[i] * psi.second;

@@ -110,6 +110,7 @@ class Estimate {
   }
 
   void conclude_search(Candidates& candidates) {
+    candidates.allow_near_misses();
     release_depths(m_, options_.residual, candidates);
     candidates.simplify();
     dropped_ = drop_leverage(m_, options_.residual, candidates);

@@ -77,15 +77,15 @@ ChanceDensity::ChanceDensity(const Matches& m, Residual residual, std::uint64_t 
   }
   shuffled_ = paired_matches(m, rows1, rows2);
   residuals_.resize(shuffled_.padded);
-  in_front_.resize(shuffled_.padded);
+  margins_.resize(shuffled_.padded);
 }
 
 double ChanceDensity::at(const RelativePose& pose, double range) const {
-  compute_residuals(shuffled_, residual_, plain(pose), std::min(range, kLargestWrongParallax),
-                    residuals_.data(), in_front_.data());
+  compute_residuals(shuffled_, residual_, plain(pose), residuals_.data(), margins_.data());
+  const double tolerance = std::min(range, kLargestWrongParallax);
   double count = 1.0;  // never zero
   for (std::size_t i = 0; i < shuffled_.size; ++i) {
-    count += in_front_[i] > 0.5 && std::abs(residuals_[i]) < range;
+    count += margins_[i] > -tolerance && std::abs(residuals_[i]) < range;
   }
   return count / (static_cast<double>(shuffled_.size) * 2.0 * range);
 }

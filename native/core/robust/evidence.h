@@ -24,7 +24,7 @@ class ChanceDensity {
  private:
   Residual residual_;
   Matches shuffled_;
-  mutable std::vector<double> residuals_, in_front_;
+  mutable std::vector<double> residuals_, margins_;
 };
 
 // log10 of the expected number of poses with `inliers` of `matches` inside a gate that a wrong

@@ -44,14 +44,14 @@ void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlie
 double mark_inliers(const Matches& m, Residual residual, const RelativePose& pose, double gate,
                     bool use_depths, std::vector<unsigned char>& inlier,
                     std::vector<double>& residuals) {
-  std::vector<double> in_front(m.padded);
+  std::vector<double> margins(m.padded);
   residuals.resize(m.padded);
-  compute_residuals(m, residual, plain(pose), std::min(gate, kLargestWrongParallax),
-                    residuals.data(), in_front.data());
+  compute_residuals(m, residual, plain(pose), residuals.data(), margins.data());
+  const double tolerance = std::min(gate, kLargestWrongParallax);
   inlier.assign(m.size, 0);
   double weight = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    const bool agrees = (std::abs(residuals[i]) < gate) & (!use_depths | (in_front[i] > 0.5));
+    const bool agrees = (std::abs(residuals[i]) < gate) & (!use_depths | (margins[i] > -tolerance));
     inlier[i] = agrees;
     weight += agrees * m.weight[i];
   }

@@ -27,7 +27,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
   refinement.prior = candidates.prior();
   refinement.step_tolerance = 1e-12;
   refinement.sigma_tolerance = 1e-4;
-  refinement.use_depths = true;
+  refinement.behind = Behind::kOutlier;
   for (int round = 0; round < kLeverageRounds; ++round) {
     Candidate best = candidates.best();
     refinement.loss = best.loss;

@@ -84,7 +84,7 @@ double inlier_share(const Matches& m, const RelativePose& pose, const EssentialP
   for (std::size_t i = 0; i < m.size; ++i) {
     if (m.weight[i] > 0.0) {
       total += 1.0;
-      inliers += at.in_front[i] > 0.5 && std::abs(at.residuals[i]) < gate;
+      inliers += at.margins[i] > -candidates.depth_tolerance() && std::abs(at.residuals[i]) < gate;
     }
     // Progressive samples came from the first matches only: they may stop as soon as those say so.
     const bool considered = sampler.progressive() && i + 1 >= sampler.reached();

@@ -48,10 +48,11 @@ std::vector<double> agreement_by_exchange(const Matches& m, const Agree& agree) 
 // inliers and so the scene itself, far away.
 void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double gate,
                              std::vector<double>& weights) {
+  const double tolerance = std::min(gate, kLargestWrongParallax);
   std::vector<std::size_t> fixed;
   std::size_t num_inliers = 0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (!(at.in_front[i] > 0.5) || !(std::abs(at.residuals[i]) < gate)) continue;
+    if (!(at.margins[i] > -tolerance) || !(std::abs(at.residuals[i]) < gate)) continue;
     ++num_inliers;
     if ((view1(m, i) - view2(m, i)).norm() < std::max(gate, kFixed)) fixed.push_back(i);
   }
@@ -109,15 +110,15 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
                     double gate, double density, const PosePrior& prior, std::uint64_t seed) {
   const Matches m = witnesses(all, seed);
   const double sigma = std::max(scale, kSmallestScale);
-  std::vector<double> residuals, in_front;
+  const double tolerance = std::min(gate, kLargestWrongParallax);
+  std::vector<double> residuals, margins;
   const std::vector<double> exchanged =
       agreement_by_exchange(m, [&](const Matches& other, std::vector<unsigned char>& agrees) {
         residuals.resize(other.padded);
-        in_front.resize(other.padded);
-        compute_residuals(other, residual, plain(pose), std::min(gate, kLargestWrongParallax),
-                          residuals.data(), in_front.data());
+        margins.resize(other.padded);
+        compute_residuals(other, residual, plain(pose), residuals.data(), margins.data());
         for (std::size_t k = 0; k < other.size; ++k) {
-          agrees[k] = (in_front[k] > 0.5) & (std::abs(residuals[k]) < gate);
+          agrees[k] = (margins[k] > -tolerance) & (std::abs(residuals[k]) < gate);
         }
       });
   std::vector<double> weights = votes_of(m, prior);
@@ -125,15 +126,16 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
   Linearisation at;
   at.resize(m.padded);
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
-  compute_jacobians(m, residual, plain(pose), basis.data(), std::min(gate, kLargestWrongParallax),
-                    at.residuals.data(), at.in_front.data(), at.jacobian.data());
+  compute_jacobians(m, residual, plain(pose), basis.data(), at.residuals.data(), at.margins.data(),
+                    at.jacobian.data());
   leave_out_what_is_fixed(m, at, gate, weights);
   // How much more likely each residual is if the match is right, than if it is wrong.
   std::vector<double> odds(m.size);
   double total = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     const double z = at.residuals[i] / sigma;
-    const double right = at.in_front[i] * kInverseRootTwoPi / sigma * std::exp(-0.5 * z * z);
+    const double right =
+        (at.margins[i] > -tolerance) * kInverseRootTwoPi / sigma * std::exp(-0.5 * z * z);
     odds[i] = right / std::max(density, exchanged[i] / (2.0 * gate));
     total += weights[i];
   }
