@@ -289,7 +289,7 @@ def test_the_table_and_the_summary_tell_which_pair_is_contradicted(folder, wrong
     assert rejected[0]["reason"] == "contradicted by other pairs"
     assert (rejected[0]["num_triangles"], rejected[0]["num_contradicted"]) == ("2", "2")
     assert {row["num_contradicted"] for row in rows if row["accepted"] == "yes"} == {"0"}
-    assert "1 contradicted by other pairs" in describe_match(run)
+    assert "1 did not fit other pairs (contradicted by other pairs)" in describe_match(run)
 
 
 def test_a_triangle_that_does_not_close_is_a_warning(folder, wrong_pair, tmp_path):
