@@ -93,12 +93,16 @@ double inlier_share(const Matches& m, const RelativePose& pose, const EssentialP
   return total > 0.0 ? std::max(best, inliers / total) : best;
 }
 
-// Samples after which a pose with the fewest inliers that are believed would have been hit.
+// Samples after which a pose with the fewest inliers that are believed would have been hit. Who
+// believes no pose with fewer than these still learns how many there are.
+constexpr int kFewestSought = 15;
+
 LoopOptions limits_of_loop(const Matches& m, int sample_size, const RobustOptions& options) {
   LoopOptions loop{options.min_iterations, options.max_iterations, options.confidence};
   const auto weighs = [](double weight) { return weight > 0.0; };
   const auto num_usable = std::count_if(m.weight.begin(), m.weight.end(), weighs);
-  const double share = options.min_num_inliers / std::max<double>(num_usable, 1.0);
+  const int fewest = std::min(options.min_num_inliers, kFewestSought);
+  const double share = fewest / std::max<double>(num_usable, 1.0);
   loop.max_iterations = iterations_needed(std::min(share, 1.0), sample_size, loop);
   return loop;
 }
