@@ -10,9 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.image_set import ImageSet, SourceImage
-from epi360.jobs.match_result import load_matches, write_index
-from epi360.jobs.match_store import FEATURES, IMAGES, PAIRS, Verdict, VerifiedPair, write_part
+from epi360.jobs.folder.image_set import ImageSet, SourceImage
+from epi360.jobs.matching.match_result import load_matches, write_index
+from epi360.jobs.records.match_store import (
+    FEATURES,
+    IMAGES,
+    PAIRS,
+    Verdict,
+    VerifiedPair,
+    write_part,
+)
 from epi360.poses import Pose
 from epi360.runs.arrays import npz_bytes
 

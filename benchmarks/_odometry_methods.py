@@ -78,8 +78,8 @@ def map_frames(clip: Clip, scratch: Path) -> Placed:
     """`epi360 map` with its defaults and the masks."""
     import yaml
 
-    from epi360.jobs.image_set import find_images
-    from epi360.jobs.mapping import MapOptions, map_images
+    from epi360.jobs.folder.image_set import find_images
+    from epi360.jobs.mapping.map_folder import MapOptions, map_images
     from epi360_scenes.sequence import camera_record
 
     calibration = scratch / "camera.yaml"

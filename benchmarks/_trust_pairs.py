@@ -19,9 +19,9 @@ from _trust_records import LISTED, Judged, errors_of, found_pose, sigmas_of
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
-from epi360.jobs.image_set import find_images
-from epi360.jobs.match_store import Verdict
-from epi360.jobs.matching import MatchOptions, load_matches, match_images
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
 from epi360_scenes.tours import Tour, render_tour

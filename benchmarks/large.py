@@ -26,10 +26,10 @@ from _summary import text_table
 
 from epi360.features import Features
 from epi360.features.visual_words import NUM_DESCRIPTORS
-from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache
-from epi360.jobs.image_set import ImageSet, find_images
-from epi360.jobs.matching import MatchOptions, PairVerdict, match_images
-from epi360.jobs.retrieval import alike_pairs
+from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
+from epi360.jobs.folder.image_set import ImageSet, find_images
+from epi360.jobs.matching.match_folder import MatchOptions, PairVerdict, match_images
+from epi360.jobs.pairs.retrieval import alike_pairs
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.whole_files import write_file

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A folder of panoramas to a model: `epi360.jobs.mapping` beside plain pycolmap, in one run.
+"""A folder of panoramas to a model: `epi360 map` beside plain pycolmap, in one run.
 
 ``python benchmarks/mapping.py --help``; README.md beside this file says what is measured.
 """
@@ -26,8 +26,8 @@ from _summary import markdown_table, text_table
 
 from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
-from epi360.jobs.image_set import find_images
-from epi360.jobs.mapping import MapOptions, map_images
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.mapping.map_folder import MapOptions, map_images
 from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg
 from epi360.report.files import check_writable
 from epi360.runs.whole_files import write_file

@@ -35,9 +35,9 @@ def room_folder(tmp_path_factory):
 @pytest.fixture(scope="session")
 def room_run(room_folder, tmp_path_factory):
     """Output folder of the map of that room, and what the run returned."""
-    from epi360.jobs.image_set import find_images
-    from epi360.jobs.mapping import MapOptions, map_images
-    from epi360.jobs.matching import MatchOptions
+    from epi360.jobs.folder.image_set import find_images
+    from epi360.jobs.mapping.map_folder import MapOptions, map_images
+    from epi360.jobs.matching.match_folder import MatchOptions
 
     output = tmp_path_factory.mktemp("run") / "out"
     options = MapOptions(MatchOptions(num_threads=1), mapper_threads=1)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.image_set import ImageSet, SourceImage
+from epi360.jobs.folder.image_set import ImageSet, SourceImage
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 

@@ -25,6 +25,14 @@ LAYERS = [
     "epipolar", "estimation", "second_look", "two_view", "odometry", "synthetic", "interop",
     "epi360_scenes", "epi360_paper", "jobs", "report", "epi360_demo", "cli",
 ]  # fmt: skip
+LAYERS_OF_JOBS = [
+    "engines", "threads", "ray_tasks", "trajectories", "evaluation", "folder", "frames", "records",
+    "pairs", "graph", "matching", "mapping", "tracking", "localization", "cubes", "batch",
+]  # fmt: skip
+LAYERS_OF_JOBS = [
+    "engines", "threads", "ray_tasks", "trajectories", "evaluation", "folder", "frames", "records",
+    "pairs", "graph", "matching", "mapping", "tracking", "localization", "cubes", "batch",
+]  # fmt: skip
 HEAVY = {"matplotlib", "cyclopts", "rich", "scipy"}
 COMMANDS_OF_OTHERS = {
     "epi360/cli/demo.py", "epi360/cli/pair.py", "epi360/cli/render.py", "epi360/cli/reproduce.py",
@@ -148,6 +156,16 @@ def test_imports_point_to_earlier_rooms(path):
             continue  # the command line is a user of the public names
         assert imported, f"{path} imports the front page of epi360; import from the room instead"
         assert LAYERS.index(imported) <= LAYERS.index(room_of(path)), f"{path} imports {imported}"
+
+
+def test_folders_of_jobs_import_only_those_before_them():
+    for path in sorted((PACKAGE / "jobs").rglob("*.py")):
+        names = (name.split(".") for name in modules_imported_by(path))
+        imported = {name[2] for name in names if name[:2] == ["epi360", "jobs"]}
+        folder = parts_of(path)[2].removesuffix(".py")
+        later = LAYERS_OF_JOBS[LAYERS_OF_JOBS.index(folder) + 1 :] if folder != "__init__" else []
+        assert not imported & set(later), f"{path} imports {sorted(imported & set(later))}"
+        assert imported <= set(LAYERS_OF_JOBS)
 
 
 def test_no_file_imports_one_that_imports_it():

@@ -21,8 +21,8 @@ from epi360 import (
     rotation_error_deg,
     translation_error_deg,
 )
-from epi360.jobs.image_set import find_images
-from epi360.jobs.matching import MatchOptions, load_matches, match_images
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.poses import rotation_from_vector
 from epi360_scenes import scene
 

@@ -11,7 +11,7 @@ from PIL import Image
 from epi360 import cli
 from epi360.interop import read_colmap_model
 from epi360.interop.reconstruction import Reconstruction
-from epi360.jobs.cube_faces import face_from_cam
+from epi360.jobs.cubes.cube_faces import face_from_cam
 from epi360_paper.datasets import load_mp3d_vo
 
 FACES = ("left", "front", "right", "back", "up")

@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from epi360.cameras import Camera, KannalaBrandt, Pinhole
-from epi360.jobs.given_cameras import read_given_cameras
+from epi360.jobs.folder.given_cameras import read_given_cameras
 from epi360_demo.limits import RefusedError, as_sentence
 
 CameraKind = Literal["panorama", "fisheye", "flat", "lens"]

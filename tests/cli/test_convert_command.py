@@ -240,9 +240,11 @@ def test_what_epi360_match_wrote_becomes_a_database(run, tmp_path, monkeypatch):
     from epi360.interop.colmap_database import read_colmap_database
 
     (tmp_path / "matched").mkdir()
-    monkeypatch.setattr("epi360.jobs.matching.load_matches", lambda folder: graph())
+    monkeypatch.setattr("epi360.jobs.matching.match_folder.load_matches", lambda folder: graph())
     of_all = np.full((6, 128), 128.0**-0.5, np.float32)
-    monkeypatch.setattr("epi360.jobs.match_result.descriptors_of", lambda _: lambda name: of_all)
+    monkeypatch.setattr(
+        "epi360.jobs.matching.match_result.descriptors_of", lambda _: lambda name: of_all
+    )
     code, out, _ = run("matched", "a.db")
     assert (code, out) == (0, "wrote a.db (COLMAP database): 3 images, 2 pairs, 1 camera")
     pair = read_colmap_database("a.db").pairs[0]

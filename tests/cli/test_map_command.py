@@ -13,10 +13,10 @@ pytest.importorskip("pycolmap")
 
 from epi360.interop import Reconstruction  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
-from epi360.jobs.map_attempts import Attempt  # noqa: E402
-from epi360.jobs.mapped_models import MappedModel  # noqa: E402
-from epi360.jobs.mapping import MapRun  # noqa: E402
-from epi360.jobs.matching import MatchRun  # noqa: E402
+from epi360.jobs.mapping.map_attempts import Attempt  # noqa: E402
+from epi360.jobs.mapping.map_folder import MapRun  # noqa: E402
+from epi360.jobs.mapping.mapped_models import MappedModel  # noqa: E402
+from epi360.jobs.matching.match_folder import MatchRun  # noqa: E402
 
 
 def test_the_command_says_what_registered_and_cuts_cube_faces(
@@ -71,7 +71,7 @@ def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monke
     )
     matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
     run = MapRun(matched, models, {}, 5, {}, ())
-    monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, **__: run)
+    monkeypatch.setattr("epi360.jobs.mapping.map_folder.map_images", lambda *_, **__: run)
     write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
     assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
@@ -91,7 +91,9 @@ def test_the_command_says_what_was_tried_where_one_way_was_not_enough(
     write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
     for tried, expected in ((attempts, 2), (attempts[:1], 0)):
         run = MapRun(matched, (model,), {}, 17, {}, (), tried)
-        monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, run=run, **__: run)
+        monkeypatch.setattr(
+            "epi360.jobs.mapping.map_folder.map_images", lambda *_, run=run, **__: run
+        )
         assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
         lines = [li for li in capsys.readouterr().out.splitlines() if li.startswith("tried")]
         assert len(lines) == expected
@@ -116,7 +118,9 @@ def test_the_command_says_from_which_poses_the_map_of_a_sequence_starts(
     ):
         track = {**counts, "reason": reason}
         run = MapRun(matched, (model,), {}, 30, {}, (), track=track)
-        monkeypatch.setattr("epi360.jobs.mapping.map_images", lambda *_, run=run, **__: run)
+        monkeypatch.setattr(
+            "epi360.jobs.mapping.map_folder.map_images", lambda *_, run=run, **__: run
+        )
         assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
         assert line in capsys.readouterr().out.splitlines()
 

@@ -15,7 +15,7 @@ from walked_room import frames, write_frames
 from epi360.cli import main
 from epi360.interop import read_colmap_model, read_nerfstudio, read_tum_trajectory
 from epi360.interop.ply import read_ply_points
-from epi360.jobs import track_files, track_job
+from epi360.jobs.tracking import track_files, track_job
 
 
 def rows_of(output):
@@ -224,7 +224,8 @@ def test_killed_run_leaves_the_rows_of_its_frames(tmp_path):
     write_frames(tmp_path / "frames", 12)
     arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
     slow = (
-        "import sys, time; from epi360.jobs import track_job; from epi360.cli import main\n"
+        "import sys, time\nfrom epi360.cli import main\n"
+        "from epi360.jobs.tracking import track_job\n"
         "add = track_job._Run._add\n"
         "track_job._Run._add = lambda run, frame: (time.sleep(0.2), add(run, frame))[1]\n"
         "sys.exit(main(sys.argv[1:]))"

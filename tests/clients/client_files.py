@@ -23,8 +23,8 @@ from epi360.interop import (
 )
 from epi360.interop.ply import write_ply_points
 from epi360.interop.upright_world import down_in_world, moved, upright_from_world
-from epi360.jobs.cube_faces import CubemapOptions, cubemap_reconstruction
-from epi360.jobs.cubemap import export_cubemap
+from epi360.jobs.cubes.cube_faces import CubemapOptions, cubemap_reconstruction
+from epi360.jobs.cubes.cubemap import export_cubemap
 from epi360.poses import Pose, rotation_from_vector
 
 CAMERA = Equirectangular(160, 80)

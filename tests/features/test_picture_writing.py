@@ -56,7 +56,7 @@ import numpy as np
 from epi360 import Equirectangular, Pose
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.reconstruction import PosedImage, Reconstruction
-from epi360.jobs.cubemap import CubemapOptions, export_cubemap
+from epi360.jobs.cubes.cubemap import CubemapOptions, export_cubemap
 (out / "in").mkdir()
 names = ("a.png", "b.jpg")
 for name in names:

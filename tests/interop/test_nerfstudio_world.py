@@ -8,7 +8,7 @@ import numpy as np
 from epi360.cameras import Equirectangular, Pinhole
 from epi360.interop.nerfstudio import read_nerfstudio, write_nerfstudio
 from epi360.interop.reconstruction import PosedImage, Reconstruction
-from epi360.jobs.cube_faces import CubemapOptions, cubemap_reconstruction
+from epi360.jobs.cubes.cube_faces import CubemapOptions, cubemap_reconstruction
 from epi360.poses import Pose, rotation_from_vector
 
 

@@ -9,9 +9,9 @@ import pytest
 from cube_inputs import plain_reconstruction, read_picture, two_panoramas, write_png
 
 from epi360.cameras import KannalaBrandt
-from epi360.jobs.cube_faces import CubemapOptions
-from epi360.jobs.cubemap import export_cubemap
-from epi360.jobs.face_sampler import FaceSampler
+from epi360.jobs.cubes.cube_faces import CubemapOptions
+from epi360.jobs.cubes.cubemap import export_cubemap
+from epi360.jobs.cubes.face_sampler import FaceSampler
 
 FISHEYE = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0, max_angle_deg=95)
 

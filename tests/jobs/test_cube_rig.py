@@ -12,7 +12,7 @@ from epi360.interop import (
     read_colmap_model,
     write_colmap_model,
 )
-from epi360.jobs.cube_faces import (
+from epi360.jobs.cubes.cube_faces import (
     FACES,
     CubemapOptions,
     cubemap_reconstruction,

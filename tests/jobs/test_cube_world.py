@@ -19,8 +19,8 @@ from epi360.interop import (
 )
 from epi360.interop.colmap_model_rigs import keeps_rigs
 from epi360.interop.upright_world import DOWN, made_upright, moved
-from epi360.jobs.cube_faces import CubemapOptions
-from epi360.jobs.cubemap import export_cubemap
+from epi360.jobs.cubes.cube_faces import CubemapOptions
+from epi360.jobs.cubes.cubemap import export_cubemap
 from epi360.poses import Pose, rotation_from_vector
 
 TILT = Pose(rotation_from_vector([0.4, 0.3, -0.5]), np.zeros(3))  # of the world

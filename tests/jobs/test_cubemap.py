@@ -20,7 +20,7 @@ from cube_inputs import (
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
 from epi360.interop import Observations, PosedImage, Reconstruction
-from epi360.jobs.cube_faces import (
+from epi360.jobs.cubes.cube_faces import (
     FACES,
     CubemapOptions,
     cubemap_reconstruction,
@@ -29,7 +29,7 @@ from epi360.jobs.cube_faces import (
     face_image_names,
     visible_faces,
 )
-from epi360.jobs.face_sampler import FaceSampler
+from epi360.jobs.cubes.face_sampler import FaceSampler
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 
@@ -212,7 +212,7 @@ class TestExport:
     def test_faces_equal_pictures_rendered_at_the_exported_poses(self, tmp_path):
         from epi360.interop.colmap_model import read_colmap_model
         from epi360.interop.nerfstudio import read_nerfstudio
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         room, camera = furnished_room(0), Equirectangular(512, 256)
         world_from_cam = room.sample_pose(np.random.default_rng(1), max_tilt_deg=40.0)
@@ -241,7 +241,7 @@ class TestExport:
             )
 
     def test_a_record_without_the_newest_options_is_that_of_their_defaults(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
@@ -254,7 +254,7 @@ class TestExport:
             export_cubemap(folder, source, out, CubemapOptions(flat=True))
 
     def test_a_damaged_record_is_named(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         export_cubemap(folder, source, tmp_path / "out")
@@ -264,7 +264,7 @@ class TestExport:
                 export_cubemap(folder, source, tmp_path / "out")
 
     def test_a_second_run_cuts_only_what_changed(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
@@ -278,7 +278,7 @@ class TestExport:
         assert (out / "images" / "b_up.jpg").exists()
 
     def test_faces_with_another_mask_or_camera_are_cut_again(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         one, other = tmp_path / "one.png", tmp_path / "other.png"
@@ -296,7 +296,7 @@ class TestExport:
         assert (third.num_written, third.num_kept) == (2, 0)
 
     def test_faces_of_a_panorama_that_left_the_model_are_removed(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
@@ -307,7 +307,7 @@ class TestExport:
         assert left == {"b_"}
 
     def test_nothing_that_is_there_is_overwritten(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
@@ -321,7 +321,7 @@ class TestExport:
 
     @pytest.mark.parametrize("way", ["absolute", "up"])
     def test_a_name_that_leads_out_of_the_output_touches_nothing_there(self, tmp_path, way):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, _ = two_panoramas(tmp_path)
         victim = tmp_path / "victim_front.jpg"
@@ -334,14 +334,14 @@ class TestExport:
 
     @pytest.mark.parametrize("name", [".", "/"])
     def test_an_image_without_a_name_is_refused(self, tmp_path, name):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, _ = two_panoramas(tmp_path)
         with pytest.raises(ValueError, match=f"images must have names, got '{name}'"):
             export_cubemap(folder, plain_reconstruction(["a.png", name]), tmp_path / "out")
 
     def test_no_face_is_removed_before_all_images_and_masks_are_there(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out, mask = tmp_path / "out", tmp_path / "mask.png"
@@ -361,7 +361,7 @@ class TestExport:
         assert {path: path.read_bytes() for path in before} == before
 
     def test_a_record_with_a_name_that_leads_out_removes_nothing(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out, victim = tmp_path / "out", tmp_path / "victim_front.jpg"
@@ -378,7 +378,7 @@ class TestExport:
     @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
     def test_what_a_killed_run_leaves_is_removed_by_the_next_one(self, tmp_path):
         from epi360.interop import write_colmap_model
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
         from epi360.runs.whole_files import remove_leftovers
 
         folder, source = two_panoramas(tmp_path, ("sub/a.png", "sub/b.png"))
@@ -393,7 +393,7 @@ class TestExport:
         assert len(list((out / "images" / "sub").iterdir())) == 12
 
     def test_a_link_in_the_output_is_not_followed_out_of_it(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out, victim = tmp_path / "out", tmp_path / "victim.jpg"
@@ -406,7 +406,7 @@ class TestExport:
         assert victim.read_bytes() == b"theirs"
 
     def test_a_vanished_or_another_image_is_named_and_the_finished_faces_stay(self, tmp_path):
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
         out = tmp_path / "out"
@@ -420,7 +420,7 @@ class TestExport:
 
     def test_mixed_sizes_get_one_camera_each(self, tmp_path):
         from epi360.interop.colmap_model import read_colmap_model
-        from epi360.jobs.cubemap import export_cubemap
+        from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, _ = two_panoramas(tmp_path, ("a.png",))
         two_panoramas(tmp_path, ("b.png",), Equirectangular(512, 256))

@@ -11,9 +11,9 @@ from rendered_views import SIZES, pictures, write_png, write_views
 
 from epi360.cameras import Equirectangular
 from epi360.features import extract_features
-from epi360.jobs import feature_cache
-from epi360.jobs.feature_cache import ExtractionOptions, FeatureCache, UnreadableImageError
-from epi360.jobs.image_set import SourceImage
+from epi360.jobs.folder import feature_cache
+from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache, UnreadableImageError
+from epi360.jobs.folder.image_set import SourceImage
 from epi360.runs.arrays import read_arrays
 
 CAMERA = Equirectangular(*SIZES[0])

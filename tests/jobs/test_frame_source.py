@@ -7,7 +7,7 @@ from rendered_views import write_png
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.frame_source import open_frames
+from epi360.jobs.frames.frame_source import open_frames
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ import pytest
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.frame_selection import FrameChooser, choose_frames, parallax_rad
-from epi360.jobs.frames_job import FramesOptions, extract_frames
+from epi360.jobs.frames.frame_selection import FrameChooser, choose_frames, parallax_rad
+from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 

@@ -12,14 +12,14 @@ pytest.importorskip("pycolmap")
 
 from epi360.interop import PosedImage, Reconstruction  # noqa: E402
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
-from epi360.jobs import mapping  # noqa: E402
-from epi360.jobs.colmap_mapper import MapperOptions  # noqa: E402
-from epi360.jobs.given_poses import model_from_poses  # noqa: E402
-from epi360.jobs.image_set import find_images  # noqa: E402
-from epi360.jobs.map_attempts import map_by_attempts  # noqa: E402
-from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
-from epi360.jobs.match_result import load_matches_and_colors  # noqa: E402
-from epi360.jobs.matching import MatchOptions  # noqa: E402
+from epi360.jobs.folder.image_set import find_images  # noqa: E402
+from epi360.jobs.mapping import map_folder  # noqa: E402
+from epi360.jobs.mapping.colmap_mapper import MapperOptions  # noqa: E402
+from epi360.jobs.mapping.given_poses import model_from_poses  # noqa: E402
+from epi360.jobs.mapping.map_attempts import map_by_attempts  # noqa: E402
+from epi360.jobs.mapping.map_folder import MapOptions, map_images  # noqa: E402
+from epi360.jobs.matching.match_folder import MatchOptions  # noqa: E402
+from epi360.jobs.matching.match_result import load_matches_and_colors  # noqa: E402
 from epi360.poses import Pose, rotation_from_vector  # noqa: E402
 
 PATH = 0.3  # metres from one place of the room to the next
@@ -54,7 +54,9 @@ def test_disturbed_poses_are_adjusted_and_no_mapper_runs(room_folder, output, mo
     initial = disturbed(truth, degrees=1.0, share=0.1)
     before = aligned_errors(poses_of(initial), truth)
     assert before[0] > 0.01 and before[1] > 0.5
-    monkeypatch.setattr("epi360.jobs.map_attempts.run_mapper", lambda *_, **__: pytest.fail())
+    monkeypatch.setattr(
+        "epi360.jobs.mapping.map_attempts.run_mapper", lambda *_, **__: pytest.fail()
+    )
     run = map_images(find_images(folder), output, options(), initial=initial)
     (attempt,) = run.attempts
     assert (attempt.how, attempt.num_registered, attempt.kept) == ("the given poses", 6, True)
@@ -129,13 +131,13 @@ def test_the_frames_of_a_rig_are_placed_and_its_cameras_stay(tmp_path):
 def test_what_was_tried_is_in_the_record(room_folder, output):
     images = find_images(room_folder[0])
     map_images(images, output, options())
-    record = mapping.read_record(output / mapping.RECORD, remedy="")
+    record = map_folder.read_record(output / map_folder.RECORD, remedy="")
     assert [each["how"] for each in record["attempts"]] == ["incremental mapper"]
     assert record["attempts"][0]["num_registered"] == 6
     assert record["unconfirmed"] == []
     graph, colors = load_matches_and_colors(output)
     assert (
-        map_by_attempts(output / mapping.DATABASE, MapperOptions(), graph, [], colors=colors)
+        map_by_attempts(output / map_folder.DATABASE, MapperOptions(), graph, [], colors=colors)
         .attempts[0]
         .num_registered
         == 6

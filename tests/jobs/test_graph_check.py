@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epi360.jobs.graph_check import GraphVerdict, check_graph, closing, links
-from epi360.jobs.match_store import Verdict
-from epi360.jobs.matching import MatchRun, PairVerdict
+from epi360.jobs.graph.graph_check import GraphVerdict, check_graph, closing, links
+from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
+from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.report.match_table import describe_match, pairs_csv
 

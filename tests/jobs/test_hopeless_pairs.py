@@ -7,9 +7,10 @@ from rendered_views import NAMES, image_set, write_png, write_views
 
 from epi360.cameras import Equirectangular
 from epi360.features import match_features
-from epi360.jobs import match_store, matching, pair_work
-from epi360.jobs.level_folder import Level
-from epi360.jobs.matching import MatchOptions, match_images
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching import match_folder, pair_work
+from epi360.jobs.matching.match_folder import MatchOptions, match_images
+from epi360.jobs.records import match_store
 from epi360.poses import Pose
 from epi360_scenes import scene
 
@@ -39,7 +40,7 @@ def strangers(tmp_path):
 
 
 def opened_work(images, output):
-    return matching._open_work(images, output, MatchOptions(num_threads=1), restart=False)
+    return match_folder._open_work(images, output, MatchOptions(num_threads=1), restart=False)
 
 
 def test_images_of_different_places_are_looked_at_once(strangers, tmp_path, looks):

@@ -12,8 +12,8 @@ import pytest
 from epi360 import cli
 from epi360.cameras import Equirectangular
 from epi360.interop.gpano import GPano, PanoramaPart, gpano_packet, with_gpano
-from epi360.jobs import image_set
-from epi360.jobs.image_set import find_images
+from epi360.jobs.folder import image_set
+from epi360.jobs.folder.image_set import find_images
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360_scenes import demo_pair
 

@@ -14,12 +14,12 @@ from epi360.cameras.upright import elevation_deg, tilt_deg
 from epi360.cli import SUCCESS, main
 from epi360.cli.command import WRONG_USE
 from epi360.interop.gpano import gpano_packet, with_gpano
-from epi360.jobs import match_job, matching, pair_work
-from epi360.jobs.image_set import find_images
-from epi360.jobs.level_folder import Level, find_level
-from epi360.jobs.match_store import Verdict
-from epi360.jobs.matching import MatchOptions, load_matches, match_images
-from epi360.jobs.pair_work import PairWork
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.matching import match_folder, match_job, pair_work
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.matching.pair_work import PairWork
+from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
 
@@ -119,7 +119,7 @@ def bad_first_look(monkeypatch):
         return replace(verified, verdict=verdict)
 
     monkeypatch.setattr(PairWork, "_verified_pair", judge_badly)
-    monkeypatch.setattr("epi360.jobs.level_folder._FEWEST_POSES", 4)  # of the six pairs
+    monkeypatch.setattr("epi360.jobs.graph.level_folder._FEWEST_POSES", 4)  # of the six pairs
 
 
 @pytest.fixture
@@ -233,7 +233,7 @@ def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors,
     match_images(tour, tmp_path)
     before = stored(tmp_path)
     priors.clear()
-    monkeypatch.setattr(matching, "find_level", lambda verdicts: Level(1.5))
+    monkeypatch.setattr(match_folder, "find_level", lambda verdicts: Level(1.5))
     run = match_images(tour, tmp_path)
     assert priors == [(2, 1.5)]
     assert before.items() < stored(tmp_path).items()
@@ -252,7 +252,7 @@ def test_restart_throws_away_what_was_made_with_a_prior(tour, tmp_path, bad_firs
 def test_a_folder_that_needs_no_second_phase_is_untouched(
     tmp_path, priors, monkeypatch, tour_is_level
 ):
-    monkeypatch.setattr("epi360.jobs.level_folder._FEWEST_POSES", 4)
+    monkeypatch.setattr("epi360.jobs.graph.level_folder._FEWEST_POSES", 4)
     images = write_tour(tmp_path / "tour", tour_is_level)
     stages = []
     run = match_images(images, tmp_path / "out", progress=lambda stage, *_: stages.append(stage))
@@ -261,7 +261,7 @@ def test_a_folder_that_needs_no_second_phase_is_untouched(
     assert {sigma for _, sigma in priors} == {None}
     assert {path.parent.name for path in stored(tmp_path / "out")} == {"pairs"}
     assert {verdict.prior for verdict in run.verdicts} == {""}
-    monkeypatch.setattr(matching, "find_level", lambda verdicts: None)
+    monkeypatch.setattr(match_folder, "find_level", lambda verdicts: None)
     other = match_images(images, tmp_path / "without")
     assert stored(tmp_path / "without") == stored(tmp_path / "out")
     assert pairs_csv(other) == pairs_csv(run)

@@ -134,7 +134,7 @@ def test_a_model_of_any_features_is_searched_anew_in_its_images(room_run, new_im
 
 def test_hloc_has_the_features_of_map_and_new_image(room_run, new_image, room_folder, tmp_path):
     h5py = pytest.importorskip("h5py")
-    from epi360.jobs.match_result import descriptors_of, load_matches
+    from epi360.jobs.matching.match_result import descriptors_of, load_matches
 
     output = room_run[0]
     write_picture(tmp_path / "query" / "new.png", new_image)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rendered_views import NAMES, image_set, write_views
 
-from epi360.jobs import loop_check
-from epi360.jobs.loop_check import LoopVerdict, check_loops
-from epi360.jobs.mapping import map_images
-from epi360.jobs.match_job import MatchJob
-from epi360.jobs.match_store import Verdict
-from epi360.jobs.matching import MatchOptions, match_images
+from epi360.jobs.graph import loop_check
+from epi360.jobs.graph.loop_check import LoopVerdict, check_loops
+from epi360.jobs.mapping.map_folder import map_images
+from epi360.jobs.matching.match_folder import MatchOptions, match_images
+from epi360.jobs.matching.match_job import MatchJob
+from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_from_vector
 from epi360.report.match_table import describe_match, pairs_csv
 
@@ -289,7 +289,7 @@ def test_the_table_and_the_summary_tell_which_pair_is_contradicted(folder, wrong
     assert rejected[0]["reason"] == "contradicted by other pairs"
     assert (rejected[0]["num_triangles"], rejected[0]["num_contradicted"]) == ("2", "2")
     assert {row["num_contradicted"] for row in rows if row["accepted"] == "yes"} == {"0"}
-    assert "1 contradicted by other pairs" in describe_match(run)
+    assert "1 did not fit other pairs (contradicted by other pairs)" in describe_match(run)
 
 
 def test_a_triangle_that_does_not_close_is_a_warning(folder, wrong_pair, tmp_path):
@@ -310,7 +310,7 @@ def test_a_pair_that_two_triangles_contradict_stays_out_of_the_map(
     wrong_pair = (NAMES[1], NAMES[2])
     found = LoopVerdict(num_triangles, num_triangles, contradicted=True)
     monkeypatch.setattr(
-        "epi360.jobs.graph_check.check_loops",
+        "epi360.jobs.graph.graph_check.check_loops",
         lambda pairs, _: [found if pair == wrong_pair else ALONE for pair in pairs],
     )
     run = map_images(image_set(folder), folder / "out")

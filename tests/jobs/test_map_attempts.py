@@ -14,11 +14,11 @@ pycolmap = pytest.importorskip("pycolmap")
 from epi360.cameras import Equirectangular  # noqa: E402
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry  # noqa: E402
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
-from epi360.jobs import map_attempts  # noqa: E402
-from epi360.jobs.colmap_mapper import MapperOptions  # noqa: E402
-from epi360.jobs.given_poses import model_from_poses  # noqa: E402
-from epi360.jobs.map_attempts import map_by_attempts  # noqa: E402
-from epi360.jobs.matching import PairVerdict  # noqa: E402
+from epi360.jobs.mapping import map_attempts  # noqa: E402
+from epi360.jobs.mapping.colmap_mapper import MapperOptions  # noqa: E402
+from epi360.jobs.mapping.given_poses import model_from_poses  # noqa: E402
+from epi360.jobs.mapping.map_attempts import map_by_attempts  # noqa: E402
+from epi360.jobs.matching.match_folder import PairVerdict  # noqa: E402
 from epi360.poses import Pose, rotation_from_vector  # noqa: E402
 
 CAMERA = Equirectangular(1024, 512)

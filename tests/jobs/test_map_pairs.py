@@ -7,7 +7,7 @@ import pytest
 
 from epi360.cameras import Equirectangular
 from epi360.interop.match_graph import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
-from epi360.jobs.map_pairs import without_doubtful
+from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.poses import Pose
 
 POSE = Pose(np.eye(3), np.array([1.0, 0.0, 0.0]))

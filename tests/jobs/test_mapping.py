@@ -31,11 +31,11 @@ from epi360.interop import (  # noqa: E402
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
-from epi360.jobs.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
-from epi360.jobs.image_set import ImageSet, SourceImage, find_images  # noqa: E402
-from epi360.jobs.mapped_models import MappedModel, write_transforms  # noqa: E402
-from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
-from epi360.jobs.matching import MatchOptions  # noqa: E402
+from epi360.jobs.folder.image_set import ImageSet, SourceImage, find_images  # noqa: E402
+from epi360.jobs.mapping.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
+from epi360.jobs.mapping.map_folder import MapOptions, map_images  # noqa: E402
+from epi360.jobs.mapping.mapped_models import MappedModel, write_transforms  # noqa: E402
+from epi360.jobs.matching.match_folder import MatchOptions  # noqa: E402
 
 
 def aligned_errors(world_from_cam, truth):

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from rendered_views import NAMES, image_set, pictures, truth, write_png, write_views
 
-from epi360.jobs import feature_cache, match_job, match_store, pair_selection, pair_work
-from epi360.jobs.matching import MatchOptions, load_matches, match_images
+from epi360.jobs.folder import feature_cache
+from epi360.jobs.matching import match_job, pair_work
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.pairs import pair_selection
+from epi360.jobs.records import match_store
 from epi360.poses import rotation_error_deg, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
 

@@ -16,17 +16,18 @@ from rendered_views import NAMES, write_views
 
 import epi360
 from epi360 import cli
-from epi360.jobs import match_job, match_on_ray, ray_tasks
-from epi360.jobs.image_set import find_images
-from epi360.jobs.level_folder import Level
-from epi360.jobs.match_store import keys_by_part
-from epi360.jobs.matching import (
+from epi360.jobs import ray_tasks
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching import match_job, match_on_ray
+from epi360.jobs.matching.match_folder import (
     MatchOptions,
     _open_work,
     load_matches,
     match_images,
     open_engine,
 )
+from epi360.jobs.records.match_store import keys_by_part
 from epi360.report.match_table import pairs_csv
 
 NUM_PAIRS, PAIRS_PER_PART = 6, 2
@@ -139,9 +140,9 @@ def test_killed_workers_change_nothing(folder, local, ray_session, tmp_path):
 PROGRAM = f"""
 import sys, time
 from epi360.cli import main
-from epi360.jobs import match_job, matching
+from epi360.jobs.matching import match_job, match_folder
 match_job.PAIRS_PER_PART = {PAIRS_PER_PART}
-matching.write_index = lambda *_: time.sleep(60)  # it never ends before the blow
+match_folder.write_index = lambda *_: time.sleep(60)  # it never ends before the blow
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -7,8 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.matching import PairVerdict
-from epi360.jobs.model_check import PlacedImages, confirmed_images
+from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
+from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose, rotation_from_vector
 
 NUM_IMAGES, NUM_POINTS = 6, 60

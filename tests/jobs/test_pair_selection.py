@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from epi360.jobs.image_set import SourceImage
-from epi360.jobs.match_store import Verdict
-from epi360.jobs.pair_selection import (
+from epi360.jobs.folder.image_set import SourceImage
+from epi360.jobs.pairs.pair_selection import (
     dense_pairs,
     is_dense,
     names_count_up,
     select_pairs,
     ways_of,
 )
+from epi360.jobs.records.match_store import Verdict
 
 
 def images(count):

@@ -6,8 +6,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.place_check import ANOTHER_PLACE, COPY, judge_places
-from epi360.jobs.place_evidence import OWN, Evidence, Sightings
+from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places
+from epi360.jobs.graph.place_evidence import OWN, Evidence, Sightings
 
 NUM_CELLS = 20
 

@@ -6,9 +6,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs import matching
-from epi360.jobs.matching import PairVerdict
-from epi360.jobs.place_check import PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.graph.place_check import PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.matching import match_folder
+from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose
 
 PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3)}
@@ -37,7 +37,7 @@ def test_triangles_confirm_a_pair_that_is_refused_in_doubt(probability, is_accep
     verdicts = verdicts_of(combinations("abcd", 2))
     places = [PlaceVerdict(probability, 0.8, 30, "shows another place, for some reason")]
     places += [PlaceVerdict()] * (len(verdicts) - 1)
-    judged = matching._checked(verdicts, places, is_level=False)
+    judged = match_folder._checked(verdicts, places, is_level=False)
     assert judged[0].accepted == is_accepted
     assert (PLACE_CONFIRMED in judged[0].warnings) == is_accepted
     assert all(verdict.accepted for verdict in judged[1:])
@@ -47,7 +47,7 @@ def test_a_pair_in_no_triangle_stays_refused():
     verdicts = verdicts_of(["ab", "bc", "cd"])
     places = [PlaceVerdict(0.6, 0.8, 30, "may show a copy of the place, as others do")]
     places += [PlaceVerdict()] * 2
-    judged = matching._checked(verdicts, places, is_level=False)
+    judged = match_folder._checked(verdicts, places, is_level=False)
     assert [verdict.accepted for verdict in judged] == [False, True, True]
     assert judged[0].refused.startswith("may show a copy of the place")
 
@@ -58,6 +58,6 @@ def test_refused_pairs_do_not_speak_against_right_ones():
     verdicts[0] = PairVerdict(**{**vars(verdicts[0]), "cam2_from_cam1": wrong})
     places = [PlaceVerdict(0.0, 0.3, 30, "shows another place, for some reason")]
     places += [PlaceVerdict()] * 5
-    judged = matching._checked(tuple(verdicts), places, is_level=False)
+    judged = match_folder._checked(tuple(verdicts), places, is_level=False)
     assert all(verdict.num_contradicted == 0 for verdict in judged)
     assert [verdict.accepted for verdict in judged] == [False, *[True] * 5]

@@ -8,8 +8,8 @@ import pytest
 from PIL import Image, TiffImagePlugin
 
 from epi360.features.image_headers import read_image_header
-from epi360.jobs.image_set import find_images
-from epi360.jobs.positions import near_pairs, positions_of_images
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.pairs.positions import near_pairs, positions_of_images
 from epi360.poses import Pose, rotation_from_vector
 
 LINE = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0], [6, 0, 0], [10, 0, 0]])

@@ -6,7 +6,7 @@ import pytest
 from rendered_views import pictures
 
 from epi360.features import extract_features
-from epi360.jobs.retrieval import alike_pairs
+from epi360.jobs.pairs.retrieval import alike_pairs
 
 
 def unit(values):

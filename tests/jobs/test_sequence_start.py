@@ -12,12 +12,12 @@ from written_videos import write_video
 
 pytest.importorskip("pycolmap")
 
-from epi360.jobs.frames_job import FramesOptions, extract_frames  # noqa: E402
-from epi360.jobs.image_set import find_images  # noqa: E402
-from epi360.jobs.mapping import MapOptions, map_images  # noqa: E402
-from epi360.jobs.matching import MatchOptions  # noqa: E402
-from epi360.jobs.pair_selection import trajectory_pairs  # noqa: E402
-from epi360.jobs.sequence_start import _Frames, may_be_sequence, track_sequence  # noqa: E402
+from epi360.jobs.folder.image_set import find_images  # noqa: E402
+from epi360.jobs.frames.frames_job import FramesOptions, extract_frames  # noqa: E402
+from epi360.jobs.mapping.map_folder import MapOptions, map_images  # noqa: E402
+from epi360.jobs.mapping.sequence_start import _Frames, may_be_sequence, track_sequence  # noqa: E402
+from epi360.jobs.matching.match_folder import MatchOptions  # noqa: E402
+from epi360.jobs.pairs.pair_selection import trajectory_pairs  # noqa: E402
 from epi360.poses import Pose  # noqa: E402
 
 NUM_IMAGES = 10
@@ -55,7 +55,9 @@ def test_a_sequence_is_mapped_from_the_poses_of_the_odometry(walk):
 
 def test_a_second_run_tracks_and_maps_nothing_again(walk, monkeypatch):
     folder, first = walk
-    monkeypatch.setattr("epi360.jobs.sequence_start.Odometry", lambda *_, **__: pytest.fail())
+    monkeypatch.setattr(
+        "epi360.jobs.mapping.sequence_start.Odometry", lambda *_, **__: pytest.fail()
+    )
     again = map_images(find_images(folder / "rgb"), folder / "out", options())
     assert again.was_mapped and again.attempts == first.attempts and again.track == first.track
 

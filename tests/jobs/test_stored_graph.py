@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.image_set import ImageSet, SourceImage
-from epi360.jobs.map_pairs import without_doubtful
-from epi360.jobs.match_result import load_matches, write_index
-from epi360.jobs.match_store import FEATURES, PAIRS, Verdict, VerifiedPair, write_part
+from epi360.jobs.folder.image_set import ImageSet, SourceImage
+from epi360.jobs.mapping.map_pairs import without_doubtful
+from epi360.jobs.matching.match_result import load_matches, write_index
+from epi360.jobs.records.match_store import FEATURES, PAIRS, Verdict, VerifiedPair, write_part
 from epi360.poses import Pose, rotation_from_vector
 from epi360.runs import arrays as npz
 from epi360.runs.arrays import npz_bytes
@@ -89,7 +89,8 @@ def test_pairs_take_little_more_memory_than_their_matches_in_16_bits(folder):
 
 def test_each_file_is_read_once(folder, monkeypatch):
     read = []
-    from epi360.jobs import match_result, match_store
+    from epi360.jobs.matching import match_result
+    from epi360.jobs.records import match_store
 
     for module in (match_result, match_store):
         monkeypatch.setattr(

@@ -6,8 +6,8 @@ from walked_room import CAMERA, frames
 
 from epi360 import Odometry
 from epi360.cli import main
-from epi360.jobs import track_view
-from epi360.jobs.track_view import TrackView
+from epi360.jobs.tracking import track_view
+from epi360.jobs.tracking.track_view import TrackView
 
 rerun = pytest.importorskip("rerun")
 

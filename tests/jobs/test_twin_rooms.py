@@ -6,9 +6,9 @@ from rendered_views import write_views
 from twin_rooms import exposed_and_visited, truth, write_rooms
 
 from epi360 import rotation_error_deg, translation_error_deg
-from epi360.jobs import place_job
-from epi360.jobs.image_set import find_images
-from epi360.jobs.matching import MatchOptions, match_images
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching import place_job
+from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.report.match_table import describe_match, pairs_csv
 
 ALL = MatchOptions(pairs="exhaustive")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from colmap_graphs import panoramas_of_points, relative_pose
 
-from epi360.jobs.verify_pairs import unverified_pairs, verify_pairs
+from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs
 from epi360.poses import rotation_error_deg, translation_error_deg
 
 

@@ -16,8 +16,8 @@ from made_up_results import essential, fake_result
 from epi360.cameras import Equirectangular
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.interop.reconstruction import PosedImage, Reconstruction
-from epi360.jobs.image_set import ImageSet, SourceImage
-from epi360.jobs.matching import MatchRun, PairVerdict
+from epi360.jobs.folder.image_set import ImageSet, SourceImage
+from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
 from epi360.poses import Pose
 from epi360.report import folder_page
 from epi360.report.folder_page import (

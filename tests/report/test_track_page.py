@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from browsers import errors, open_browser, requests_elsewhere, show
 
-from epi360.jobs.track_files import Written
-from epi360.jobs.track_job import TrackRun
+from epi360.jobs.tracking.track_files import Written
+from epi360.jobs.tracking.track_job import TrackRun
 from epi360.odometry.frame_result import FrameResult, MapPoints
 from epi360.odometry.key_frames import KeyFrame
 from epi360.poses import Pose, rotation_from_vector

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt, load_camera
-from epi360.jobs.frame_source import read_frame_times
+from epi360.jobs.frames.frame_source import read_frame_times
 from epi360.poses import Pose
 from epi360_paper.datasets import load_mp3d_vo
 from epi360_scenes import Rendering, handheld_path, scene

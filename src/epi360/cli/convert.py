@@ -133,7 +133,7 @@ def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool
 
 
 def _verified(graph: MatchGraph) -> MatchGraph:
-    from epi360.jobs.verify_pairs import verify_pairs
+    from epi360.jobs.matching.verify_pairs import verify_pairs
 
     with show_bars() as progress:
         return verify_pairs(graph, progress=progress)
@@ -141,13 +141,13 @@ def _verified(graph: MatchGraph) -> MatchGraph:
 
 def _descriptors(source: Path, name: str, keeps: bool) -> DescriptorsOf | None:
     """Where the descriptors come from, if not from the images of the graph."""
-    from epi360.jobs.match_result import descriptors_of
+    from epi360.jobs.matching.match_result import descriptors_of
 
     return descriptors_of(source) if name == MATCH_FOLDER and keeps else None
 
 
 def _warn_of_unverified(graph: MatchGraph) -> None:
-    from epi360.jobs.verify_pairs import unverified_pairs
+    from epi360.jobs.matching.verify_pairs import unverified_pairs
 
     count = len(unverified_pairs(graph))
     if count:
@@ -180,7 +180,7 @@ def _read(
 
 def _format_of_source(source: Path) -> str:
     from epi360.interop.formats import format_of_file, holds_colmap_model, holds_opensfm_project
-    from epi360.jobs.match_store import MARKER
+    from epi360.jobs.records.match_store import MARKER
 
     was_matched = (source / MARKER).is_file()
     holds_project = holds_opensfm_project(source) and not was_matched
@@ -246,8 +246,8 @@ def _read_matches(
     with_descriptors: bool,
 ) -> MatchGraph:
     from epi360.interop.convert import read_matches
-    from epi360.jobs.given_cameras import read_given_cameras
-    from epi360.jobs.matching import load_matches
+    from epi360.jobs.folder.given_cameras import read_given_cameras
+    from epi360.jobs.matching.match_folder import load_matches
 
     if name == MATCH_FOLDER:
         return load_matches(source)
@@ -265,7 +265,7 @@ def _read_reconstruction(
     source: Path, name: str, images: str, camera: str | None
 ) -> Reconstruction:
     from epi360.interop.convert import read_reconstruction, with_camera
-    from epi360.jobs.given_cameras import read_given_cameras
+    from epi360.jobs.folder.given_cameras import read_given_cameras
 
     given = None if camera is None else read_given_cameras(camera)
     with _warnings_on_stderr():

@@ -48,7 +48,7 @@ def evaluate(
         Draw both trajectories and the errors.
     """
     from epi360.jobs.evaluation import evaluate as errors_of
-    from epi360.jobs.frame_source import read_frame_table
+    from epi360.jobs.frames.frame_source import read_frame_table
     from epi360.jobs.trajectories import read_trajectory
     from epi360.report.files import check_distinct, check_figure_name, check_writable
     from epi360.report.trajectory import describe_evaluation

@@ -12,7 +12,7 @@ from cyclopts import Group, Parameter
 from epi360.cli.command import FILES, SUCCESS, app, options_as_typed, show_bars
 
 if TYPE_CHECKING:
-    from epi360.jobs.frames_job import FramesRun
+    from epi360.jobs.frames.frames_job import FramesRun
 
 
 @Parameter(name="*", group=Group("Choice", sort_key=1))
@@ -71,7 +71,7 @@ def frames(
     out
         New folder, or one that the same command began.
     """
-    from epi360.jobs.frames_job import FramesOptions, extract_frames
+    from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 
     with options_as_typed():
         options = FramesOptions(
@@ -101,7 +101,7 @@ def folder_of(
 ) -> Path:
     """Return a folder of images as it is; frames of a video are written below the output first."""
     from epi360.interop.video import is_video
-    from epi360.jobs.frames_job import FramesOptions, extract_frames
+    from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 
     if not (is_video(source) or source.is_file()):
         return source

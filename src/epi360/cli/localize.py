@@ -104,7 +104,7 @@ def localize(
 
 
 def _camera(camera: str) -> Camera:
-    from epi360.jobs.given_cameras import read_given_cameras
+    from epi360.jobs.folder.given_cameras import read_given_cameras
 
     return read_given_cameras(camera).only()
 
@@ -112,7 +112,7 @@ def _camera(camera: str) -> Camera:
 def _files_by_name(paths: Sequence[Path]) -> dict[str, Path]:
     """Files of all paths by a name that tells them apart."""
     from epi360.image_folders import IMAGE_SUFFIXES
-    from epi360.jobs.folder_files import files_below
+    from epi360.jobs.folder.folder_files import files_below
 
     files: list[tuple[str, Path]] = []
     for path in paths:
@@ -143,8 +143,8 @@ def _localize_all(
     options: LocalizationOptions,
 ) -> dict[str, LocalizationResult]:
     """Results by name; an image that cannot be read costs itself, not the others."""
+    from epi360.jobs.folder.masks import MaskSource
     from epi360.jobs.localization import localize_image
-    from epi360.jobs.masks import MaskSource
 
     masks = MaskSource(mask)
     mask_of = {name: masks.mask_of(name) for name in files}
@@ -239,7 +239,7 @@ def _write(
 
 def _times(files: Mapping[str, Path]) -> dict[str, float]:
     """Times of images from the frames.csv beside them, if all have one."""
-    from epi360.jobs.frame_source import read_frame_table
+    from epi360.jobs.frames.frame_source import read_frame_table
 
     times: dict[str, float] = {}
     tables: dict[Path, Mapping[str, float | None]] = {}

@@ -35,10 +35,10 @@ from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.interop import Reconstruction
-    from epi360.jobs.cube_faces import CubemapOptions
-    from epi360.jobs.image_set import ImageSet
-    from epi360.jobs.map_attempts import Attempt
-    from epi360.jobs.mapping import MapOptions, MapRun
+    from epi360.jobs.cubes.cube_faces import CubemapOptions
+    from epi360.jobs.folder.image_set import ImageSet
+    from epi360.jobs.mapping.map_attempts import Attempt
+    from epi360.jobs.mapping.map_folder import MapOptions, MapRun
     from epi360.report.folder_page import MapShown
 
 Face = Literal["front", "right", "back", "left", "up", "down"]
@@ -134,9 +134,9 @@ def map_folder(
     code
         Exit code.
     """
-    from epi360.jobs.cubemap import check_cubemap_folder
-    from epi360.jobs.image_set import find_images
-    from epi360.jobs.mapping import map_images
+    from epi360.jobs.cubes.cubemap import check_cubemap_folder
+    from epi360.jobs.folder.image_set import find_images
+    from epi360.jobs.mapping.map_folder import map_images
 
     if cube_faces != CUBE_FACES and not cubemap:
         raise ValueError("--face-size, --fov-deg, --faces and the like need --cubemap")
@@ -216,7 +216,7 @@ def cubemap(
     """
     from epi360.interop.convert import read_reconstruction
     from epi360.interop.formats import FORMATS, format_of_file
-    from epi360.jobs.masks import MaskSource
+    from epi360.jobs.folder.masks import MaskSource
     from epi360.runs.input_files import as_file
 
     options = _cubemap_options(cube_faces)
@@ -241,7 +241,7 @@ def _shown_map(run: MapRun) -> MapShown:
 
 
 def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:
-    from epi360.jobs.mapping import MapOptions
+    from epi360.jobs.mapping.map_folder import MapOptions
 
     match = match_options(given, work)
     with options_as_typed():
@@ -256,7 +256,7 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
 
 
 def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
-    from epi360.jobs.cube_faces import CubemapOptions
+    from epi360.jobs.cubes.cube_faces import CubemapOptions
 
     with options_as_typed():
         return CubemapOptions(
@@ -333,7 +333,7 @@ def _cut(
     keep_world: bool = False,
 ) -> None:
     """Cut the images of a model into cube faces, and say so."""
-    from epi360.jobs.cubemap import export_cubemap
+    from epi360.jobs.cubes.cubemap import export_cubemap
 
     with options_as_typed(), show_bars() as progress:
         cube = export_cubemap(

@@ -26,8 +26,8 @@ from epi360.cli.frames import folder_of
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
-    from epi360.jobs.image_set import ImageSet
-    from epi360.jobs.matching import MatchOptions, MatchRun
+    from epi360.jobs.folder.image_set import ImageSet
+    from epi360.jobs.matching.match_folder import MatchOptions, MatchRun
     from epi360.report.folder_page import MapShown
     from epi360.runs.remote_path import AnyPath
 
@@ -126,8 +126,8 @@ def match(
     code
         Exit code.
     """
-    from epi360.jobs.image_set import find_images
-    from epi360.jobs.matching import match_images
+    from epi360.jobs.folder.image_set import find_images
+    from epi360.jobs.matching.match_folder import match_images
     from epi360.runs.remote_path import path_of
 
     if report is not None:
@@ -170,8 +170,8 @@ def write_report(
 
 def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
     """Options of `match_images` in the words of the command."""
-    from epi360.jobs.matching import MatchOptions
-    from epi360.jobs.pair_selection import ways_of
+    from epi360.jobs.matching.match_folder import MatchOptions
+    from epi360.jobs.pairs.pair_selection import ways_of
 
     pairs: str | Path = work.pairs
     if isinstance(pairs, Path) and not pairs.exists():

@@ -154,7 +154,7 @@ def _check_pair_words(
 
 def _files_read(image1: Path | None, image2: Path | None, given: PairInput) -> dict[str, Path]:
     """List every file that the command reads, by the name a message calls it."""
-    from epi360.jobs.given_cameras import camera_file
+    from epi360.jobs.folder.given_cameras import camera_file
 
     files = {"the first image": image1, "the second image": image2}
     for name in ("mask", "mask1", "mask2", "camera", "camera1", "camera2"):
@@ -227,7 +227,7 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
     """Camera of a calibration file, by name where the file holds several."""
     if source is None:
         return None
-    from epi360.jobs.given_cameras import read_given_cameras
+    from epi360.jobs.folder.given_cameras import read_given_cameras
 
     try:
         return read_given_cameras(source).only()

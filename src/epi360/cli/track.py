@@ -22,7 +22,7 @@ from epi360.cli.command import (
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
-    from epi360.jobs.track_job import TrackOptions, TrackRun, Watcher
+    from epi360.jobs.tracking.track_job import TrackOptions, TrackRun, Watcher
 
 NAMED = 20  # messages that are printed one by one; the log has all of them
 
@@ -108,14 +108,14 @@ def track(
     code
         Exit code.
     """
-    from epi360.jobs.track_job import track_frames
+    from epi360.jobs.tracking.track_job import track_frames
 
     page = None if report is None else _Page(report, source)
     options = _options(given, work)
     out = _default_output(source) if out is None else out
     watchers: list[Watcher] = []
     if view or recording is not None:
-        from epi360.jobs.track_view import TrackView
+        from epi360.jobs.tracking.track_view import TrackView
 
         watchers.append(TrackView(window=view, recording=recording))
     if page is not None:
@@ -155,7 +155,7 @@ class _Page:
 
 
 def _options(given: TrackInput, work: TrackWork) -> TrackOptions:
-    from epi360.jobs.track_job import TrackOptions
+    from epi360.jobs.tracking.track_job import TrackOptions
     from epi360.odometry import OdometryOptions
 
     with options_as_typed():

@@ -15,8 +15,8 @@ from epi360.cameras import Camera
 from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.features import read_image
 from epi360.interop import MatchedPair, MatchGraph, Reconstruction
-from epi360.jobs.image_set import ImageSet
-from epi360.jobs.matching import MatchRun, PairVerdict, load_matches
+from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.matching.match_folder import MatchRun, PairVerdict, load_matches
 from epi360.poses import Pose
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (

@@ -9,7 +9,7 @@ from dataclasses import astuple
 
 import numpy as np
 
-from epi360.jobs.matching import MatchRun, PairVerdict
+from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
 from epi360.report.text import STATUS_SENTENCES, counted, wrapped
 
 COLUMNS = (

@@ -24,7 +24,7 @@ from epi360.report.webgl import MISSING, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
 
 if TYPE_CHECKING:
-    from epi360.jobs.track_job import TrackRun
+    from epi360.jobs.tracking.track_job import TrackRun
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from epi360.odometry.frame_result import FrameResult, FrameStatus
 from epi360.report.text import counted
 
 if TYPE_CHECKING:
-    from epi360.jobs.track_job import TrackRun
+    from epi360.jobs.tracking.track_job import TrackRun
 
 STATUS_MEANINGS: dict[FrameStatus, str] = {
     "tracked": "the frame has a pose",

@@ -25,7 +25,7 @@ from epi360.interop.hloc_layout import (
     own_group,
     reading,
 )
-from epi360.jobs.feature_cache import keypoints_in_file
+from epi360.jobs.folder.feature_cache import keypoints_in_file
 from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 

@@ -19,7 +19,7 @@ from epi360.jobs.localization.feature_sources import (
     MatchedFolder,
 )
 from epi360.jobs.localization.map_views import LocalizationMap
-from epi360.jobs.mapped_models import with_given_cameras
+from epi360.jobs.mapping.mapped_models import with_given_cameras
 from epi360.runs.whole_files import PathLike
 
 _INDEX, _CAMERAS, _FIRST, _DATABASE = "images.json", "cameras.json", "sparse/0", "database.db"

@@ -14,7 +14,7 @@ from epi360.features.visual_words import (
     learn_words,
     signature,
 )
-from epi360.jobs.retrieval import Looks
+from epi360.jobs.pairs.retrieval import Looks
 
 Descriptors = NDArray[np.float32]
 

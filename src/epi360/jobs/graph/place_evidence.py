@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the surroundings that are known from elsewhere look like where a pair says they must be.
+
+The points that other pairs of a panorama triangulate lie, if a pair is right, at known places in
+the view of its other camera. Which of them are nearer than what that camera sees there is known as
+well. Such points must be visible, and look the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from epi360.features.sphere_cells import SphereCells
+from epi360.features.warped_patches import Panorama, likeness
+from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_between
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+OWN = -1  # the pair itself, as a source of distances
+_NOBODY = np.empty(0, dtype=np.int64)
+_CELLS = SphereCells(183)  # of 15 degrees: what lies in one is one witness
+_FOUND = 0.7  # likeness of what is the same
+_LEAST_CONTRAST = 4.0  # grey values; less than that is a bare wall
+_VIEW_CHANGES_DEG = (20.0, 45.0)  # points are classed by the angle between both rays
+_MOST_WITNESSES = 12  # pairs that are asked at either end
+_MOST_POINTS, _MOST_OF_ONE = 240, 40  # that are looked for from one side, in all and of one witness
+_FEWEST_POINTS = 15  # of a pair that is asked
+_LEAST_PARALLAX_DEG, _LEAST_OWN_PARALLAX_DEG = 1.5, 0.5
+# A point counts if it is known to this where in the view it must be.
+_PLACE_SIGMA_DEG = 0.5
+_ABOUT_DEG, _NUM_ABOUT = 5.0, 7  # the distance that a camera sees somewhere is that of points near
+# The pair's own surroundings: key points beside its inliers, where these lie on one surface.
+_BESIDE_DEG, _THIRD_DEG = (1.5, 6.0), 9.0
+_NUM_BESIDE, _NUM_STRONG = 48, 2500
+_SURFACE_POINTS, _SURFACE_SPREAD = 6, 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Points of one camera of a pair that were looked for in the view of the other.
+
+    Attributes
+    ----------
+    witnesses : ndarray of int, shape (N,)
+        Pair that knows each point.
+    cells : ndarray of int, shape (N,)
+        Part of the view that it lies in.
+    changes : ndarray of int, shape (N,)
+        Class of the angle between both rays to it: small, medium or large.
+    found : ndarray of bool, shape (N,)
+        Whether the same is seen there.
+    sources : ndarray of int, shape (S,)
+        Pairs that know distances in the other view; `OWN` is the pair itself.
+    beyond : ndarray, shape (N, S)
+        Logarithm of each point's distance over what the other camera sees there; NaN if a source
+        does not know.
+    """
+
+    witnesses: Indices
+    cells: Indices
+    changes: Indices
+    found: Mask
+    sources: Indices
+    beyond: NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What was looked for from both sides of a pair, and beside its inliers."""
+
+    sides: tuple[Sightings, Sightings]
+    beside: tuple[Sightings, Sightings]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """All pairs of a folder with what they know about the views of its panoramas.
+
+    ``panorama_of`` and ``bearings_of`` give the picture of a number and where its key points look,
+    the strongest first.
+    """
+
+    pairs: Sequence[PosedPair]
+    clouds: Mapping[tuple[int, int], Cloud]  # by pair and side
+    at: Mapping[int, Sequence[tuple[int, int]]]  # pairs and sides of each panorama
+    panorama_of: Callable[[int], Panorama]
+    bearings_of: Callable[[int], Array]
+
+    @classmethod
+    def of(
+        cls,
+        pairs: Sequence[PosedPair],
+        panorama_of: Callable[[int], Panorama],
+        bearings_of: Callable[[int], Array],
+    ) -> Surroundings:
+        """Triangulate all pairs; those with most points come first at each panorama."""
+        clouds = {
+            (row, side): cloud_of(pair, side, _LEAST_PARALLAX_DEG)
+            for row, pair in enumerate(pairs)
+            for side in (0, 1)
+        }
+        at: dict[int, list[tuple[int, int]]] = {}
+        for row, side in sorted(clouds, key=lambda key: (-len(clouds[key].points), key)):
+            at.setdefault(pairs[row].images[side], []).append((row, side))
+        return cls(pairs, clouds, at, panorama_of, bearings_of)
+
+    def evidence(self, row: int) -> Evidence:
+        """Look for what is known of the views of a pair."""
+        known = [self._known(row, side) for side in (0, 1)]
+        first, second = (
+            self._sightings(row, side, known[side], known[1 - side]) for side in (0, 1)
+        )
+        beside = [self._beside(row, side, known[side][OWN]) for side in (0, 1)]
+        return Evidence((first, second), (beside[0], beside[1]))
+
+    def _known(self, row: int, side: int) -> dict[int, Cloud]:
+        """Points of other pairs at one camera of a pair, in the pair's units, and its own."""
+        own = cloud_of(self.pairs[row], side, _LEAST_OWN_PARALLAX_DEG)
+        known = {}
+        for other, other_side in self.at[self.pairs[row].images[side]]:
+            cloud = self.clouds[other, other_side]
+            if other == row or len(cloud.points) < _FEWEST_POINTS:
+                continue
+            scale = scale_between(own, cloud)
+            if scale is not None:
+                known[other] = cloud.scaled(*scale)
+            if len(known) == _MOST_WITNESSES:
+                break
+        return {**known, OWN: own}
+
+    def _sightings(
+        self, row: int, side: int, here: Mapping[int, Cloud], there: Mapping[int, Cloud]
+    ) -> Sightings:
+        points, normals, witnesses = [np.empty((0, 3))], [np.empty((2, 0, 3))], [_NOBODY]
+        most = min(_MOST_OF_ONE, _MOST_POINTS // max(len(here) - 1, 1))
+        for other, cloud in here.items():
+            if other != OWN:
+                kept = self._placed(row, side, cloud, most)
+                points.append(cloud.points[kept])
+                normals.append(_normals(cloud.points, kept))
+                witnesses.append(np.full(len(kept), other))
+        return _looked_for(
+            self,
+            row,
+            side,
+            np.concatenate(points),
+            np.concatenate(normals, axis=1),
+            np.concatenate(witnesses),
+            there,
+        )
+
+    def _placed(self, row: int, side: int, cloud: Cloud, most: int) -> Indices:
+        """Rows of some points whose place in the other view is known well enough."""
+        sigmas = self._place_sigmas(row, side, cloud.points, cloud.log_sigmas)
+        (good,) = np.nonzero(sigmas < _PLACE_SIGMA_DEG)
+        return _some(good, most)
+
+    def _place_sigmas(
+        self, row: int, side: int, points: Array, log_sigmas: float | Array = 0.0
+    ) -> Array:
+        """How well the place of points in the other view is known, in degrees; NaN if not."""
+        pair = self.pairs[row]
+        pose = pair.other_from(side)
+        seen = points @ pose.rotation.T + pose.translation
+        ranges = np.maximum(np.linalg.norm(seen, axis=1), 1e-9)
+        across = np.linalg.norm(np.cross(seen, pose.translation), axis=1) / ranges**2
+        sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
+        return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))
+
+    def _beside(self, row: int, side: int, own: Cloud) -> Sightings:
+        """Key points that lie beside the inliers of a pair, on the surfaces of these."""
+        points, normals = np.empty((0, 3)), np.empty((2, 0, 3))
+        if len(own.points) >= 2 * _SURFACE_POINTS:
+            candidates = self.bearings_of(self.pairs[row].images[side])[:_NUM_STRONG]
+            points, normals = _surface_points(own, candidates)
+            kept = self._place_sigmas(row, side, points) < _PLACE_SIGMA_DEG
+            points, normals = points[kept], normals[:, kept]
+        return _looked_for(self, row, side, points, normals, np.full(len(points), OWN), {})
+
+
+def _looked_for(
+    known: Surroundings,
+    row: int,
+    side: int,
+    points: Array,
+    normals: Array,
+    witnesses: Indices,
+    there: Mapping[int, Cloud],
+) -> Sightings:
+    """Look for points of one camera of a pair in the view of the other."""
+    pair = known.pairs[row]
+    pose = pair.other_from(side)
+    first, second = (known.panorama_of(pair.images[each]) for each in (side, 1 - side))
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+    backward = points - pose.inverse().translation
+    backward /= np.linalg.norm(backward, axis=1, keepdims=True)
+    planes = np.concatenate([normals, directions[None], (directions + backward)[None]])
+    planes /= np.maximum(np.linalg.norm(planes, axis=2, keepdims=True), 1e-9)
+    alike, contrasts = likeness(first, second, points, pose, planes)
+    cosines = np.clip(np.sum(directions * backward, axis=1), -1, 1)
+    kept = contrasts > _LEAST_CONTRAST
+    sources = np.array(list(there), dtype=np.int64)
+    seen = points[kept] @ pose.rotation.T + pose.translation
+    beyond = [_beyond(seen, cloud) for cloud in there.values()]
+    return Sightings(
+        witnesses[kept],
+        _CELLS.indices(directions[kept]) + side * len(_CELLS),
+        np.digitize(np.degrees(np.arccos(cosines[kept])), _VIEW_CHANGES_DEG),
+        alike[kept] > _FOUND,
+        sources,
+        np.array(beyond, np.float32).reshape(len(sources), len(seen)).T,
+    )
+
+
+def _beyond(seen: Array, cloud: Cloud) -> Array:
+    """Logarithm of distances over those of the cloud in about the same directions."""
+    if len(cloud.points) < 2 or len(seen) == 0:
+        return np.full(len(seen), np.nan)
+    ranges = np.linalg.norm(seen, axis=1)
+    tree = cKDTree(cloud.points / cloud.distances[:, None])
+    limit = 2 * np.sin(np.radians(_ABOUT_DEG) / 2)
+    _, near = tree.query(seen / ranges[:, None], _NUM_ABOUT, distance_upper_bound=limit)
+    distances = np.sort(np.append(np.log(cloud.distances), np.nan)[near], axis=1)  # NaN last
+    num_known = np.isfinite(distances).sum(axis=1)
+    middle = np.maximum(num_known - 1, 0) // 2
+    beyond: Array = np.log(ranges) - distances[np.arange(len(seen)), middle]
+    return beyond
+
+
+def _some(rows: Indices, most: int) -> Indices:
+    """As many rows, spread over all."""
+    some: Indices = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    return some
+
+
+def _normals(points: Array, rows: Indices) -> Array:
+    """Normals (2, K, 3) of planes that rows may lie on: that of their neighbours, the floor's."""
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+    _, near = cKDTree(directions).query(directions[rows], min(_NUM_ABOUT, len(points)))
+    return np.stack([_plane_normals(points[near]), np.tile([0.0, 1.0, 0.0], (len(rows), 1))])
+
+
+def _plane_normals(groups: Array) -> Array:
+    """Normal (N, 3) of the plane that fits each group of points (N, K, 3) best."""
+    centred = groups - groups.mean(axis=1, keepdims=True)
+    normals: Array = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, 0]
+    return normals
+
+
+def _surface_points(own: Cloud, candidates: Array) -> tuple[Array, Array]:
+    """Points at candidates beside a cloud, on planes through it, and the normals of these."""
+    directions = own.points / own.distances[:, None]
+    gaps, near = cKDTree(directions).query(candidates, _SURFACE_POINTS)
+    gaps_deg = np.degrees(2 * np.arcsin(np.clip(gaps / 2, 0, 1)))
+    spread = np.log(own.distances)[near[:, :4]].std(axis=1)
+    least, most = _BESIDE_DEG
+    beside = (gaps_deg[:, 0] > least) & (gaps_deg[:, 0] < most) & (gaps_deg[:, 2] < _THIRD_DEG)
+    (rows,) = np.nonzero(beside & (spread < _SURFACE_SPREAD))
+    rows = _some(rows, _NUM_BESIDE)
+    rays, groups = candidates[rows], own.points[near[rows]]
+    normals = _plane_normals(groups)
+    middle = np.exp(np.median(np.log(own.distances[near[rows]]), axis=1))
+    facing = np.sum(normals * rays, axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depths = np.sum(normals * groups.mean(axis=1), axis=1) / facing
+    is_usual = (np.abs(facing) > 0.15) & (np.abs(np.log(np.abs(depths) / middle)) < 0.5)
+    is_usual &= depths > 0
+    depths = np.where(is_usual, depths, middle)
+    normals = np.where(is_usual[:, None], normals, rays)
+    return rays * depths[:, None], np.stack([normals, rays])

@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""One way after the other to map a database, and the best of what they find."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from epi360.extras import extra_library
+from epi360.interop.colmap_database import CONFIG_OF_STATUS
+from epi360.interop.colmap_rigs import quiet
+from epi360.interop.match_graph import MatchGraph
+from epi360.jobs.mapping.colmap_mapper import MapperOptions, color_points, run_mapper
+from epi360.jobs.mapping.given_poses import adjust_model, model_from_poses
+from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
+from epi360.jobs.matching.match_folder import PairVerdict
+from epi360.poses import Pose
+from epi360.progress import Progress, no_progress
+
+RULES = 2  # of the attempts and the check: other rules, other models
+# Another way is tried if more than this share of the images that pairs connect is left out.
+_MOST_LEFT_OUT = 0.05
+_FEWEST_IMAGES = 3  # that anything else could place
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What one way of mapping has found: images in its largest model, and how long it took.
+
+    ``num_unconfirmed`` images were placed as well, where nothing confirms it; they were taken out.
+    """
+
+    how: str
+    num_registered: int
+    num_unconfirmed: int
+    mean_error_px: float | None  # None without a model
+    seconds: float
+    kept: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """Models of the best attempt, what was tried, and images whose places nothing confirms."""
+
+    models: list[Any]
+    attempts: tuple[Attempt, ...]
+    unconfirmed: tuple[str, ...]
+
+
+def map_by_attempts(
+    database: Path,
+    options: MapperOptions,
+    graph: MatchGraph,
+    pairs: Sequence[PairVerdict],
+    *,
+    colors: Mapping[str, NDArray[np.uint8]],
+    initial: tuple[str, Mapping[str, Pose]] | None = None,
+    progress: Progress = no_progress,
+) -> Mapped:
+    """Models of the first way that places nearly all images, or of the one that places most.
+
+    First comes what was asked for: the poses of ``initial``, which come with words for them, or
+    else the mapper of the options. Then the other mapper, and the incremental one with small angles
+    between rays. Images that anything but the incremental mapper with its usual angles has placed
+    must be confirmed, see `confirmed_images`. If two ways place equally many, the one that was
+    asked for is kept, and else the one with the smaller error.
+    """
+    needed = (1 - _MOST_LEFT_OUT) * _num_connected(graph)
+    tried: list[Mapped] = []
+    for how, is_trusted, find in _ways(database, options, graph, colors, initial, progress):
+        begun = time.perf_counter()
+        models = find()
+        lost = [] if is_trusted else _without_unconfirmed(models, graph, pairs, options)
+        error = models[0].compute_mean_reprojection_error() if models else None
+        placed = models[0].num_reg_images() if models else 0
+        attempt = Attempt(how, placed, len(lost), error, time.perf_counter() - begun)
+        tried.append(Mapped(models, (attempt,), tuple(lost)))
+        if placed >= needed:
+            break
+    best = max(range(len(tried)), key=lambda k: (*_rank(tried[k].attempts[0], k == 0), -k))
+    attempts = tuple(replace(each.attempts[0], kept=k == best) for k, each in enumerate(tried))
+    return replace(tried[best], attempts=attempts)
+
+
+def _rank(attempt: Attempt, was_asked: bool) -> tuple[int, bool, float]:
+    error = np.inf if attempt.mean_error_px is None else attempt.mean_error_px
+    return attempt.num_registered, was_asked, -error
+
+
+def _ways(
+    database: Path,
+    options: MapperOptions,
+    graph: MatchGraph,
+    colors: Mapping[str, NDArray[np.uint8]],
+    initial: tuple[str, Mapping[str, Pose]] | None,
+    progress: Progress,
+) -> Iterator[tuple[str, bool, Callable[[], list[Any]]]]:
+    """Each way in words, whether its places are trusted without a check, and how to go it."""
+    run = partial(run_mapper, database, colors=colors, progress=progress)
+    incremental = replace(options, mapper="incremental")
+    mappers = [incremental, replace(options, mapper="global")]
+    if options.mapper == "global":
+        mappers.reverse()
+    if initial is not None and initial[1]:
+        how, poses = initial
+        yield (
+            how,
+            False,
+            partial(_from_poses, database, incremental, graph, colors, poses, progress),
+        )
+    for each in mappers:
+        yield f"{each.mapper} mapper", each.mapper == "incremental", partial(run, each)
+    small = replace(incremental, small_angles=True)
+    yield "incremental mapper with small angles", False, partial(run, small)
+
+
+def _from_poses(
+    database: Path,
+    options: MapperOptions,
+    graph: MatchGraph,
+    colors: Mapping[str, NDArray[np.uint8]],
+    initial: Mapping[str, Pose],
+    progress: Progress,
+) -> list[Any]:
+    """The model of given poses; the incremental mapper adds images that have none."""
+    model = model_from_poses(database, initial, options)
+    if model.num_points3D() == 0:
+        return []
+    if model.num_reg_images() < _num_connected(graph):
+        with TemporaryDirectory() as folder:
+            model.write_binary(folder)
+            models = run_mapper(
+                database, options, colors=colors, start=Path(folder), progress=progress
+            )
+        if models and models[0].num_reg_images() > model.num_reg_images():
+            return models
+    color_points(model, colors)
+    return [model]
+
+
+def _num_connected(graph: MatchGraph) -> int:
+    """Images in the largest part of the graph that pairs hold together; 0 if nothing can be won."""
+    row_of = {name: row for row, name in enumerate(graph.images)}
+    used = [
+        (row_of[pair.image1], row_of[pair.image2])
+        for pair in graph.pairs
+        if pair.geometry is not None and pair.geometry.status in CONFIG_OF_STATUS
+    ]
+    if not used:
+        return 0
+    rows, columns = np.array(used).T
+    adjacency = coo_array((np.ones(len(used)), (rows, columns)), shape=(len(row_of),) * 2)
+    size = int(np.bincount(connected_components(adjacency, directed=False)[1]).max())
+    return size if size >= _FEWEST_IMAGES else 0
+
+
+def _without_unconfirmed(
+    models: list[Any], graph: MatchGraph, pairs: Sequence[PairVerdict], options: MapperOptions
+) -> list[str]:
+    """Take images out of models if nothing confirms their places; their names."""
+    pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
+    lost: list[str] = []
+    for model in list(models):
+        placed = _placed(model, graph)
+        confirmed = confirmed_images(placed, pairs)
+        wrong = [image for image in _registered(model) if image.name not in confirmed]
+        lost += [image.name for image in wrong]
+        if not confirmed:
+            models.remove(model)
+        elif wrong:
+            for frame in {image.frame_id for image in wrong}:
+                model.deregister_frame(frame)
+            with quiet(pycolmap):
+                adjust_model(pycolmap, model, options)
+    models.sort(key=lambda model: -model.num_reg_images())
+    kept = {image.name for model in models for image in _registered(model)}
+    return sorted(set(lost) - kept)
+
+
+def _registered(model: Any) -> list[Any]:
+    return [model.images[image_id] for image_id in model.reg_image_ids()]
+
+
+def _placed(model: Any, graph: MatchGraph) -> PlacedImages:
+    """What is checked of COLMAP's model."""
+    images = _registered(model)
+    row_of = {image.image_id: row for row, image in enumerate(images)}
+    points = list(model.points3D.values())
+    seen = [
+        (number, row_of[element.image_id])
+        for number, point in enumerate(points)
+        for element in point.track.elements
+    ]
+    point_index, image_index = np.array(seen, dtype=np.int64).reshape(-1, 2).T
+    poses = {image.name: _pose(image) for image in images}
+    moments = {image.name: graph.images[image.name].frame or image.name for image in images}
+    positions = np.array([point.xyz for point in points]).reshape(-1, 3)
+    return PlacedImages(poses, moments, positions, point_index, image_index)
+
+
+def _pose(image: Any) -> Pose:
+    return Pose.from_matrix(image.cam_from_world().matrix())

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Which images of a mapped model have a place that points and pairs confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.jobs.matching.match_folder import PairVerdict
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+
+Array = NDArray[np.float64]
+
+# Of 13 panoramas that COLMAP's global mapper places of a real tour, the nine right ones see 29
+# points or more of which the others know the depth, and agree with two pairs or more. The four
+# that are metres off see 3 points at most: one pair says where they are, not how far.
+_MIN_POINTS = 15
+_MIN_PAIRS = 2
+_FEWEST_MOMENTS = 3  # two have no third that could agree
+# Least angle between two rays to a point of known depth: ten times the noise of a small panorama.
+_MIN_PARALLAX_RAD = np.radians(0.5)
+# A pair agrees with a model up to so much and four sigmas of its pose. In the same tour pairs of
+# right places differ by up to 3.5 degrees, those of wrong ones by 7 to 50.
+_ROTATION_DEG, _DIRECTION_DEG, _SIGMAS = 3.0, 5.0, 4.0
+# Sigmas of a pose that was too uncertain to state its own, and that triangles confirm.
+_UNKNOWN_ROTATION_DEG, _UNKNOWN_DIRECTION_DEG = 0.5, 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedImages:
+    """A model as it is checked: where its images are, and which of them sees which point.
+
+    ``frames`` are the moments of the images: those of a rig that share one move together. Row i of
+    ``image_index`` (K,), in the order of the poses, and ``point_index`` (K,) is one observation of
+    ``points`` (P, 3).
+    """
+
+    cam_from_world: Mapping[str, Pose]
+    frames: Mapping[str, str | int]
+    points: Array
+    point_index: NDArray[np.int64]
+    image_index: NDArray[np.int64]
+
+
+def confirmed_images(model: PlacedImages, pairs: Sequence[PairVerdict]) -> set[str]:
+    """Names of the images whose places the others confirm; there may be none.
+
+    From two images that a pair connects, the rest is confirmed one after the other: an image needs
+    15 points of which confirmed ones know the depth, because two of them see it under half a degree
+    or more, and two accepted pairs with confirmed ones that agree with the model. So a right
+    direction at a wrong distance is not enough, and wrong images do not confirm each other unless
+    three of them agree in all that. What begins at the pair that leads to most images is returned.
+    """
+    graph = _Graph(model, pairs)
+    found: list[NDArray[np.bool_]] = []
+    for start in graph.connected():
+        if not any(group[start].all() for group in found):
+            group = graph.grown_from(start)
+            if np.count_nonzero(group) >= _FEWEST_MOMENTS:
+                found.append(group)
+    if not found:
+        return set()
+    best = max(found, key=np.count_nonzero)
+    return {name for name, moment in graph.moment_of.items() if best[moment]}
+
+
+class _Graph:
+    """Moments of a model, the rays on which they see points, and the pairs that agree with it."""
+
+    def __init__(self, model: PlacedImages, pairs: Sequence[PairVerdict]) -> None:
+        moments = list(dict.fromkeys(model.frames[name] for name in model.cam_from_world))
+        row_of = {moment: row for row, moment in enumerate(moments)}
+        self.moment_of = {name: row_of[model.frames[name]] for name in model.cam_from_world}
+        self.num_moments, self.num_points = len(moments), len(model.points)
+        moment_index = np.array(list(self.moment_of.values()), dtype=np.int64)[model.image_index]
+        # A point that a moment of a rig sees twice counts once.
+        seen = moment_index * (self.num_points + 1) + model.point_index
+        once = np.unique(seen, return_index=True)[1]
+        self.moments, self.points = moment_index[once], model.point_index[once]
+        centers = np.array([p.inverse().translation for p in model.cam_from_world.values()])
+        self.rays = model.points[self.points] - centers.reshape(-1, 3)[model.image_index[once]]
+        self.pairs = np.array(
+            [
+                sorted((self.moment_of[pair.image1], self.moment_of[pair.image2]))
+                for pair in pairs
+                if pair.image1 in self.moment_of
+                and pair.image2 in self.moment_of
+                and _agrees(pair, model.cam_from_world)
+            ],
+            dtype=np.int64,
+        ).reshape(-1, 2)
+
+    def connected(self) -> list[NDArray[np.int64]]:
+        """Moments with an agreeing pair, those farthest apart in the order of the images first.
+
+        In a sequence, the nearest ones see points under too small an angle to begin with.
+        """
+        pairs = np.unique(self.pairs[self.pairs[:, 0] < self.pairs[:, 1]], axis=0)
+        return list(pairs[np.argsort(pairs[:, 0] - pairs[:, 1], kind="stable")])
+
+    def grown_from(self, start: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Moments that those of a pair confirm, step by step, shape (F,)."""
+        inside: NDArray[np.bool_] = np.zeros(self.num_moments, dtype=bool)
+        new = inside.copy()
+        new[start] = True
+        first_rays = np.full((self.num_points, 3), np.nan)
+        parallax = np.zeros(self.num_points)
+        while new.any():
+            inside |= new
+            rows = np.flatnonzero(new[self.moments])
+            points, rays = self.points[rows], self.rays[rows]
+            unseen = np.isnan(first_rays[points, 0])
+            first_rays[points[unseen][::-1]] = rays[unseen][::-1]
+            np.maximum.at(parallax, points, _angles(first_rays[points], rays))
+            is_known = parallax >= _MIN_PARALLAX_RAD
+            num_points = np.bincount(
+                self.moments[is_known[self.points]], minlength=self.num_moments
+            )
+            new = (num_points >= _MIN_POINTS) & (self._num_pairs(inside) >= _MIN_PAIRS) & ~inside
+        return inside
+
+    def _num_pairs(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Agreeing pairs of each moment with those inside, shape (F,)."""
+        one, other = self.pairs.T
+        return np.bincount(one[inside[other]], minlength=self.num_moments) + np.bincount(
+            other[inside[one]], minlength=self.num_moments
+        )
+
+
+def _angles(a: Array, b: Array) -> Array:
+    angles: Array = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ni,ni->n", a, b))
+    return angles
+
+
+def _agrees(pair: PairVerdict, cam_from_world: Mapping[str, Pose]) -> bool:
+    """Whether the pose of an accepted pair is that of the model."""
+    if not pair.accepted and (pair.status != "pure_rotation" or pair.refused):
+        return False
+    placed = cam_from_world[pair.image2] @ cam_from_world[pair.image1].inverse()
+    rotation_sigma = np.nan_to_num(pair.rotation_sigma_deg, nan=_UNKNOWN_ROTATION_DEG)
+    limit = _ROTATION_DEG + _SIGMAS * rotation_sigma
+    if rotation_error_deg(placed, pair.cam2_from_cam1) > limit:
+        return False
+    if not np.isfinite(pair.cam2_from_cam1.translation).all():
+        return True  # a pure rotation
+    sigma = np.nan_to_num(pair.translation_sigma_deg, nan=_UNKNOWN_DIRECTION_DEG)
+    error: float = translation_error_deg(placed, pair.cam2_from_cam1)
+    return bool(error <= _DIRECTION_DEG + _SIGMAS * sigma)

@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""A folder of images to verified relative poses of its pairs; stopped, it goes on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from epi360.cameras.upright import check_upright
+from epi360.features.detection import check_options
+from epi360.jobs.engines import Engine, check_engine
+from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
+from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.graph.graph_check import check_graph, closing
+from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.graph.place_check import PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
+from epi360.jobs.matching.match_job import MatchJob
+from epi360.jobs.matching.match_result import load_matches, write_index
+from epi360.jobs.matching.more_pairs import more_pairs
+from epi360.jobs.matching.pair_work import MatchInputs, PairWork
+from epi360.jobs.matching.place_job import check_places
+from epi360.jobs.pairs.pair_selection import (
+    NEIGHBORS,
+    Pair,
+    dense_pairs,
+    is_dense,
+    mostly_match,
+    select_pairs,
+    ways_of,
+)
+from epi360.jobs.records.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
+from epi360.jobs.threads import num_cores
+from epi360.progress import Progress, no_progress
+from epi360.runs.file_digests import FileDigests
+from epi360.runs.remote_path import AnyPath, RemotePath, path_of
+
+__all__ = ["MatchOptions", "MatchRun", "PairVerdict", "load_matches", "match_images"]
+
+
+@dataclass(frozen=True)
+class MatchOptions:
+    """How images are matched."""
+
+    pairs: str | Path = "auto"  # see `select_pairs`
+    overlap: int = 10  # in a sequence: neighbours that follow an image
+    neighbors: int = NEIGHBORS  # partners of an image by retrieval, and by position
+    positions: Path | None = None  # poses for pairs that are near; without them GPS of the images
+    radius: float | None = None  # of near pairs, in the unit of the positions; metres of GPS
+    # Wider images are searched at this width; key points are in pixels of the originals. At 2048,
+    # real pairs 2688 wide have errors as small as at their full width, in half the time.
+    max_width: int = 2048
+    max_features: int = 10000  # the strongest of each image are kept
+    mask_nadir_deg: float = 0.0  # ignored around straight down
+    upright_deg: float | None = None  # panoramas that stand upright to so many degrees, one sigma
+    seed: int = 0
+    num_threads: int | None = None  # one per core; the results do not depend on it
+
+    def __post_init__(self) -> None:
+        """Check all options."""
+        check_options(self.max_width, self.mask_nadir_deg)
+        check_upright(self.upright_deg)
+        ways = ways_of(self.pairs)
+        for name in ("positions", "radius"):
+            if getattr(self, name) is not None and "near" not in ways:
+                raise ValueError(f'{name} must come with pairs="near", got pairs="{self.pairs}"')
+        if self.radius is not None and not 0.0 < self.radius < np.inf:
+            raise ValueError(f"radius must be above 0, got {self.radius:g}")
+        for name in ("overlap", "neighbors", "max_features", "num_threads"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} must be at least 1, got {value}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PairVerdict(Verdict):
+    """What became of a pair of images.
+
+    The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
+    `PlaceVerdict`.
+    """
+
+    image1: str
+    image2: str
+    num_triangles: int = 0
+    num_contradicted: int = 0
+    contradicted: bool = False
+    contradicted_by: tuple[tuple[str, str], ...] = ()
+    refused: str = ""
+    confirmed: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the pose may be used."""
+        return super().accepted and not self.contradicted and not self.refused
+
+
+@dataclass(frozen=True, eq=False)
+class MatchRun:
+    """What a run of `match_images` found."""
+
+    folder: AnyPath  # what `load_matches` takes
+    how: str  # how the pairs were chosen, in words
+    images: tuple[str, ...]  # names of all images
+    verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
+    unreadable: Mapping[str, str]  # image to the reason why it could not be used
+    num_found: int  # pairs that an earlier run had finished
+    level: Level | None = None  # what the poses of a level folder say about the others
+    num_gained: int = 0  # pairs that are accepted because the folder is level
+    num_lost: int = 0  # pairs that have no pose any more because the folder is level
+
+
+def match_images(
+    images: ImageSet,
+    output: str | PathLike[str] | RemotePath,
+    options: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    *,
+    first_pairs: Sequence[Pair] = (),
+    restart: bool = False,
+    progress: Progress = no_progress,
+    engine: Engine = "local",
+    address: str | None = None,
+) -> MatchRun:
+    """Verified poses of pairs of images; what an earlier run has finished is used.
+
+    ``output``, a folder or a URL that fsspec understands, keeps key points and pairs. With
+    ``restart``, pairs in it that were made with other options are thrown away instead of refusing
+    them; features that still fit are kept. ``progress`` is told of the stages "images", "features",
+    "retrieval", "pairs", in a level folder "level pairs", and "places" where accepted pairs of
+    panoramas have surroundings to look at.
+
+    With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
+    pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
+    match well. So do ``first_pairs``, the `trajectory_pairs` of a sequence, where nearly all match.
+
+    Every image has one list of key points, strongest first. A pair is matched with the stronger
+    ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
+    warning, unless it leaves no hope: a pose less probable than 0.05. If the poses say that the
+    folder is level, see `find_level`, pairs without a pose, and those whose pose is tilted, are
+    estimated again with that known, and then from all key points. An image that cannot be read
+    costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
+    `judge_places`, and the pairs are held against each other, see `check_graph`.
+
+    The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
+    default one that is started on this machine). There, each image and each part of the pairs is a
+    task, which writes its file into the output. Both write the same bytes, on any number of
+    threads, and one goes on with what the other has left.
+
+    Raises
+    ------
+    ValueError
+        If the pairs file names an unknown image, there are no positions for pairs that are near,
+        images that are no panoramas shall be upright, or the output was made with other options or
+        by something else.
+    OSError
+        If the output cannot be written.
+    """
+    check_engine(engine)
+    work = _open_work(images, path_of(output), options, restart)
+    with open_engine(work, engine, address) as opened:
+        return _match(images, MatchJob(work, opened, progress), options, first_pairs)
+
+
+def _match(
+    images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
+) -> MatchRun:
+    few = list(first_pairs) or dense_pairs(images.images, options.pairs)
+    suffice = mostly_match if first_pairs else is_dense
+    finished, num_found = _verified(few, job) if few else ({}, 0)
+    is_sequence = bool(few) and len(finished) == len(few) and suffice(list(finished.values()))
+    if is_sequence:
+        how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
+        pairs = few
+    else:
+        more = more_pairs(images, job, options.positions, options.radius, job.progress)
+        how, pairs = select_pairs(
+            images.images, options.pairs, options.overlap, options.neighbors, more
+        )
+        num_seen = len(finished)
+        finished, num_there = _verified(pairs, job)
+        num_found += num_there - num_seen
+    level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
+    settled = finished if level is None else _with_level(level, pairs, job, finished)
+    is_level = level is not None or options.upright_deg is not None
+    named = tuple(_named(pair, job, settled) for pair in pairs)
+    # Neighbours in a sequence, nearly all of which match, are of one place.
+    places = [] if is_sequence else _places(pairs, job, settled, level)
+    verdicts = _checked(named, places or [PlaceVerdict()] * len(pairs), is_level)
+    matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
+    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
+    write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
+    return MatchRun(
+        folder=job.output,
+        how=how,
+        images=tuple(image.name for image in images.images),
+        verdicts=verdicts,
+        unreadable=job.unreadable,
+        num_found=num_found,
+        level=level,
+        num_gained=_num_accepted_more(settled, finished) + len(confirmed),
+        num_lost=_num_accepted_more(finished, settled),
+    )
+
+
+def open_match_output(
+    output: AnyPath, options: MatchOptions, *, restart: bool
+) -> ExtractionOptions:
+    """Open the output folder of `match_images`, or refuse it; how key points are found for it."""
+    extraction = ExtractionOptions(
+        options.max_width, options.max_features, float(options.mask_nadir_deg)
+    )
+    made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
+    open_output(output, made_with, restart=restart)
+    return extraction
+
+
+def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart: bool) -> PairWork:
+    """Open the output folder, or refuse it, and return the work that is done in it."""
+    extraction = open_match_output(output, options, restart=restart)
+    inputs = MatchInputs(
+        images=dict(enumerate(images.images)),
+        cameras=dict(enumerate(images.cameras[image.camera] for image in images.images)),
+        keys={},
+        output=output,
+        cache=FeatureCache(output / FEATURES, extraction, FileDigests(output / DIGESTS)),
+        seed=options.seed,
+        upright_deg=options.upright_deg,
+    )
+    return PairWork(inputs, options.num_threads or num_cores())
+
+
+@contextmanager
+def open_engine(work: PairWork, engine: Engine, address: str | None) -> Iterator[MatchEngine]:
+    """Engine of this name; a Ray session is closed at the end, see `ray_session`."""
+    if engine == "local":
+        yield LocalEngine(work)
+        return
+    from epi360.jobs.matching.match_on_ray import RayEngine
+    from epi360.jobs.ray_tasks import import_ray, ray_session
+
+    ray = import_ray("matching on Ray")
+    with ExitStack() as sessions:
+
+        def connect() -> Any:
+            sessions.enter_context(ray_session(ray, address))
+            return ray
+
+        yield RayEngine(work, connect)
+
+
+def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict], int]:
+    """Verdicts of pairs, and how many were there; the key points are found first."""
+    wanted = {index for pair in pairs for index in pair}
+    if not wanted <= job.keys.keys():
+        job.find_features(sorted(wanted))
+    return job.verify(pairs)
+
+
+def _of_full_panoramas(
+    pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
+) -> list[Verdict]:
+    return [
+        finished[job.keys_of(pair)]
+        for pair in pairs
+        if job.is_readable(pair) and job.sees_all_around(pair)
+    ]
+
+
+def _with_level(
+    level: Level, pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
+) -> Mapping[Keys, Verdict]:
+    """Verdicts of which some are replaced by those with the prior of the level folder."""
+    again = job.verify_again(pairs, finished, level)
+    kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
+    return {**finished, **kept}
+
+
+def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, Verdict]) -> int:
+    """Pairs that are accepted by themselves here and not there."""
+    return sum(verdict.accepted and not others[keys].accepted for keys, verdict in verdicts.items())
+
+
+def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairVerdict:
+    """Verdict on two images, by name."""
+    image1, image2 = (job.images[index].name for index in pair)
+    if not job.is_readable(pair):
+        return PairVerdict(status="unreadable_image", image1=image1, image2=image2)
+    return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
+
+
+def _places(
+    pairs: Sequence[Pair],
+    job: MatchJob,
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
+) -> list[PlaceVerdict]:
+    """What the surroundings say about each pair."""
+    wanted = {job.keys_of(pair): pair for pair in pairs if job.is_readable(pair)}
+    found = check_places(job, wanted, settled, level)
+    nothing = PlaceVerdict()
+    return [
+        found.get(job.keys_of(pair), nothing) if job.is_readable(pair) else nothing
+        for pair in pairs
+    ]
+
+
+def _checked(
+    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
+) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the surroundings and the other pairs say."""
+    refused = [replace(v, refused=p.refused) for v, p in zip(verdicts, places, strict=True)]
+    judged = _with_graph(refused, is_level)
+    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
+    accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
+    doubted = {row: verdicts[row] for row, place in enumerate(places) if place.leaves_a_doubt}
+    confirmed = closing(names, judged, accepted, doubted)
+    if not confirmed:
+        return judged
+    cleared = [
+        replace(verdicts[row], warnings=(*verdicts[row].warnings, PLACE_CONFIRMED))
+        if row in confirmed
+        else verdict
+        for row, verdict in enumerate(refused)
+    ]
+    return _with_graph(cleared, is_level)
+
+
+def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the other pairs say."""
+    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
+    judged = []
+    for verdict, found in zip(
+        verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
+    ):
+        warnings = (*verdict.warnings, *found.doubts(verdict))
+        refused = verdict.refused or found.refused
+        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
+        if found.confirmed:
+            each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
+        judged.append(each)
+    return tuple(judged)

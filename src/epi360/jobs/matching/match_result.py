@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The result of `epi360 match`: which images and pairs of its output folder belong to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from functools import cache
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import load_cameras
+from epi360.features.detection import root_sift
+from epi360.features.matching import rounded_descriptors
+from epi360.interop import MatchGraph
+from epi360.jobs.folder.feature_cache import COLORS
+from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.records.match_store import (
+    CAMERAS,
+    FEATURES,
+    IMAGES,
+    PAIRS,
+    Keys,
+    Verdict,
+    pair_of_part,
+    part_arrays,
+)
+from epi360.jobs.records.stored_graph import StoredImages, StoredPairs
+from epi360.poses import Pose
+from epi360.runs.arrays import Arrays, read_arrays
+from epi360.runs.input_files import as_file
+from epi360.runs.inside import inside
+from epi360.runs.made_from import read_record, write_record
+from epi360.runs.remote_path import AnyPath, RemotePath, path_of
+
+Colors = dict[str, NDArray[np.uint8]]
+
+
+def write_index(
+    folder: AnyPath,
+    images: ImageSet,
+    keys: Mapping[str, str],
+    pairs: Iterable[tuple[str, str]],
+    level: Level | None = None,
+    confirmed: Sequence[tuple[str, str]] = (),
+) -> None:
+    """Say which images and pairs are the result: a run is complete.
+
+    ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
+    the images of each finished pair, in order. In a level folder, some pairs also have a verdict
+    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right.
+    """
+    cameras = {
+        name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
+        for name, camera in images.cameras.items()
+    }
+    listed = [
+        {"name": image.name, "camera": image.camera, "frame": image.frame, "key": keys[image.name]}
+        for image in images.images
+        if image.name in keys
+    ]
+    rig = {name: pose.matrix().tolist() for name, pose in images.cam_from_rig.items()}
+    (folder / IMAGES).unlink(missing_ok=True)  # the old one does not go with the new cameras
+    write_record(folder / CAMERAS, {"cameras": cameras})
+    index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
+    if level is not None:
+        index["level"] = vars(level)
+    if confirmed:
+        index["confirmed"] = [list(pair) for pair in confirmed]
+    write_record(folder / IMAGES, index)
+
+
+def load_matches(folder: str | PathLike[str] | RemotePath) -> MatchGraph:
+    """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
+
+    Every pair has a geometry: look at its status.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such folder, or it holds no complete run.
+    ValueError
+        If a file is damaged.
+    """
+    return _load(path_of(folder), None)
+
+
+def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
+    """Return what reads the descriptors of an image of `load_matches`: RootSIFT as it is matched.
+
+    They are read when they are asked for, because those of a thousand images take 5 GB.
+    """
+    folder = Path(folder)
+
+    @cache
+    def keys() -> dict[str, str]:
+        index = read_record(folder / IMAGES, remedy=_AGAIN) or {}
+        return {image["name"]: image["key"] for image in index["images"]}
+
+    def descriptors(name: str) -> NDArray[np.float32]:
+        return rounded_descriptors(root_sift(_arrays_of(folder, name, keys()[name])["descriptors"]))
+
+    return descriptors
+
+
+def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
+    """What `load_matches` gives, and the RGB of the key points of each image by its name."""
+    colors: Colors = {}
+    return _load(path_of(folder), colors), colors
+
+
+def _load(folder: AnyPath, colors: Colors | None) -> MatchGraph:
+    """Graph of a folder; its colours are added to those given."""
+    if not (folder / IMAGES).is_file():
+        raise FileNotFoundError(
+            f"{folder} holds no complete result of epi360 match; run it with this --output first"
+        )
+    with as_file(folder / CAMERAS) as file:
+        cameras = load_cameras(file)
+    try:
+        index = json.loads((folder / IMAGES).read_bytes())
+        keys = {image["name"]: image["key"] for image in index["images"]}
+        wanted = [((name1, name2), (keys[name1], keys[name2])) for name1, name2 in index["pairs"]]
+        rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
+        listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
+        level = Level(**index["level"]) if "level" in index else None
+        confirmed = {(name1, name2) for name1, name2 in index.get("confirmed", ())}
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
+    images = StoredImages()
+    for name, camera, frame in listed:
+        arrays = _arrays_of(folder, name, keys[name])
+        images.add(name, camera, frame, arrays["pixels"])
+        if colors is not None:
+            colors[name] = arrays[COLORS]
+    store = StoredPairs()
+    places = _places(folder, store, {keys_of_pair for _, keys_of_pair in wanted}, level)
+    for names, keys_of_pair in wanted:
+        if keys_of_pair not in places:
+            raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
+        store.add(names, places[keys_of_pair], is_confirmed=names in confirmed)
+    return MatchGraph(cameras, images, store.pairs(), rig)
+
+
+def _places(
+    folder: AnyPath, store: StoredPairs, needed: Set[Keys], level: Level | None
+) -> dict[Keys, tuple[int, int]]:
+    """Parts and rows of the pairs, which the store keeps; each file is read once."""
+    later: dict[Keys, tuple[tuple[int, int], Verdict]] = {}
+    if level is not None:
+        for keys, place, arrays in _rows(folder, store, needed, level.store):
+            later[keys] = place, pair_of_part(arrays, place[1]).verdict
+    places = {}
+    for keys, place, arrays in _rows(folder, store, needed, PAIRS):
+        places[keys] = place
+        if level is not None and keys in later:
+            place_later, verdict = later[keys]
+            if level.keeps(pair_of_part(arrays, place[1]).verdict, verdict):
+                places[keys] = place_later
+    return places
+
+
+def _rows(
+    folder: AnyPath, store: StoredPairs, needed: Set[Keys], sub_folder: str
+) -> Iterator[tuple[Keys, tuple[int, int], Arrays]]:
+    """Needed pairs of a sub-folder: keys, number of the part with row, arrays of the part."""
+    for arrays in part_arrays(folder, sub_folder):
+        keys = [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
+        rows = [row for row, each in enumerate(keys) if each in needed]
+        if rows:
+            number = store.add_part(arrays)
+            yield from ((keys[row], (number, row), arrays) for row in rows)
+
+
+_AGAIN = "run epi360 match with this --output again, it redoes what is missing"
+
+
+def _arrays_of(folder: AnyPath, name: str, key: str) -> Arrays:
+    arrays = read_arrays(inside(folder / FEATURES, f"{key}.npz"))
+    if arrays is None:
+        raise ValueError(f"the key points of {name} are missing or damaged; {_AGAIN}")
+    return arrays

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""`judge_places` on the accepted pairs of a folder, from its pictures and kept matches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache, partial
+
+from epi360.features import read_image
+from epi360.features.warped_patches import Panorama
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.graph.place_check import PlaceVerdict, judge_places
+from epi360.jobs.graph.place_evidence import Evidence, Surroundings
+from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.matching.match_job import MatchJob
+from epi360.jobs.pairs.pair_selection import Pair
+from epi360.jobs.records.match_store import PAIRS, Keys, Verdict, VerifiedPair, read_parts
+from epi360.jobs.threads import on_threads
+
+# Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
+_FEWEST_PAIRS, _MOST_PAIRS = 3, 10_000
+_PANORAMAS_IN_MEMORY = 128  # of 2 MB
+
+
+def check_places(
+    job: MatchJob, wanted: Mapping[Keys, Pair], settled: Mapping[Keys, Verdict], level: Level | None
+) -> dict[Keys, PlaceVerdict]:
+    """What the surroundings say about accepted pairs of full panoramas.
+
+    ``wanted`` has two readable images for each pair of keys, ``settled`` the verdicts that count.
+    Nothing is said where a picture cannot be read any more.
+    """
+    usable = {
+        keys: pair
+        for keys, pair in wanted.items()
+        if settled[keys].accepted and job.sees_all_around(pair) and keys[0] != keys[1]
+    }
+    if not _FEWEST_PAIRS <= len(usable) <= _MOST_PAIRS:
+        return {}
+    posed = dict(_posed(job, usable, settled, level))
+    keys = sorted(posed, key=lambda each: posed[each].images)
+    known = Surroundings.of(
+        [posed[each] for each in keys],
+        lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job)),
+        lru_cache(_PANORAMAS_IN_MEMORY)(job.bearings_of),
+    )
+    evidence = _gathered(job, known)
+    heard = [row for row in range(len(keys)) if row in evidence]
+    verdicts = judge_places(
+        [known.pairs[row].images for row in heard], [evidence[row] for row in heard]
+    )
+    return {keys[row]: verdict for row, verdict in zip(heard, verdicts, strict=True)}
+
+
+def _gathered(job: MatchJob, known: Surroundings) -> dict[int, Evidence]:
+    """Evidence on each pair, by its row."""
+    rows = range(len(known.pairs))
+    job.progress("places", 0, len(rows))
+    found = {}
+
+    def look(row: int) -> Evidence | None:
+        try:
+            return known.evidence(row)
+        except (OSError, ValueError):  # a picture is gone
+            return None
+
+    for count, (row, each) in enumerate(on_threads(look, rows, job.work.num_threads), start=1):
+        job.progress("places", count, len(rows))
+        if each is not None:
+            found[row] = each
+    return found
+
+
+def _panorama(job: MatchJob, index: int) -> Panorama:
+    return Panorama.of(read_image(job.images[index].path))
+
+
+def _posed(
+    job: MatchJob,
+    usable: Mapping[Keys, Pair],
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
+) -> Iterator[tuple[Keys, PosedPair]]:
+    """Poses and inliers of the pairs, from the parts that hold the verdicts that count."""
+    stores = {PAIRS: ""} if level is None else {PAIRS: "", level.store: level.prior}
+    for store, prior in stores.items():
+        for verified in read_parts(job.output, store):
+            pair = usable.get(verified.keys)
+            if pair is None:
+                continue
+            has_prior = level is not None and settled[verified.keys].prior == level.prior
+            if has_prior == bool(prior):
+                yield verified.keys, _posed_pair(job, pair, verified)
+
+
+def _posed_pair(job: MatchJob, pair: Pair, verified: VerifiedPair) -> PosedPair:
+    first, second = verified.matches[verified.inlier_mask].T
+    bearings1, bearings2 = (job.bearings_of(index) for index in pair)
+    return PosedPair(
+        pair,
+        verified.verdict.cam2_from_cam1,
+        (first, second),
+        (bearings1[first], bearings2[second]),
+        verified.verdict.noise_deg,
+        verified.verdict.rotation_sigma_deg,
+        verified.verdict.translation_sigma_deg,
+    )
