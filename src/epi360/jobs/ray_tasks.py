@@ -48,10 +48,12 @@ def ray_session(ray: Any, address: str | None) -> Iterator[None]:
     RAY_ADDRESS, and without it Ray is started on this machine and stopped at the end. A session
     that the process has open already is used instead and stays open.
     """
+    address = address or os.environ.get("RAY_ADDRESS") or "local"
+    if "://" in address and not address.startswith("ray://"):
+        raise ValueError(f"address must be HOST:PORT, ray://HOST:PORT or auto, got {address}")
     if ray.is_initialized():
         yield
         return
-    address = address or os.environ.get("RAY_ADDRESS") or "local"
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.CRITICAL}
     if address == "local":
         options |= {"include_dashboard": False, "object_store_memory": _OBJECT_STORE_BYTES}
@@ -66,8 +68,6 @@ def ray_session(ray: Any, address: str | None) -> Iterator[None]:
 
 def _check_answers(address: str) -> None:
     """Raise at once where nobody listens: Ray tries for minutes and says so on stderr."""
-    if "://" in address and not address.startswith("ray://"):
-        raise ValueError(f"address must be HOST:PORT, ray://HOST:PORT or auto, got {address}")
     host, colon, port = address.removeprefix("ray://").rpartition(":")
     if not colon or not port.isdigit():  # "auto": Ray looks for a cluster on this machine
         return
