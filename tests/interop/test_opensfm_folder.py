@@ -215,3 +215,16 @@ def test_names_that_the_folder_cannot_hold_are_refused_before_anything_is_writte
         with pytest.raises(ValueError, match=message):
             write_opensfm_folder(tmp_path / "new", scene(("a.jpg", name)))
     assert not list(tmp_path.iterdir())
+
+
+def test_pictures_that_lie_in_the_project_stay(tmp_path):
+    own, others = tmp_path / "images", tmp_path / "others"
+    for folder in (own, others):
+        folder.mkdir()
+        for name in ("a.jpg", "b.jpg"):
+            (folder / name).write_text(f"{folder.name} {name}")
+    write_opensfm_folder(tmp_path, scene(), images=own)
+    with pytest.raises(FileExistsError, match=r"a\.jpg is another picture than .* not replaced"):
+        write_opensfm_folder(tmp_path, scene(), images=others)
+    for name in ("a.jpg", "b.jpg"):
+        assert not (own / name).is_symlink() and (own / name).read_text() == f"images {name}"

@@ -26,6 +26,7 @@ from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
 from epi360.interop.opensfm_pictures import (
     IMAGE_LIST,
+    check_links,
     find_pictures,
     image_list_of,
     link_picture,
@@ -130,6 +131,8 @@ def write_opensfm_folder(
     ------
     FileNotFoundError
         If ``images`` lacks one of the pictures.
+    FileExistsError
+        If another picture lies where a link is to be put.
     ValueError
         As `write_opensfm`, or if the name of an image leads out of the folder or has a tab or line
         break, which tracks.csv cannot hold.
@@ -142,6 +145,7 @@ def write_opensfm_folder(
         inside(folder, name)
     paths = paths_of_pictures(names)
     pictures = {} if images is None else find_pictures(images, names)
+    check_links(folder, {paths[name]: picture for name, picture in pictures.items()})
     reconstruction = _renamed(reconstruction, {name: shot_name(paths[name]) for name in names})
     document = _document(reconstruction)
     contents = {

@@ -8,6 +8,8 @@ and ``undistort`` leaves it out. The folders stand in image_list.txt, a path a l
 
 import shutil
 from collections import Counter
+from collections.abc import Mapping
+from filecmp import cmp
 from pathlib import Path, PurePosixPath
 
 from epi360.runs.input_files import read_text
@@ -50,9 +52,25 @@ def find_pictures(folder: PathLike, names: list[str]) -> dict[str, Path]:
     return pictures
 
 
+def check_links(project: Path, pictures: Mapping[str, Path]) -> None:
+    """Raise ``FileExistsError`` where a file that is no link has the path of another picture."""
+    for path, picture in pictures.items():
+        link = project / IMAGES / path
+        if link.exists() and not link.is_symlink() and not cmp(link, picture, shallow=False):
+            raise FileExistsError(
+                f"{link} is another picture than {picture}, and is not replaced; remove it, or "
+                "write into another folder"
+            )
+
+
 def link_picture(project: Path, path: str, picture: Path) -> None:
-    """Put a link into ``images/``, or a copy where the file system has no links."""
+    """Put a link into ``images/``, or a copy where the file system has no links.
+
+    A picture that lies there already stays.
+    """
     link = project / IMAGES / path
+    if link.exists() and cmp(link, picture, shallow=False):
+        return
     link.parent.mkdir(parents=True, exist_ok=True)
     link.unlink(missing_ok=True)
     try:
