@@ -356,11 +356,10 @@ def test_killed_and_interrupted_drivers_of_ray_lose_nothing(
         workers = set(busy_workers(os.getpid() if words else child.pid))
         child.send_signal(blow)
         code, said = outcome(child)
-        # A slow machine says every half minute how far it is.
+        # How far it is, a driver says now and then, and not before it hears of the part.
         last = [
             line for line in said.splitlines() if not line.startswith("epi360: checked pairs: ")
         ]
-        assert len(last) < len(said.splitlines())
         assert (code, last) in ((-signal.SIGKILL, []), (130, ["epi360: interrupted"]))
         wait_until_gone(workers)
         assert finished.items() < seconds_of_parts(output).items()
