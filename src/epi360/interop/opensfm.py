@@ -26,10 +26,10 @@ from epi360.cameras.calibration.opensfm import read as cameras_from_document
 from epi360.interop import checks
 from epi360.interop.opensfm_pictures import (
     IMAGE_LIST,
-    check_links,
     find_pictures,
     image_list_of,
     link_picture,
+    missing_links,
     names_in_list,
     paths_of_pictures,
     shot_name,
@@ -145,7 +145,7 @@ def write_opensfm_folder(
         inside(folder, name)
     paths = paths_of_pictures(names)
     pictures = {} if images is None else find_pictures(images, names)
-    check_links(folder, {paths[name]: picture for name, picture in pictures.items()})
+    links = missing_links(folder, {paths[name]: picture for name, picture in pictures.items()})
     reconstruction = _renamed(reconstruction, {name: shot_name(paths[name]) for name in names})
     document = _document(reconstruction)
     contents = {
@@ -166,8 +166,8 @@ def write_opensfm_folder(
     with whole_paths(*(folder / name for name in contents), make_folder=True) as temporaries:
         for temporary, content in zip(temporaries, contents.values(), strict=True):
             temporary.write_bytes(content)
-    for name, picture in pictures.items():
-        link_picture(folder, paths[name], picture)
+    for link, picture in links.items():
+        link_picture(link, picture)
 
 
 def _renamed(reconstruction: Reconstruction, new_names: Mapping[str, str]) -> Reconstruction:

@@ -25,17 +25,18 @@ def paths_of_pictures(names: list[str]) -> dict[str, str]:
     They are the names, or have "_" for each slash where two images of different folders have one
     name.
     """
-    if not _clash(names):
+    if not loses_folders(names):
         return {name: name for name in names}
     flat = {name: "_".join(PurePosixPath(name).parts) for name in names}
-    if _clash(list(flat.values())):
+    if loses_folders(list(flat.values())):
         raise ValueError("OpenSfM has no folders in names, and without them two images are equal")
     return flat
 
 
 def loses_folders(names: list[str]) -> bool:
     """Whether OpenSfM can tell images apart only if their names are made flat."""
-    return _clash(names)
+    shots = Counter(shot_name(name).casefold() for name in names)
+    return max(shots.values(), default=1) > 1
 
 
 def shot_name(path: str) -> str:
@@ -52,25 +53,25 @@ def find_pictures(folder: PathLike, names: list[str]) -> dict[str, Path]:
     return pictures
 
 
-def check_links(project: Path, pictures: Mapping[str, Path]) -> None:
-    """Raise ``FileExistsError`` where a file that is no link has the path of another picture."""
-    for path, picture in pictures.items():
-        link = project / IMAGES / path
-        if link.exists() and not link.is_symlink() and not cmp(link, picture, shallow=False):
+def missing_links(project: Path, pictures: Mapping[str, Path]) -> dict[Path, Path]:
+    """Return the links of ``images/`` that are not there yet, with the picture of each.
+
+    ``pictures`` has them by path below ``images/``. A picture that lies there already stays, and
+    ``FileExistsError`` is raised where another one does.
+    """
+    links = {project / IMAGES / path: picture for path, picture in pictures.items()}
+    missing = {link: picture for link, picture in links.items() if not _is_there(link, picture)}
+    for link, picture in missing.items():
+        if link.exists() and not link.is_symlink():
             raise FileExistsError(
                 f"{link} is another picture than {picture}, and is not replaced; remove it, or "
                 "write into another folder"
             )
+    return missing
 
 
-def link_picture(project: Path, path: str, picture: Path) -> None:
-    """Put a link into ``images/``, or a copy where the file system has no links.
-
-    A picture that lies there already stays.
-    """
-    link = project / IMAGES / path
-    if link.exists() and cmp(link, picture, shallow=False):
-        return
+def link_picture(link: Path, picture: Path) -> None:
+    """Make a link in place of an earlier one, or a copy where the file system has no links."""
     link.parent.mkdir(parents=True, exist_ok=True)
     link.unlink(missing_ok=True)
     try:
@@ -90,9 +91,11 @@ def names_in_list(project: Path) -> dict[str, str]:
         return {}
     lines = read_text(project / IMAGE_LIST).splitlines()
     names = [line.removeprefix(IMAGES) for line in lines if line.startswith(IMAGES)]
-    return {} if _clash(names) else {shot_name(name): name for name in names}
+    return {} if loses_folders(names) else {shot_name(name): name for name in names}
 
 
-def _clash(names: list[str]) -> bool:
-    shots = Counter(shot_name(name).casefold() for name in names)
-    return max(shots.values(), default=1) > 1
+def _is_there(link: Path, picture: Path) -> bool:
+    """Whether the link leads to the picture already, or is a copy of it."""
+    if not link.exists():
+        return False
+    return link.samefile(picture) or (not link.is_symlink() and cmp(link, picture, shallow=False))
