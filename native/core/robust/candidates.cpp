@@ -18,7 +18,8 @@ constexpr double kFinal = 1e-4;
 // Akaike's criterion: what three shares of wider Gaussians must add to the log-likelihood.
 constexpr double kSimpler = 3.0;
 // Log-likelihood by which near misses among the matches behind a camera must explain more, in all
-// and for each match: clouds gain 0.4 to 1.6, random outliers a hundredth, copies of rooms a tenth.
+// and for each match: clouds gain 0.4 to 1.6, random outliers a hundredth. With 0.05, pairs of
+// rooms that are copies gained it too, and the check of places in a folder believed them.
 constexpr double kNearMisses = 30.0, kNearMissesPerMatch = 0.3;
 constexpr double kMajority = 0.5;  // of the matches, which must agree with the pose
 // In noise: the median parallax with which the sign of one tells where a point lies.
