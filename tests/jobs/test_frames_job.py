@@ -9,7 +9,7 @@ import pytest
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.frames.frame_selection import FrameChooser, choose_frames, parallax_rad
+from epi360.jobs.frames.frame_selection import FrameChooser, parallax_rad
 from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
@@ -39,8 +39,10 @@ def video(walk, tmp_path_factory):
 
 
 def chosen(pictures, parallax_deg=3.0, **options):
-    frames = ((index, index / 25, picture) for index, picture in enumerate(pictures))
-    return list(choose_frames(frames, FrameChooser(CAMERA, parallax_deg, **options)))
+    chooser, frames = FrameChooser(CAMERA, parallax_deg, **options), []
+    for index, picture in enumerate(pictures):
+        frames += chooser.add(index, index / 25, picture)
+    return [*frames, *chooser.finish()]
 
 
 def test_parallax_has_the_rotation_taken_out():

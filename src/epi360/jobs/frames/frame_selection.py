@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import cv2
@@ -159,15 +159,6 @@ class FrameChooser:
         pairs = [rest[start : start + 2] for start in range(0, len(rest), 2)]
         self._waiting = [first, *(max(pair, key=lambda c: c.sharpness) for pair in pairs)]
         self._stride *= 2
-
-
-def choose_frames(
-    frames: Iterable[tuple[int, float, Picture]], chooser: FrameChooser
-) -> Iterator[ChosenFrame]:
-    """Chosen frames of (index, time, RGB picture)."""
-    for index, timestamp_s, image in frames:
-        yield from chooser.add(index, timestamp_s, image)
-    yield from chooser.finish()
 
 
 def parallax_rad(
