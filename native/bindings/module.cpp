@@ -94,6 +94,7 @@ void bind_robust(nb::module_& m);      // robust.cpp
 void bind_internals(nb::module_& m);   // internals.cpp
 void bind_adjustment(nb::module_& m);  // adjustment.cpp
 void bind_features(nb::module_& m);    // features.cpp
+void bind_surfaces(nb::module_& m);    // surfaces.cpp
 }  // namespace epi360
 
 NB_MODULE(_core, m) {
@@ -102,6 +103,7 @@ NB_MODULE(_core, m) {
   bind_internals(m);
   bind_adjustment(m);
   bind_features(m);
+  bind_surfaces(m);
   m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
   m.def(
       "eight_point",

@@ -7,10 +7,32 @@ from numpy.typing import NDArray
 from epi360.estimation.result import Status
 
 _Array = NDArray[np.float64]
+_Floats = NDArray[np.float32]
+_Cells = NDArray[np.int32]
 
 def find_sift(
     picture: NDArray[np.uint8], mask: NDArray[np.uint8] | None, contrast_threshold: float
 ) -> tuple[_Array, NDArray[np.uint8]]: ...
+def grow_surfaces(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    rotation: _Array,
+    translation: _Array,
+    directions: _Floats,
+    neighbours: _Cells,
+    around: _Cells,
+    seed_cells: _Cells,
+    seed_depths: _Floats,
+) -> tuple[_Floats, _Floats, _Floats, _Floats, _Floats, _Floats]: ...
+def surface_likeness(
+    first: NDArray[np.uint8],
+    second: NDArray[np.uint8],
+    rotation: _Array,
+    translation: _Array,
+    directions: _Floats,
+    depths: _Floats,
+    normals: _Floats,
+) -> _Floats: ...
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
 def eight_point(bearings1: _Array, bearings2: _Array, weights: _Array | None = None) -> _Array: ...
 def pose_from_essential(

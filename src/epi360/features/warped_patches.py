@@ -45,7 +45,7 @@ _WEIGHTS = (_NEAR / _NEAR.sum()).astype(np.float32)
 class Panorama:
     """Grey values of a full panorama, 1024 pixels wide: sharp, and blurred more and more."""
 
-    levels: tuple[NDArray[np.uint8], ...]
+    levels: NDArray[np.uint8]  # (4, 512, 1024)
 
     @classmethod
     def of(cls, image: NDArray[np.uint8]) -> Panorama:
@@ -55,7 +55,7 @@ class Panorama:
         how = cv2.INTER_AREA if grey.shape[1] > WIDTH else cv2.INTER_LINEAR
         sharp = cv2.resize(grey, size, interpolation=how)
         blurred = [cv2.GaussianBlur(sharp, (0, 0), sigma) for sigma in (0.8, 1.6, 3.2)]
-        return cls(tuple(np.asarray(level, np.uint8) for level in (sharp, *blurred)))
+        return cls(np.stack([sharp, *blurred]).astype(np.uint8))
 
     def values(self, rays: Array, steps_deg: Array) -> Floats:
         """Grey values along rays (N, K, 3), of row i from the level for steps of that size."""
