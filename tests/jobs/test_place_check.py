@@ -1,13 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Pairs whose surroundings look different are refused, by made evidence."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
 from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places
-from epi360.jobs.graph.place_evidence import OWN, Evidence, Sightings
+from epi360.jobs.graph.place_evidence import Evidence, Sightings
+from epi360.jobs.graph.surface_evidence import (
+    HIDDEN,
+    OWN,
+    UNKNOWN,
+    VISIBLE,
+    SurfaceSightings,
+    surfaces_ratio,
+)
 
 NUM_CELLS = 20
 
@@ -33,6 +42,22 @@ def nothing():
     return sightings(np.random.default_rng(0), [], 1.0)
 
 
+def no_surfaces():
+    return surfaces_of([], 0.0)
+
+
+def surfaces_of(witnesses, ratio, *, num=600, hidden=VISIBLE):
+    """Cells that some pairs know, in so many parts of the view, all with one ratio."""
+    count = num if len(witnesses) else 0
+    return SurfaceSightings(
+        np.resize(np.array([*witnesses, 0], np.int32)[: max(len(witnesses), 1)], count),
+        np.arange(count).astype(np.int16),
+        np.full(count, ratio, np.float32),
+        np.array([OWN]),
+        np.full((count, 1), hidden, np.int8),
+    )
+
+
 def evidence_on(pairs, shares, *, seed=0, one_sided=(), **options):
     """All pairs that share an image witness for each other."""
     rng = np.random.default_rng(seed)
@@ -45,7 +70,8 @@ def evidence_on(pairs, shares, *, seed=0, one_sided=(), **options):
             sides.append(nothing() if silent else sightings(rng, near, share, **options))
         for made, offset in zip(sides, (0, 1000), strict=True):
             made.cells[:] += offset
-        found.append(Evidence((sides[0], sides[1]), (nothing(), nothing())))
+        surfaces = (no_surfaces(), no_surfaces())
+        found.append(Evidence((sides[0], sides[1]), surfaces, 0.0))
     return found
 
 
@@ -111,6 +137,49 @@ def test_somebody_who_walks_about_does_not_refuse_pairs():
     pairs = list(combinations(range(6), 2))
     found = evidence_on(pairs, [0.92] * len(pairs))
     assert not any(verdict.refused for verdict in judge_places(pairs, found))
+
+
+def test_what_a_pair_shows_by_itself_counts_where_nobody_else_knows_anything():
+    pairs, is_right = twin_rooms()
+    shares = [None, *np.where(is_right, 1.0, 0.4)[1:]]
+    found = evidence_on(pairs, shares)
+    assert judge_places(pairs, found)[0].refused
+    found[0] = replace(found[0], own_ratio=8.0)
+    assert not judge_places(pairs, found)[0].refused
+
+
+def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
+    pairs, is_right = twin_rooms()
+    found = evidence_on(pairs, [None, *np.where(is_right, 1.0, 0.4)[1:]])
+    told = []
+    for ratio in (-3.0, 0.0, 2.0):
+        found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio),) * 2)
+        told.append(judge_places(pairs, found)[0].probability)
+    assert told[0] < told[1] < 0.9875 < told[2]
+
+
+TRUSTED = np.ones(4, dtype=bool)
+
+
+def test_surfaces_alone_say_only_so_much():
+    for ratio, limit in ((-3.8, -3.0), (1.7, 6.0)):
+        assert surfaces_ratio((surfaces_of([1], ratio, num=6000),) * 2, TRUSTED) == limit
+
+
+@pytest.mark.parametrize("hidden", [HIDDEN, UNKNOWN])
+def test_surfaces_that_may_be_hidden_say_nothing(hidden):
+    assert surfaces_ratio((surfaces_of([1], -3.0, hidden=hidden),) * 2, TRUSTED) == 0.0
+
+
+def test_surfaces_of_pairs_that_are_not_believed_say_nothing():
+    sides = (surfaces_of([1], -3.0),) * 2
+    assert surfaces_ratio(sides, TRUSTED) == -3.0
+    assert surfaces_ratio(sides, np.array([True, False, True, True])) == 0.0
+
+
+def test_surfaces_of_one_of_both_views_say_nothing():
+    for ratio in (-3.0, 1.7):
+        assert surfaces_ratio((surfaces_of([1], ratio), no_surfaces()), TRUSTED) == 0.0
 
 
 def test_the_reason_counts_places():

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.jobs.graph.place_evidence import OWN, Evidence, Sightings
+from epi360.jobs.graph.place_evidence import Evidence, Sightings
+from epi360.jobs.graph.surface_evidence import OWN, surfaces_ratio
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,25 +32,20 @@ Mask = NDArray[np.bool_]
 _RATES = np.array([0.95, 0.90, 0.85])
 _LOWER, _HIGHER, _RATE_WEIGHT = 0.10, 0.03, 100.0
 _CHANCE = 0.12  # of another thing to look the same
-# The same of key points beside the inliers of the pair itself, whose depth is a guess.
-_OWN_RATES = np.array([0.86, 0.78, 0.78])
 # Shares of the surfaces that are the same: all if the pose is right, 0.5 to 0.8 in a copy of the
 # place, any of these elsewhere.
 _SHARES = np.array([1.0, 0.8, 0.65, 0.5, 0.3, 0.1])
 _OF_COPIES = slice(1, 4)
-_OWN_SHARES = np.array([1.0, 0.6, 0.2])
 _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees may be hidden
 _TEMPER = 0.8  # cells are not quite independent
-# Least and largest log-likelihood ratio of what a pair itself shows: it may see past an edge.
-_OWN_LIMITS = (-3.0, 8.0)
 _MISTRUSTED = -1.0  # a pair with less than this is not asked about others
 # Pairs are right, at copies, elsewhere: what is thought before the folder is seen.
 _PRIOR = np.array([400.0, 0.1, 0.1])
 # Least probability; in ten homes 8 wrong pairs pass 0.975, and 3 this, which costs 2 % of recall.
 _ACCEPTED = 0.9875
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
-# Pairs are heard once with all that are not mistrusted, then with those that are this probable.
-_BELIEVED, _NUM_HEARINGS = 0.97, 3
+# Pairs are heard first with all that are not mistrusted, then with those that are this probable.
+_BELIEVED, _NUM_HEARINGS = 0.97, 4
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MOST_STEPS = 200
 
@@ -95,13 +91,12 @@ def judge_places(
         court = _Court(images, evidence, rates)
         trusted = court.trusted()
         rates = court.rates(trusted)
-    own_ratios = [_own_ratio(each) for each in evidence]
-    heard = [court.heard(row, trusted) for row in range(len(images))]
-    probabilities = _probabilities(heard, own_ratios)
+    own_ratios = [each.own_ratio for each in evidence]
+    believed = trusted
     for _ in range(_NUM_HEARINGS):
-        believed = probabilities >= _BELIEVED
-        heard = [court.heard(row, believed) for row in range(len(images))]
+        heard = [court.all_heard(row, believed) for row in range(len(images))]
         probabilities = _probabilities(heard, own_ratios)
+        believed = probabilities >= _BELIEVED
     return tuple(
         _verdict(each, float(probability))
         for each, probability in zip(heard, probabilities, strict=True)
@@ -130,6 +125,7 @@ class _Court:
     ) -> None:
         self.images = images
         self.sides = [each.sides for each in evidence]
+        self.surfaces = [each.surfaces for each in evidence]
         self.logs = [tuple(_logs(s, rates, _SHARES) for s in sides) for sides in self.sides]
         self.at: dict[int, set[int]] = {}
         for row, pair in enumerate(images):
@@ -137,7 +133,7 @@ class _Court:
                 self.at.setdefault(image, set()).add(row)
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
-        """What trusted pairs say about one."""
+        """What trusted pairs say about one by the points that they know."""
         sides = self.sides[row]
         heeded = [_must_be_seen(s, trusted) for s in sides]
         cells = np.concatenate([s.cells[kept] for s, kept in zip(sides, heeded, strict=True)])
@@ -151,6 +147,12 @@ class _Court:
         # A door that one camera knows well matches all doors of its kind.
         one_sided = heard.ratio > 0.0 and min(num_places) < _FEWEST_PLACES
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
+
+    def all_heard(self, row: int, trusted: Mask) -> _Heard:
+        """What trusted pairs say about one, by points and by surfaces."""
+        heard = self.heard(row, trusted)
+        ratio = surfaces_ratio(self.surfaces[row], trusted)
+        return replace(heard, logs=heard.logs - np.where(np.arange(len(_SHARES)) > 0, ratio, 0.0))
 
     def trusted(self) -> Mask:
         """Pairs that are believed: the worst is left out until none is mistrusted."""
@@ -203,15 +205,6 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
     counts = np.bincount(group)
     means = [np.bincount(group, column) / counts for column in values.T]
     return np.stack(means, axis=1) if len(counts) else np.zeros((0, values.shape[1]))
-
-
-def _own_ratio(evidence: Evidence) -> float:
-    """Log-likelihood ratio of a pose by what lies beside its own inliers."""
-    logs = np.zeros(len(_OWN_SHARES))
-    for sightings in evidence.beside:
-        values = _logs(sightings, _OWN_RATES, _OWN_SHARES)
-        logs += _cell_means(sightings.cells, values).sum(axis=0)
-    return float(np.clip(logs[0] - logs[1:].max(), *_OWN_LIMITS))
 
 
 def _probabilities(heard: Sequence[_Heard], own_ratios: Sequence[float]) -> Array:

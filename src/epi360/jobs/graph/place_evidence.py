@@ -15,15 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from epi360.features.shared_surfaces import grow_surfaces
 from epi360.features.sphere_cells import SphereCells
 from epi360.features.warped_patches import Panorama, likeness
 from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_between
+from epi360.jobs.graph.surface_evidence import (
+    OWN,
+    KnownView,
+    SurfaceSightings,
+    SurfaceWitnesses,
+    own_ratio,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-OWN = -1  # the pair itself, as a source of distances
 _NOBODY = np.empty(0, dtype=np.int64)
 _CELLS = SphereCells(183)  # of 15 degrees: what lies in one is one witness
 _FOUND = 0.7  # likeness of what is the same
@@ -36,10 +43,6 @@ _LEAST_PARALLAX_DEG, _LEAST_OWN_PARALLAX_DEG = 1.5, 0.5
 # A point counts if it is known to this where in the view it must be.
 _PLACE_SIGMA_DEG = 0.5
 _ABOUT_DEG, _NUM_ABOUT = 5.0, 7  # the distance that a camera sees somewhere is that of points near
-# The pair's own surroundings: key points beside its inliers, where these lie on one surface.
-_BESIDE_DEG, _THIRD_DEG = (1.5, 6.0), 9.0
-_NUM_BESIDE, _NUM_STRONG = 48, 2500
-_SURFACE_POINTS, _SURFACE_SPREAD = 6, 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,32 +76,33 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What was looked for from both sides of a pair, and beside its inliers."""
+    """What was looked for from both sides of a pair: points, and whole surfaces.
+
+    ``own_ratio`` is the log-likelihood ratio of the pose by what the pair shows by itself.
+    """
 
     sides: tuple[Sightings, Sightings]
-    beside: tuple[Sightings, Sightings]
+    surfaces: tuple[SurfaceSightings, SurfaceSightings]
+    own_ratio: float
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
     """All pairs of a folder with what they know about the views of its panoramas.
 
-    ``panorama_of`` and ``bearings_of`` give the picture of a number and where its key points look,
-    the strongest first.
+    ``panorama_of`` gives the picture of a number.
     """
 
     pairs: Sequence[PosedPair]
     clouds: Mapping[tuple[int, int], Cloud]  # by pair and side
     at: Mapping[int, Sequence[tuple[int, int]]]  # pairs and sides of each panorama
     panorama_of: Callable[[int], Panorama]
-    bearings_of: Callable[[int], Array]
 
     @classmethod
     def of(
         cls,
         pairs: Sequence[PosedPair],
         panorama_of: Callable[[int], Panorama],
-        bearings_of: Callable[[int], Array],
     ) -> Surroundings:
         """Triangulate all pairs; those with most points come first at each panorama."""
         clouds = {
@@ -109,16 +113,36 @@ class Surroundings:
         at: dict[int, list[tuple[int, int]]] = {}
         for row, side in sorted(clouds, key=lambda key: (-len(clouds[key].points), key)):
             at.setdefault(pairs[row].images[side], []).append((row, side))
-        return cls(pairs, clouds, at, panorama_of, bearings_of)
+        return cls(pairs, clouds, at, panorama_of)
 
-    def evidence(self, row: int) -> Evidence:
-        """Look for what is known of the views of a pair."""
-        known = [self._known(row, side) for side in (0, 1)]
+    def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], float]:
+        """What the surfaces that a pair shares say about its views, and about itself."""
+        pair = self.pairs[row]
+        panoramas = [self.panorama_of(image) for image in pair.images]
         first, second = (
-            self._sightings(row, side, known[side], known[1 - side]) for side in (0, 1)
+            grow_surfaces(
+                panoramas[side],
+                panoramas[1 - side],
+                pair.other_from(side),
+                cloud_of(pair, side, 0.0).points,
+            )
+            for side in (0, 1)
         )
-        beside = [self._beside(row, side, known[side][OWN]) for side in (0, 1)]
-        return Evidence((first, second), (beside[0], beside[1]))
+        views = (
+            KnownView.of(first, pair.other_from(0)),
+            KnownView.of(second, pair.other_from(1)),
+        )
+        return views, own_ratio(pair, (first, second))
+
+    def evidence(self, row: int, known: SurfaceWitnesses, own: float) -> Evidence:
+        """Look for what is known of the views of a pair."""
+        clouds = [self._known(row, side) for side in (0, 1)]
+        panoramas = [self.panorama_of(image) for image in self.pairs[row].images]
+        sides = [self._sightings(row, side, clouds[side], clouds[1 - side]) for side in (0, 1)]
+        surfaces = [
+            known.sightings(row, side, panoramas[side], panoramas[1 - side]) for side in (0, 1)
+        ]
+        return Evidence((sides[0], sides[1]), (surfaces[0], surfaces[1]), own)
 
     def _known(self, row: int, side: int) -> dict[int, Cloud]:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""
@@ -173,16 +197,6 @@ class Surroundings:
         across = np.linalg.norm(np.cross(seen, pose.translation), axis=1) / ranges**2
         sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
         return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))
-
-    def _beside(self, row: int, side: int, own: Cloud) -> Sightings:
-        """Key points that lie beside the inliers of a pair, on the surfaces of these."""
-        points, normals = np.empty((0, 3)), np.empty((2, 0, 3))
-        if len(own.points) >= 2 * _SURFACE_POINTS:
-            candidates = self.bearings_of(self.pairs[row].images[side])[:_NUM_STRONG]
-            points, normals = _surface_points(own, candidates)
-            kept = self._place_sigmas(row, side, points) < _PLACE_SIGMA_DEG
-            points, normals = points[kept], normals[:, kept]
-        return _looked_for(self, row, side, points, normals, np.full(len(points), OWN), {})
 
 
 def _looked_for(
@@ -252,26 +266,3 @@ def _plane_normals(groups: Array) -> Array:
     centred = groups - groups.mean(axis=1, keepdims=True)
     normals: Array = np.linalg.eigh(centred.transpose(0, 2, 1) @ centred)[1][:, :, 0]
     return normals
-
-
-def _surface_points(own: Cloud, candidates: Array) -> tuple[Array, Array]:
-    """Points at candidates beside a cloud, on planes through it, and the normals of these."""
-    directions = own.points / own.distances[:, None]
-    gaps, near = cKDTree(directions).query(candidates, _SURFACE_POINTS)
-    gaps_deg = np.degrees(2 * np.arcsin(np.clip(gaps / 2, 0, 1)))
-    spread = np.log(own.distances)[near[:, :4]].std(axis=1)
-    least, most = _BESIDE_DEG
-    beside = (gaps_deg[:, 0] > least) & (gaps_deg[:, 0] < most) & (gaps_deg[:, 2] < _THIRD_DEG)
-    (rows,) = np.nonzero(beside & (spread < _SURFACE_SPREAD))
-    rows = _some(rows, _NUM_BESIDE)
-    rays, groups = candidates[rows], own.points[near[rows]]
-    normals = _plane_normals(groups)
-    middle = np.exp(np.median(np.log(own.distances[near[rows]]), axis=1))
-    facing = np.sum(normals * rays, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depths = np.sum(normals * groups.mean(axis=1), axis=1) / facing
-    is_usual = (np.abs(facing) > 0.15) & (np.abs(np.log(np.abs(depths) / middle)) < 0.5)
-    is_usual &= depths > 0
-    depths = np.where(is_usual, depths, middle)
-    normals = np.where(is_usual[:, None], normals, rays)
-    return rays * depths[:, None], np.stack([normals, rays])

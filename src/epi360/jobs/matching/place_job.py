@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
+from typing import TypeVar
 
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
@@ -12,6 +13,7 @@ from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
 from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.surface_evidence import SurfaceWitnesses
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import PAIRS, Keys, Verdict, VerifiedPair, read_parts
@@ -20,6 +22,8 @@ from epi360.jobs.threads import on_threads
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
 _FEWEST_PAIRS, _MOST_PAIRS = 3, 10_000
 _PANORAMAS_IN_MEMORY = 128  # of 2 MB
+
+Found = TypeVar("Found")
 
 
 def check_places(
@@ -39,33 +43,42 @@ def check_places(
         return {}
     posed = dict(_posed(job, usable, settled, level))
     keys = sorted(posed, key=lambda each: posed[each].images)
-    known = Surroundings.of(
-        [posed[each] for each in keys],
-        lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job)),
-        lru_cache(_PANORAMAS_IN_MEMORY)(job.bearings_of),
-    )
-    evidence = _gathered(job, known)
-    heard = [row for row in range(len(keys)) if row in evidence]
+    panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job))
+    known = Surroundings.of([posed[each] for each in keys], panorama_of)
+    job.progress("places", 0, 2 * len(keys))
+    by_row = _of_each(job, known.grown, range(len(keys)), 0)
+    keys = [keys[row] for row in sorted(by_row)]
+    grown = [by_row[row] for row in sorted(by_row)]
+    known = Surroundings.of([posed[each] for each in keys], panorama_of)
+    views = {(row, side): both[side] for row, (both, _) in enumerate(grown) for side in (0, 1)}
+    witnesses = SurfaceWitnesses.of(known.pairs, views)
+
+    def look(row: int) -> Evidence:
+        return known.evidence(row, witnesses, grown[row][1])
+
+    evidence = _of_each(job, look, range(len(keys)), len(keys))
+    if len(evidence) < len(keys):  # a picture went while it was needed
+        return {}
     verdicts = judge_places(
-        [known.pairs[row].images for row in heard], [evidence[row] for row in heard]
+        [pair.images for pair in known.pairs], [evidence[row] for row in range(len(keys))]
     )
-    return {keys[row]: verdict for row, verdict in zip(heard, verdicts, strict=True)}
+    return dict(zip(keys, verdicts, strict=True))
 
 
-def _gathered(job: MatchJob, known: Surroundings) -> dict[int, Evidence]:
-    """Evidence on each pair, by its row."""
-    rows = range(len(known.pairs))
-    job.progress("places", 0, len(rows))
+def _of_each(
+    job: MatchJob, look: Callable[[int], Found], rows: Sequence[int], num_done: int
+) -> dict[int, Found]:
+    """What is found about each pair, on all threads; nothing where a picture is gone."""
     found = {}
 
-    def look(row: int) -> Evidence | None:
+    def tried(row: int) -> Found | None:
         try:
-            return known.evidence(row)
-        except (OSError, ValueError):  # a picture is gone
+            return look(row)
+        except (OSError, ValueError):
             return None
 
-    for count, (row, each) in enumerate(on_threads(look, rows, job.work.num_threads), start=1):
-        job.progress("places", count, len(rows))
+    for count, (row, each) in enumerate(on_threads(tried, rows, job.work.num_threads), start=1):
+        job.progress("places", num_done + count, 2 * len(rows))
         if each is not None:
             found[row] = each
     return found

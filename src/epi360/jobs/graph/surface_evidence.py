@@ -1,0 +1,332 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the surfaces that pairs share say about other pairs, and about themselves.
+
+`place_evidence` asks for points that pairs matched; here whole surfaces are asked for, which grow
+from these points (`features.shared_surfaces`). Much more of both views has a say, and a pair
+speaks for itself: of a wrong one little grows, and what grows has holes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.features.shared_surfaces import (
+    LEAST_CONTRAST,
+    NUM_CELLS,
+    SharedSurfaces,
+    grid,
+    likeness_of,
+)
+from epi360.features.sphere_cells import SphereCells
+from epi360.features.warped_patches import Panorama
+from epi360.jobs.graph.shared_points import PosedPair
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+OWN = -1  # the pair itself, as a source of depths
+HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
+_MOST_WITNESSES = 12  # pairs that are asked at either end
+_MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
+_MOST_OF_ONE = 500  # of one witness
+_FEWEST_SHARED = 12  # cells that put two pairs into one scale
+_LARGEST_SCALE_SIGMA, _LEAST_SCALE_SIGMA = 0.15, 0.005
+_NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
+_DEPTH_NOISE_DEG, _LEAST_PARALLAX_DEG = 0.15, 2.0
+_PLACE_SIGMA_DEG = 0.5  # as for points
+# A surface is sure if it is this alike, and if so many of its neighbours lie at its depth.
+_SURE, _FEWEST_BESIDE, _ONE_SURFACE = 0.9, 3, 0.15
+_NUM_NEAR, _FEWEST_NEAR = 8, 5  # cells that say how far the other camera sees in a direction
+_HIDDEN_LOG = 0.16  # what lies so much behind what is seen there, as a logarithm, may be hidden
+# Larger view changes say too little: poses of real tours are known to about a degree.
+_VIEW_CHANGES_DEG, _LARGEST_CHANGE_DEG = (10.0, 20.0), 30.0
+# Shares of the likeness of cells that both cameras must see, below 0.3, 0.4, ... 0.9 and above, if
+# the pose is right (pairs of one room) and if it is not, by view change: six rendered homes.
+_EDGES = np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
+_IF_SAME = np.array(
+    [
+        [0.010, 0.003, 0.004, 0.005, 0.006, 0.014, 0.056, 0.902],
+        [0.014, 0.004, 0.005, 0.007, 0.012, 0.024, 0.086, 0.848],
+        [0.032, 0.010, 0.012, 0.015, 0.022, 0.045, 0.134, 0.730],
+    ]
+)
+_IF_OTHER = np.array(
+    [
+        [0.371, 0.087, 0.091, 0.089, 0.081, 0.067, 0.056, 0.158],
+        [0.343, 0.087, 0.090, 0.087, 0.082, 0.071, 0.067, 0.173],
+        [0.303, 0.082, 0.083, 0.084, 0.080, 0.074, 0.085, 0.209],
+    ]
+)
+_RATIOS = np.log(_IF_SAME / _IF_OTHER)
+# Logistic regression of right pairs of one room, and of others but copies, on what a pair shows by
+# itself: logarithms of the smaller and the larger number of cells found, and of the share of cells
+# that differ where they are expected, up to 45 and up to 20 degrees of view change.
+_OWN_COEFFICIENTS, _OWN_CONSTANT = np.array([-1.04, 4.20, -1.93, -1.39]), -27.56
+_OWN_LIMITS = (-2.0, 8.0)  # photographed tours grow less than rendered ones, and are right
+_DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
+# Cells of one part of a view are not independent: so many of them tell as much as all.
+_FEWEST_CELLS, _MOST_INDEPENDENT, _LARGEST_RATIO = 2, 3.0, 5.0
+_FEWEST_PLACES = 4  # parts of either view, before they say anything
+# Shares of the parts that are the same: nearly all if the pose is right. Things that move and wrong
+# depths speak against right pairs too, so that surfaces may not decide alone.
+_SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
+_LIMITS = (-3.0, 6.0)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownView:
+    """Depths that a pair knows in the view of one of its cameras, in units of its translation.
+
+    ``log_sigmas`` are the standard deviations of their logarithms; `is_sure` says which are sure
+    enough to be looked for in other views.
+    """
+
+    cells: NDArray[np.int16]
+    depths: NDArray[np.float32]
+    normals: NDArray[np.float16]
+    log_sigmas: NDArray[np.float16]
+    is_sure: Mask
+
+    @classmethod
+    def of(cls, surfaces: SharedSurfaces, other_from_camera: Pose) -> KnownView:
+        """What is kept of the surfaces that a pair shares."""
+        (cells,) = np.nonzero(surfaces.found)
+        depths = np.where(surfaces.found, surfaces.depths, np.nan)
+        with np.errstate(invalid="ignore"):
+            gaps = np.abs(np.log(depths[grid().neighbours[cells]] / depths[cells, None]))
+        changes_deg = _Seen.of(other_from_camera, cells, depths[cells]).changes_deg
+        is_sure = np.sum(gaps < _ONE_SURFACE, axis=1) >= _FEWEST_BESIDE
+        is_sure &= (surfaces.likeness[cells] > _SURE) & (changes_deg > _LEAST_PARALLAX_DEG)
+        sines = np.sin(np.radians(np.clip(changes_deg, _LEAST_PARALLAX_DEG, 90.0)))
+        return cls(
+            cells.astype(np.int16),
+            surfaces.depths[cells],
+            surfaces.normals[cells].astype(np.float16),
+            (np.radians(_DEPTH_NOISE_DEG) / sines).astype(np.float16),
+            is_sure,
+        )
+
+    def as_map(self) -> Array:
+        """Depth of every cell, NaN where it is not known."""
+        depths = np.full(NUM_CELLS, np.nan)
+        depths[self.cells] = self.depths
+        return depths
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSightings:
+    """Cells of one view of a pair that were looked for in the other.
+
+    Attributes
+    ----------
+    witnesses : ndarray of int, shape (N,)
+        Pair that knows the depth of each.
+    cells : ndarray of int, shape (N,)
+        Cells of `features.shared_surfaces.grid`.
+    ratios : ndarray, shape (N,)
+        Log-likelihood ratio that the same surface is seen there, over another one.
+    sources : ndarray of int, shape (S,)
+        Pairs that know depths in the other view; `OWN` is the pair itself.
+    hidden : ndarray of int, shape (N, S)
+        `HIDDEN`, `VISIBLE` or `UNKNOWN`, as each source says.
+    """
+
+    witnesses: NDArray[np.int32]
+    cells: NDArray[np.int16]
+    ratios: NDArray[np.float32]
+    sources: Indices
+    hidden: NDArray[np.int8]
+
+
+def own_ratio(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> float:
+    """Log-likelihood ratio of a pose over that of another place with a similar thing."""
+    found = sorted(int(np.count_nonzero(view.found)) for view in views)
+    shares = []
+    for largest_deg in (45.0, 20.0):
+        counts = [_expected(pair, side, views, largest_deg) for side in (0, 1)]
+        differ, seen = np.sum(counts, axis=0)
+        shares.append((differ + 3) / (seen + 30))
+    logs = np.log([found[0] + 20, found[1] + 20, *shares])
+    return float(np.clip(_OWN_COEFFICIENTS @ logs + _OWN_CONSTANT, *_OWN_LIMITS))
+
+
+def _expected(
+    pair: PosedPair, side: int, views: Sequence[SharedSurfaces], largest_deg: float
+) -> tuple[int, int]:
+    """Cells that differ where those around say that they are, and all of which this is known."""
+    here, there = views[side], views[1 - side]
+    (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
+    seen = _Seen.of(pair.other_from(side), cells, here.expected_depths[cells])
+    near = grid().nearest(seen.directions, _NUM_NEAR - 1)
+    nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
+    kept = (nearest >= _CLEARLY_HIDDEN * seen.ranges) & (seen.changes_deg < largest_deg)
+    return int(np.sum(here.expected_likeness[cells[kept]] < _DIFFERS)), int(kept.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Cells of one view at some depths, as the other camera sees them."""
+
+    points: Array
+    ranges: Array
+    directions: Array
+    changes_deg: Array
+
+    @classmethod
+    def of(cls, pose: Pose, cells: Indices, depths: Floats) -> _Seen:
+        rays = grid().directions[cells].astype(np.float64) @ pose.rotation.T
+        points = depths[:, None] * rays + pose.translation
+        ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        directions = points / ranges[:, None]
+        cosines = np.clip(np.sum(directions * rays, axis=1), -1, 1)
+        return cls(points, ranges, directions, np.degrees(np.arccos(cosines)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Witness:
+    """What another pair knows about a view, with what makes it this pair's units."""
+
+    pair: int
+    view: KnownView
+    log_scale: float
+    scale_sigma: float
+
+    def placed(self, pair: PosedPair, side: int, most: int) -> tuple[Indices, Array, Floats]:
+        """Some cells with depths and normals whose places in the other view are known."""
+        (rows,) = np.nonzero(self.view.is_sure)
+        cells = self.view.cells[rows].astype(np.int64)
+        depths = self.view.depths[rows] * np.exp(self.log_scale)
+        pose = pair.other_from(side)
+        seen = _Seen.of(pose, cells, depths)
+        log_sigmas = np.hypot(self.view.log_sigmas[rows].astype(np.float64), self.scale_sigma)
+        across = np.linalg.norm(np.cross(seen.points, pose.translation), axis=1) / seen.ranges**2
+        sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
+        sigmas = np.hypot(sigmas, pair.translation_sigma_deg / seen.ranges)
+        kept = (sigmas < _PLACE_SIGMA_DEG) & (seen.changes_deg < _LARGEST_CHANGE_DEG)
+        (good,) = np.nonzero(kept)
+        good = good[np.linspace(0, len(good) - 1, min(len(good), most)).astype(int)]
+        return cells[good], depths[good], self.view.normals[rows[good]]
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceWitnesses:
+    """All pairs of a folder with what they know about the views of its panoramas."""
+
+    pairs: Sequence[PosedPair]
+    views: Mapping[tuple[int, int], KnownView]  # by pair and side
+    at: Mapping[int, Sequence[tuple[int, int]]]  # pairs and sides of each panorama
+
+    @classmethod
+    def of(
+        cls, pairs: Sequence[PosedPair], views: Mapping[tuple[int, int], KnownView]
+    ) -> SurfaceWitnesses:
+        """Pairs that know most come first at each panorama."""
+        at: dict[int, list[tuple[int, int]]] = {}
+        for row, side in sorted(views, key=lambda key: (-len(views[key].cells), key)):
+            at.setdefault(pairs[row].images[side], []).append((row, side))
+        return cls(pairs, views, at)
+
+    def sightings(self, row: int, side: int, first: Panorama, second: Panorama) -> SurfaceSightings:
+        """Look for what other pairs know of the view of one side in that of the other.
+
+        ``first`` is the panorama of that side.
+        """
+        pair, pose = self.pairs[row], self.pairs[row].other_from(side)
+        most = min(_MOST_OF_ONE, _MOST_SIGHTINGS // (2 * _MOST_WITNESSES * len(self.pairs)))
+        witnesses = self._witnesses(row, side)
+        placed = [each.placed(pair, side, most) for each in witnesses]
+        cells = np.concatenate([np.empty(0, np.int64), *(each[0] for each in placed)])
+        depths = np.concatenate([np.empty(0), *(each[1] for each in placed)])
+        normals = np.concatenate([np.empty((0, 3)), *(each[2] for each in placed)])
+        names = np.repeat([each.pair for each in witnesses], [len(each[0]) for each in placed])
+        alike = likeness_of(first, second, pose, cells, depths, normals)
+        seen = _Seen.of(pose, cells, depths)
+        changes = np.digitize(seen.changes_deg, _VIEW_CHANGES_DEG)
+        sources, hidden = self._hidden(row, 1 - side, seen)
+        return SurfaceSightings(
+            names.astype(np.int32),
+            cells.astype(np.int16),
+            _RATIOS[changes, np.digitize(alike, _EDGES)].astype(np.float32),
+            sources,
+            hidden,
+        )
+
+    def _witnesses(self, row: int, side: int) -> list[_Witness]:
+        """Pairs that know the view of a side, in one scale with this pair."""
+        own = self.views[row, side].as_map()
+        found: list[_Witness] = []
+        for other, other_side in self.at[self.pairs[row].images[side]]:
+            if other == row or len(found) == _MOST_WITNESSES:
+                continue
+            view = self.views[other, other_side]
+            ratios = np.log(own[view.cells] / view.depths)
+            ratios = ratios[~np.isnan(ratios)]
+            if len(ratios) < _FEWEST_SHARED:
+                continue
+            middle = float(np.median(ratios))
+            scatter = 1.4826 * float(np.median(np.abs(ratios - middle)))
+            sigma = 1.2533 * scatter / (len(ratios) / _NEIGHBOURS_PER_WITNESS) ** 0.5
+            if sigma < _LARGEST_SCALE_SIGMA:
+                found.append(_Witness(other, view, middle, max(sigma, _LEAST_SCALE_SIGMA)))
+        return found
+
+    def _hidden(self, row: int, side: int, seen: _Seen) -> tuple[Indices, NDArray[np.int8]]:
+        """What the pair and others know about things in front of points in the view of a side."""
+        near = grid().nearest(seen.directions, _NUM_NEAR)
+        maps = {OWN: self.views[row, side].as_map()}
+        for each in self._witnesses(row, side):
+            maps[each.pair] = np.exp(each.log_scale) * each.view.as_map()
+        states = [_states(depths[near], seen.ranges) for depths in maps.values()]
+        return np.array(list(maps), np.int64), np.stack(states, axis=1)
+
+
+def _states(depths: Array, ranges: Array) -> NDArray[np.int8]:
+    """Whether depths (N, K) that are known near points hide these."""
+    num_known = np.sum(~np.isnan(depths), axis=1)
+    nearest = np.where(np.isnan(depths), np.inf, depths).min(axis=1)
+    is_behind = (np.log(ranges) - np.log(nearest) >= _HIDDEN_LOG) & (num_known >= 2)
+    states = np.where(num_known >= _FEWEST_NEAR, VISIBLE, UNKNOWN)
+    return np.where(is_behind, HIDDEN, states).astype(np.int8)
+
+
+def surfaces_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
+    """Log-likelihood ratio of a pose over any other, by what trusted pairs know; limited."""
+    places = [_place_ratios(each, trusted) for each in sides]
+    ratios = np.concatenate(places)
+    logs = np.log(_SHARES * np.exp(ratios)[:, None] + 1 - _SHARES).sum(axis=0)
+    ratio = float(logs[0] - logs[1:].max())
+    if min(len(each) for each in places) < _FEWEST_PLACES:
+        return 0.0  # a door that one camera knows well matches all doors of its kind
+    return float(np.clip(ratio, *_LIMITS))
+
+
+def _place_ratios(sightings: SurfaceSightings, trusted: Mask) -> Array:
+    """Log-likelihood ratio of each part of a view that both cameras must see."""
+    heeded = (sightings.sources == OWN) | trusted[sightings.sources]
+    states = sightings.hidden[:, heeded]
+    kept = np.any(states == VISIBLE, axis=1) & ~np.any(states == HIDDEN, axis=1)
+    kept &= trusted[sightings.witnesses]
+    cells = sightings.cells[kept].astype(np.int64)
+    counts = np.bincount(cells, minlength=NUM_CELLS)
+    sums = np.bincount(cells, sightings.ratios[kept], minlength=NUM_CELLS)
+    (seen,) = np.nonzero(counts)
+    parts = _parts()[seen]
+    num_cells = np.bincount(parts)
+    (asked,) = np.nonzero(num_cells >= _FEWEST_CELLS)
+    means = np.bincount(parts, sums[seen] / counts[seen])[asked] / num_cells[asked]
+    told: Array = means * np.minimum(np.sqrt(num_cells[asked]), _MOST_INDEPENDENT)
+    return np.clip(told, -_LARGEST_RATIO, _LARGEST_RATIO)
+
+
+@cache
+def _parts() -> Indices:
+    """Part of the view, of 15 degrees, that each cell lies in."""
+    return SphereCells(183).indices(grid().directions.astype(np.float64))
