@@ -124,5 +124,5 @@ def test_nothing_that_is_there_is_replaced(room_run, new_folder, tmp_path, capsy
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "localize", "--images", "--features", "--database", "--camera", "--mask",
-        "--mask-nadir-deg", "--max-views", "--seed", "--out",
+        "--mask-nadir-deg", "--max-views", "--seed", "--known-place", "--out",
     )  # fmt: skip

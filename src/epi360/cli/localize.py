@@ -55,6 +55,7 @@ def localize(
     mask_nadir_deg: float = 0.0,
     max_views: int = 16,
     seed: int = 0,
+    known_place: Annotated[bool, Parameter(negative=())] = False,
     out: Annotated[list[Path] | None, Parameter(name=OUT_NAMES, negative=())] = None,
 ) -> int:
     """Poses of new panoramas or fisheye images in an existing map.
@@ -82,6 +83,10 @@ def localize(
         Match with so many images of the map at most, those that look most like the new one first.
     seed
         Random seed; the same seed gives the same result.
+    known_place
+        The map has every place that the images show: poses are accepted even where most of a place
+        has changed. Without it such a pose is ambiguous, because it may be that of a room that
+        looks alike.
     out
         File to write, by its name: .csv a table, .json everything, .txt or .tum a TUM trajectory, a
         name without extension a COLMAP model with the new images in it. May be given several times.
@@ -91,7 +96,7 @@ def localize(
     outputs = [] if out is None else out
     with options_as_typed():
         _check_outputs(outputs)
-        options = LocalizationOptions(max_views, mask_nadir_deg, seed)
+        options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
         world = load_map(
             model, images=of_map.images, features=of_map.features, database=of_map.database
         )
@@ -177,9 +182,8 @@ def _localize_all(
 def _described(result: LocalizationResult) -> str:
     counts = f"{result.num_inliers} inliers, {result.num_matches} matches"
     if not result.success:
-        return f"{result.status}: {result.num_matches} matches, probability " + (
-            f"{result.probability:.0%}"
-        )
+        line = f"{result.status}: {result.num_matches} matches, probability "
+        return "; ".join([f"{line}{result.probability:.0%}", *result.warnings])
     x, y, z = result.cam_from_world.inverse().translation
     line = (
         f"ok: at ({x:.4g}, {y:.4g}, {z:.4g}) sigma {result.position_sigma:.2g}, rotation sigma "

@@ -127,11 +127,31 @@ class LocalizationMap:
         """
         seen = self.model.observations
         assert seen is not None
-        shown = np.isin(seen.points, seen.points[self._observations[number]])
-        counts = np.bincount(seen.images[shown], minlength=len(self.model.images))
+        counts = self.num_seen(seen.points[self._observations[number]])
         counts[number] = 0
         order = np.argsort(-counts, kind="stable")
         return [int(k) for k in order[: np.count_nonzero(counts >= max(least, 1))]]
+
+    def num_seen(self, points: Indices) -> Indices:
+        """How many of some points each image sees; numbers beyond those of the model count not.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N,)
+            Rows of the model's points.
+        """
+        seen = self.model.observations
+        assert seen is not None
+        is_one = np.zeros(len(self.model.points), dtype=bool)
+        is_one[points[points < len(is_one)]] = True
+        counts = np.bincount(seen.images[is_one[seen.points]], minlength=len(self.model.images))
+        return counts
+
+    @cached_property
+    def centers(self) -> Array:
+        """Centre (I, 3) of each camera in the world."""
+        poses = [image.cam_from_world for image in self.model.images]
+        return np.array([pose.inverse().translation for pose in poses])
 
     @cached_property
     def _index(self) -> tuple[ViewIndex, list[int]]:
