@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from epi360.cameras import Camera
 from epi360.features import Features, match_features
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.localization.feature_sources import FeatureSource
+from epi360.jobs.localization.kept_index import index_key, read_index, write_index
 from epi360.jobs.localization.point_errors import point_covariances, world_rays
 from epi360.jobs.localization.view_index import ViewIndex
 from epi360.odometry.points import triangulate_tracks
@@ -63,9 +65,16 @@ class LocalizationMap:
     """A model in which new images get a pose; `load_map` reads one.
 
     Features of its images are read, or found, when they are needed, and 64 images stay in memory.
+    The index over all of them is kept in ``index_file``, if that is given.
     """
 
-    def __init__(self, model: Reconstruction, source: FeatureSource, name: str = "the map") -> None:
+    def __init__(
+        self,
+        model: Reconstruction,
+        source: FeatureSource,
+        name: str = "the map",
+        index_file: Path | None = None,
+    ) -> None:
         seen = model.observations
         if seen is None or not len(model.points):
             raise ValueError(f"{name} has no points with observations; triangulate them first")
@@ -75,6 +84,7 @@ class LocalizationMap:
         self.model = model
         self.name = name
         self.source = source
+        self._index_file = index_file
         order = np.argsort(seen.images, kind="stable")
         starts = np.searchsorted(seen.images[order], np.arange(len(model.images) + 1))
         self._observations = [order[starts[k] : starts[k + 1]] for k in range(len(model.images))]
@@ -157,6 +167,18 @@ class LocalizationMap:
     def _index(self) -> tuple[ViewIndex, list[int]]:
         """Index of the images that have points and features, and their numbers."""
         with_points = [number for number, rows in enumerate(self._observations) if len(rows)]
+        if self._index_file is None:
+            return self._made_index(with_points)
+        names = [self.model.images[number].name for number in with_points]
+        cameras = [self._camera(number) for number in with_points]
+        key = index_key(with_points, names, cameras, self.source.made_from(names))
+        kept = read_index(self._index_file, key, len(self.model.images))
+        if kept is None:
+            kept = self._made_index(with_points)
+            write_index(self._index_file, key, *kept)
+        return kept
+
+    def _made_index(self, with_points: list[int]) -> tuple[ViewIndex, list[int]]:
         numbers: list[int] = []
 
         def descriptors() -> Iterator[NDArray[np.float32]]:
@@ -172,7 +194,7 @@ class LocalizationMap:
                     "folder of its images (--images)"
                 )
 
-        return ViewIndex(descriptors()), numbers
+        return ViewIndex.of(descriptors()), numbers
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]
