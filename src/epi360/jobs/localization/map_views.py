@@ -21,6 +21,7 @@ from epi360.jobs.localization.point_errors import point_covariances, world_rays
 from epi360.jobs.localization.view_index import ViewIndex
 from epi360.odometry.points import triangulate_tracks
 from epi360.poses import Pose
+from epi360.runs.made_from import fingerprint
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -162,6 +163,16 @@ class LocalizationMap:
         """Centre (I, 3) of each camera in the world."""
         poses = [image.cam_from_world for image in self.model.images]
         return np.array([pose.inverse().translation for pose in poses])
+
+    def made_from(self) -> str:
+        """Hash of the model and of what its features are made from."""
+        seen, model = self.model.observations, self.model
+        assert seen is not None
+        names = [image.name for image in model.images]
+        poses = np.array([image.cam_from_world.matrix() for image in model.images])
+        cameras = [self._camera(number) for number in range(len(names))]
+        arrays = model.points, seen.points, seen.images, seen.pixels, poses
+        return fingerprint((names, cameras, self.source.made_from(names)), *arrays)
 
     @cached_property
     def _index(self) -> tuple[ViewIndex, list[int]]:
