@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, OUT_NAMES, POSES, SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
@@ -55,6 +56,7 @@ def localize(
     known_place: Annotated[bool, Parameter(negative=())] = False,
     keep: Path | None = None,
     out: Annotated[list[Path] | None, Parameter(name=OUT_NAMES, negative=())] = None,
+    report: Path | None = None,
 ) -> int:
     """Poses of new panoramas or fisheye images in an existing map.
 
@@ -91,6 +93,8 @@ def localize(
     out
         File to write, by its name: .csv a table, .json everything, .txt or .tum a TUM trajectory, a
         name without extension a COLMAP model with the new images in it. May be given several times.
+    report
+        HTML file with the map from above, the new images in it, and a table of them.
     """
     from epi360.jobs.localization import LocalizationOptions, load_map
     from epi360.jobs.localization.localize_files import localize_files
@@ -98,6 +102,8 @@ def localize(
     outputs = [] if out is None else out
     with options_as_typed():
         _check_outputs(outputs)
+        if report is not None:
+            check_report(report)
         if keep is not None and (keep.is_file() or not keep.parent.is_dir()):
             raise ValueError(f"keep must be a folder, or the name of a new one, got {keep}")
         options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
@@ -114,6 +120,12 @@ def localize(
     if not found.results:
         raise ValueError("none of the images could be used")
     _write(outputs, found.results, files, world, str(model))
+    if report is not None:
+        from epi360.report.localize_page import write_localize_report
+
+        name = model.resolve().name
+        write_localize_report(report, name, world.model, found.results, files, found.reasons)
+        print(f"wrote {report}")
     return SUCCESS if any(each.success for each in found.results.values()) else FAILURE
 
 
