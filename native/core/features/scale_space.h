@@ -19,8 +19,8 @@ inline constexpr int kReachRows = 46, kVisitRows = 8;
 
 class Octave {
  public:
-  // Writes row y of the first level.
-  using Source = std::function<void(int y, float* out)>;
+  // Writes count rows of the first level, from y on, at most kBlurRows.
+  using Source = std::function<void(int y, int count, float* const* out)>;
 
   Octave(int width, int height, Source source);
   int width() const { return width_; }
@@ -39,7 +39,8 @@ class Octave {
     return static_cast<std::size_t>(y & (kRingRows - 1)) * stride_;
   }
   void ensure(int level, int rows);
-  void make_row(int level, int y);
+  void make_rows(int level, int y, int count);
+  void keep_half(int y, const float* row);
 
   int width_, height_;
   std::size_t stride_;
