@@ -53,8 +53,7 @@ void search_octave(const Picture& picture, Octave& octave, double contrast_thres
   for (int first = 0; first < octave.height(); first += kBandRows) {
     octave.advance(first);
     found.clear();
-    const int end = std::min(octave.height(), first + kBandRows);
-    for (int y = first; y < end; ++y) search.search_row(y, found);
+    search.search_rows(first, first + kBandRows, found);
     for (const Extremum& e : found) add_keypoints(picture, octave, e, pixel, keypoints);
   }
 }
