@@ -75,7 +75,7 @@ EPI360_INLINE void narrow(float slope, float start, float low, float high, int& 
   last = std::min(last, static_cast<int>(std::floor(std::max(a, b))));
 }
 
-// Where each gradient falls, and its shares in a cell, the next one (w01) and those below (w10, w11).
+// Where each gradient falls, and its shares in a cell, the next one (01), and those below (10, 11).
 struct RowOfRegion {
   float bins[kRowLength], w00[kRowLength], w01[kRowLength], w10[kRowLength], w11[kRowLength];
   int cells[kRowLength];
