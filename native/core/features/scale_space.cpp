@@ -57,7 +57,7 @@ class DoubledPicture {
 
 }  // namespace
 
-Octave::Octave(int width, int height, Source source)
+Octave::Octave(int width, int height, Source source, std::vector<float>& memory)
     : width_(width),
       height_(height),
       stride_((static_cast<std::size_t>(width) + 15) / 16 * 16 + 16),  // room for whole vectors
@@ -69,8 +69,13 @@ Octave::Octave(int width, int height, Source source)
   for (int level = 1; level < kScaleLevels; ++level, sigma *= ratio) {
     kernels_.emplace_back(sigma * std::sqrt(ratio * ratio - 1.0));
   }
-  const int rows = std::min(kRingRows, height);
-  for (std::vector<float>& level : levels_) level.resize(stride_ * rows);
+  std::size_t size = 0, starts[kScaleLevels];
+  for (int level = 0; level < kScaleLevels; ++level) {
+    starts[level] = size;
+    size += stride_ * std::min(kRingRows[level], height);
+  }
+  if (memory.size() < size) memory.resize(size);
+  for (int level = 0; level < kScaleLevels; ++level) levels_[level] = memory.data() + starts[level];
 }
 
 void Octave::advance(int first) {
@@ -91,7 +96,7 @@ void Octave::ensure(int level, int rows) {
 
 void Octave::make_rows(int level, int y, int count) {
   float* out[kBlurRows];
-  for (int k = 0; k < count; ++k) out[k] = levels_[level].data() + offset(y + k);
+  for (int k = 0; k < count; ++k) out[k] = levels_[level] + offset(level, y + k);
   if (level == 0) {
     source_(y, count, out);
     return;

@@ -88,9 +88,10 @@ SiftKeypoints find_sift(const Picture& picture, double contrast_threshold) {
   int width = 2 * picture.width, height = 2 * picture.height;
   const int octaves = static_cast<int>(std::lround(std::log2(std::min(width, height)) - 1.0));
   Octave::Source source = doubled_picture(picture.pixels, picture.width, picture.height);
+  std::vector<float> memory;
   float pixel = 0.5f;
   for (int k = 0; k < octaves && std::min(width, height) > 0; ++k, pixel *= 2.0f) {
-    Octave octave(width, height, std::move(source));
+    Octave octave(width, height, std::move(source), memory);
     search_octave(picture, octave, contrast_threshold, pixel, keypoints);
     source = stored_rows(octave.take_next(), width / 2);
     width /= 2;
