@@ -78,8 +78,10 @@ Octave::Octave(int width, int height, Source source, std::vector<float>& memory)
   for (int level = 0; level < kScaleLevels; ++level) levels_[level] = memory.data() + starts[level];
 }
 
-void Octave::advance(int first) {
+void Octave::advance(int first, bool is_searched) {
   ensure(kScaleLayers, first + kBandRows + kReachRows);
+  if (!is_searched) return;
+  skip(kScaleLevels - 1, first - kVisitRows);
   ensure(kScaleLevels - 1, first + kBandRows + kVisitRows);
 }
 
@@ -92,6 +94,14 @@ void Octave::ensure(int level, int rows) {
     make_rows(level, done_[level], count);
     done_[level] += count;
   }
+}
+
+// Leaves out rows that nothing needs: those of the levels above, which the next octave does not
+// begin with.
+void Octave::skip(int level, int rows) {
+  if (level <= kScaleLayers) return;
+  done_[level] = std::max(done_[level], rows);
+  skip(level - 1, rows - kernels_[level - 1].radius());
 }
 
 void Octave::make_rows(int level, int y, int count) {

@@ -29,8 +29,9 @@ class Octave {
   int height() const { return height_; }
   const float* row(int level, int y) const { return levels_[level] + offset(level, y); }
 
-  // Makes all rows present that key points of [first, first + kBandRows) look at. first grows.
-  void advance(int first);
+  // Makes all rows present that key points of [first, first + kBandRows) look at, or only those
+  // that later ones will need. first grows.
+  void advance(int first, bool is_searched);
 
   // Every second pixel of the level that has twice the first one's sigma, once all rows are made.
   std::vector<float> take_next() { return std::move(next_); }
@@ -42,6 +43,7 @@ class Octave {
     return static_cast<std::size_t>(y & (kRingRows[level] - 1)) * stride_;
   }
   void ensure(int level, int rows);
+  void skip(int level, int rows);
   void make_rows(int level, int y, int count);
   void keep_half(int y, const float* row);
 

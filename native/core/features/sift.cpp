@@ -28,6 +28,18 @@ bool is_masked(const Picture& picture, float x, float y) {
   return picture.mask[static_cast<std::size_t>(row) * picture.width + column] == 0;
 }
 
+// Whether the mask leaves anything of what extrema that start in rows [first, end) converge to.
+bool is_searched(const Picture& picture, int first, int end, float pixel) {
+  if (picture.mask == nullptr) return true;
+  const auto row_at = [&](int y) {
+    return std::clamp(static_cast<int>(std::floor(y * pixel)), 0, picture.height - 1);
+  };
+  const std::size_t width = picture.width;
+  const unsigned char* from = picture.mask + row_at(first - kVisitRows) * width;
+  const unsigned char* to = picture.mask + (row_at(end + kVisitRows) + 1) * width;
+  return std::any_of(from, to, [](unsigned char value) { return value != 0; });
+}
+
 // Key points of an extremum: one for each orientation. pixel is that of the octave.
 void add_keypoints(const Picture& picture, const Octave& octave, const Extremum& extremum,
                    float pixel, std::vector<Keypoint>& keypoints) {
@@ -51,9 +63,12 @@ void search_octave(const Picture& picture, Octave& octave, double contrast_thres
   ExtremumSearch search(octave, contrast_threshold);
   std::vector<Extremum> found;
   for (int first = 0; first < octave.height(); first += kBandRows) {
-    octave.advance(first);
+    const int end = first + kBandRows;
+    const bool searched = is_searched(picture, first, end, pixel);
+    octave.advance(first, searched);
+    if (!searched) continue;
     found.clear();
-    search.search_rows(first, first + kBandRows, found);
+    search.search_rows(first, end, found);
     for (const Extremum& e : found) add_keypoints(picture, octave, e, pixel, keypoints);
   }
 }
