@@ -144,7 +144,7 @@ EPI360_INLINE void add_row(const RowOfRegion& row, int count, float* histograms)
     do {
       Vector distance = row.bins[k] - numbers;
       raise(distance, 0.0f - distance);
-      lower(distance, kBins - distance);
+      lower(distance, static_cast<float>(kBins) - distance);
       Vector share = 1.0f - distance;
       raise(share, nothing);
       h00 += row.w00[k] * share;
