@@ -5,12 +5,13 @@ Each panorama of a rendered home is left out and localized twice: in a map of al
 without its room, which may hold a copy of it. The map has the true poses, and points from matches
 that fit them.
 
-    python benchmarks/localize_twins.py --homes 2 --work scratch
+    python benchmarks/localize_twins.py --work scratch
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -32,6 +33,11 @@ from epi360.poses import Pose
 from epi360_scenes.tours import Tour, render_tour
 
 RIGHT_M, FITS_RAD, LEAST_OVERLAP = 0.3, 0.004, 0.05
+AMBIGUOUS, NO_POSE = "ambiguous", "no pose"
+ANSWERS = (
+    "right, silent", "right, with a warning", "wrong, with a warning", "wrong, silent", AMBIGUOUS,
+    NO_POSE,
+)  # fmt: skip
 Matches = Mapping[tuple[str, str], NDArray[np.int64]]
 
 
@@ -124,28 +130,47 @@ def answers(tour: Tour, width: int) -> Iterator[tuple[str, str]]:
 def _answer(world: LocalizationMap, seen: Features, camera: Camera, world_from_cam: Pose) -> str:
     result = localize_features(seen, camera, world, frozenset(), LocalizationOptions())
     if not result.success:
-        return result.status
+        return AMBIGUOUS if result.status == "ambiguous" else NO_POSE
     away = result.cam_from_world.inverse().translation - world_from_cam.translation
-    verdict = "right" if np.linalg.norm(away) < RIGHT_M else "wrong"
-    return f"ok, {verdict}, {'with a warning' if result.warnings else 'silent'}"
+    is_right = float(np.linalg.norm(away)) < RIGHT_M
+    return (
+        f"{'right' if is_right else 'wrong'}, {'with a warning' if result.warnings else 'silent'}"
+    )
+
+
+def table(counts: Mapping[str, Counter[str]]) -> None:
+    """Print how many panoramas got which answer in either kind of map."""
+    print(f"| map | asked | {' | '.join(ANSWERS)} |")
+    print("| --- " * (2 + len(ANSWERS)) + "|")
+    for kind, found in counts.items():
+        cells = " | ".join(str(found[answer]) for answer in ANSWERS)
+        print(f"| {kind} | {found.total()} | {cells} |", flush=True)
 
 
 def main() -> None:
-    """Print how many panoramas got which answer in either kind of map."""
+    """Localize the panoramas of each tour and print the table of all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--work", type=Path, required=True, help="keeps the pictures")
-    parser.add_argument("--homes", type=int, default=2, help="rendered, every second one level (2)")
+    parser.add_argument(
+        "--tours", nargs="+", default=["tilted_0", "level_1"],
+        help="level or tilted, and the number of the home (tilted_0 level_1)",
+    )  # fmt: skip
     parser.add_argument("--width", type=int, default=1024, help="of the panoramas (1024)")
     given = parser.parse_args()
     counts: dict[str, Counter[str]] = {}
-    for home in range(given.homes):
-        folder = given.work / f"home{home}_{given.width}"
-        tour = render_tour(folder, home, is_level=home % 2 == 1, width=given.width)
-        for kind, answer in answers(tour, given.width):
-            counts.setdefault(kind, Counter())[answer] += 1
-        for kind, found in counts.items():
-            told = ", ".join(f"{count} {answer}" for answer, count in sorted(found.items()))
-            print(f"{home + 1} homes, {kind}: {told}", flush=True)
+    for name in given.tours:
+        begun = time.process_time()
+        kind, _, home = name.partition("_")
+        folder = given.work / f"{name}_{given.width}"
+        tour = render_tour(folder, int(home), is_level=kind == "level", width=given.width)
+        rendered = time.process_time()
+        for map_kind, answer in answers(tour, given.width):
+            counts.setdefault(map_kind, Counter())[answer] += 1
+        done = time.process_time()
+        print(
+            f"{name}: {rendered - begun:.0f} CPU s for pictures, {done - rendered:.0f} for the rest"
+        )
+    table(counts)
 
 
 if __name__ == "__main__":

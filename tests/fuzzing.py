@@ -7,6 +7,7 @@ import random
 import re
 import shutil
 import sqlite3
+import struct
 import sys
 import time
 import traceback
@@ -213,6 +214,7 @@ def _damaged(rng: random.Random, data: bytes) -> bytes:
         return data[:place]
     if kind == 1:
         words = [b"1e999", b"-1", b"NaN", b"9" * 20, b"9" * 5000, b"\n", b" ", b"\0", b"!!int ''"]
+        words += [struct.pack("<d", 1e200), struct.pack("<Q", 0x7FF0000000000001)]  # signalling NaN
         return data[:place] + rng.choice(words) + data[place + rng.choice((0, 1, 4, 8)) :]
     if kind == 2:
         return data[:place] + rng.choice([b"\0", b"\xff"]) * 30 + data[place + 30 :]

@@ -142,6 +142,13 @@ def test_vector_to_rotation_and_back_is_the_identity(axis, angle):
     np.testing.assert_allclose(back, vector, rtol=1e-12, atol=2e-15)
 
 
+@pytest.mark.parametrize("number", [1e101, -1e200, 1.7e308])
+def test_a_vector_whose_length_is_no_number_is_refused(number):
+    assert rotation_from_vector([1e100, 0, 0]) @ [1, 0, 0] == pytest.approx([1, 0, 0])
+    with pytest.raises(ValueError, match=r"rotation vector must be at most 1e\+100 long"):
+        rotation_from_vector([0, number, 1])
+
+
 def test_rotation_from_a_long_vector_wraps_around():
     once, again = about((1, 2, 3), 40), about((1, 2, 3), 760)
     np.testing.assert_allclose(again, once, atol=1e-14)

@@ -112,7 +112,7 @@ def concentrated_inliers() -> Pair:
 
 def too_few_inliers() -> Pair:
     """Two rooms that do not see each other."""
-    return in_home(standing(-5.15, 1.6, -72.0), standing(3.06, 2.01, 114.0))
+    return in_home(standing(-5.15, 1.6, -60.0), standing(2.9, 2.1, 130.0))
 
 
 def low_probability() -> Pair:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+_LARGEST = 1e100  # of a vector's numbers: their squares are numbers
 ROTATION_TOLERANCE = 1e-6  # a rotation read from a file with seven digits still passes
 
 
@@ -109,6 +110,10 @@ def pose_from_quaternion(translation: NDArray[np.float64], wxyz: NDArray[np.floa
 def rotation_from_vector(vector: ArrayLike) -> NDArray[np.float64]:
     """Return the rotation (3, 3) about a vector by its length in radians."""
     axis_angle = _checked(vector, (3,), "vector")
+    if (np.abs(axis_angle) > _LARGEST).any():
+        raise ValueError(
+            f"rotation vector must be at most {_LARGEST:g} long, got {axis_angle.tolist()}"
+        )
     x, y, z = axis_angle
     half_turns = float(np.linalg.norm(axis_angle)) / (2 * np.pi)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The page: its head and its two tabs."""
 
+import multiprocessing
+
 from fastapi import FastAPI
-from nicegui import ui
+from nicegui import run, ui
 
 from epi360_demo.application import Demo
 from epi360_demo.limits import RefusedError
@@ -60,6 +62,10 @@ def add_page(app: FastAPI, demo: Demo) -> None:
             tabs.on_value_change(lambda event: paper.shown() if event.value == "paper" else None)
             _footer(demo)
 
+    # No page asks NiceGUI for a process, yet it makes ready for them. With the start method that is
+    # the default since Python 3.14, the end by a signal then complains of leaked semaphores.
+    if "fork" in multiprocessing.get_all_start_methods():
+        run.process_pool_start_method = "fork"
     ui.run_with(
         app,
         title="epi360 demo",

@@ -49,13 +49,29 @@ def serve(
             ws_max_size=2**20, timeout_graceful_shutdown=_SECONDS_TO_END, limit_concurrency=1000,
         )  # fmt: skip
         address = _address(host, listener.getsockname()[1])
-        say(address)
-        if opens_browser:
-            threading.Timer(0.5, webbrowser.open, [address]).start()
-        uvicorn.Server(config).run(sockets=[listener])
+
+        def when_it_answers() -> None:
+            say(address)
+            if opens_browser:
+                threading.Timer(0.5, webbrowser.open, [address]).start()
+
+        _Server(config, when_it_answers).run(sockets=[listener])
     finally:
         demo.visitors.close()
         listener.close()
+
+
+class _Server(uvicorn.Server):
+    """A server that says when it answers; from then on a signal ends it in order."""
+
+    def __init__(self, config: uvicorn.Config, when_it_answers: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._when_it_answers = when_it_answers
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._when_it_answers()
 
 
 def _end_with_terminal() -> None:

@@ -72,3 +72,20 @@ def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_p
     assert (rest, complaints) == ("", "")
     assert process.returncode == (0 if how == "SIGINT" else -signal.SIGTERM)
     assert list(tmp_path.iterdir()) == []
+
+
+@needs_demo
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
+def test_a_demo_that_is_ended_when_it_says_its_address_leaves_nothing_behind(tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "epi360.cli", "demo", "--port", "0", "--no-open"],
+        stdout=subprocess.PIPE, text=True, cwd=tmp_path,
+        env=os.environ | {"TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    try:
+        assert "http://127.0.0.1:" in process.stdout.readline()
+        process.terminate()
+        process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert list(tmp_path.iterdir()) == []

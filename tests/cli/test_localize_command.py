@@ -35,14 +35,16 @@ def test_poses_are_printed_and_written_in_every_form(room_run, new_folder, tmp_p
     from epi360.interop import read_tum_trajectory
 
     outputs = [tmp_path / name for name in ("a.csv", "a.json", "a.tum", "model")]
-    words = ["localize", str(room_run[0]), str(new_folder)]
+    page = tmp_path / "page.html"
+    words = ["localize", str(room_run[0]), str(new_folder), "--report", str(page)]
     for path in outputs:
         words += ["--out", str(path)]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
     assert "0.png     ok: at (" in printed and "sigma" in printed
     assert "grey.png  too_few_matches: 0 matches" in printed
-    assert all(f"wrote {path}" in printed for path in outputs)
+    assert all(f"wrote {path}" in printed for path in (*outputs, page))
+    assert "2 of 3 images have a pose that can be used" in page.read_text(encoding="utf-8")
     rows = list(csv.DictReader(outputs[0].open(encoding="utf-8")))
     assert [row["status"] for row in rows] == ["ok", "ok", "too_few_matches"]
     assert float(rows[0]["position_sigma"]) > 0 and rows[2]["qw"] == ""
@@ -83,6 +85,23 @@ def test_an_image_of_a_name_that_the_model_has_gets_a_folder(
     assert "localized/Küche/1.png" in {i.name for i in read_colmap_model(tmp_path / "m").images}
 
 
+def test_a_run_goes_on_from_the_results_that_are_kept(room_run, new_folder, tmp_path, capsys):
+    words = ["localize", str(room_run[0]), str(new_folder / "0.png")]
+    kept = ["--keep", str(tmp_path / "kept")]
+    assert cli.main([*words, *kept, "--out", str(tmp_path / "a.json")]) == 0
+    before = capsys.readouterr().out
+    assert "done already" not in before
+    both = [*words, str(new_folder / "1.png"), *kept, "--out", str(tmp_path / "b.json")]
+    assert cli.main(both) == 0
+    printed = capsys.readouterr().out
+    assert "1 done already" in printed and before.splitlines()[0] in printed
+    first, second = (
+        json.loads((tmp_path / name).read_text(encoding="utf-8"))["images"][0]
+        for name in ("a.json", "b.json")
+    )
+    assert first == second
+
+
 def test_without_any_pose_the_exit_code_is_1_and_no_trajectory_is_written(
     room_run, new_folder, tmp_path, capsys
 ):
@@ -104,6 +123,8 @@ def test_without_any_pose_the_exit_code_is_1_and_no_trajectory_is_written(
         (["MAP", "NEW", "--max-views", "0"], "--max-views must be at least 1"),
         (["MAP", "NEW", "--mask-nadir-deg", "200"], "--mask-nadir-deg must be in [0, 180)"),
         (["MAP", "NEW", "--camera", "no.yaml"], "no.yaml"),
+        (["MAP", "NEW", "--report", "a.txt"], "--report must end in .html"),
+        (["MAP", "NEW", "--keep", "no/where"], "--keep must be a folder, or the name of a new one"),
         (["MAP", "NEW", "--database", "no.db"], "no.db does not exist"),
     ],
 )
@@ -124,5 +145,5 @@ def test_nothing_that_is_there_is_replaced(room_run, new_folder, tmp_path, capsy
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "localize", "--images", "--features", "--database", "--camera", "--mask",
-        "--mask-nadir-deg", "--max-views", "--seed", "--out",
+        "--mask-nadir-deg", "--max-views", "--seed", "--known-place", "--keep", "--out", "--report",
     )  # fmt: skip

@@ -238,3 +238,35 @@ def test_the_unit_of_the_points_does_not_matter(unit):
     expected = estimate_absolute_pose(bearings, points).cam_from_world.rotation
     assert found.success
     np.testing.assert_allclose(found.cam_from_world.rotation, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("distance", [0.0, 5e6, 5e9, 5e12])
+@pytest.mark.parametrize("places", ["a line", "two points"])
+def test_what_leaves_the_pose_open_is_never_ok_wherever_it_is(places, distance, unit):
+    """The camera may turn about the line; far from the origin, rounding bends it a little."""
+    rng = np.random.default_rng(0)
+    for seed in range(6):
+        pose = random_pose(rng)
+        along = (
+            rng.uniform(-5.0, 5.0, (100, 1))
+            if places == "a line"
+            else np.tile([[1.0], [2.0]], (50, 1))
+        )
+        points = 2.0 * directions(rng, 1) + along * directions(rng, 1)
+        bearings = seen_from(pose, points)
+        origin = distance * np.array([0.6, 0.5, -0.62])
+        result = estimate_absolute_pose(bearings, unit * (points + origin), seed=seed)
+        assert not result.success
+
+
+@pytest.mark.parametrize("distance", [5e6, 5e9])
+def test_a_map_in_coordinates_of_the_earth_gives_the_same_pose(distance):
+    pose, points, bearings = scene(0)
+    origin = distance * np.array([0.6, 0.5, -0.62])
+    found = estimate_absolute_pose(bearings, points + origin)
+    expected = estimate_absolute_pose(bearings, points)
+    assert found.success
+    np.testing.assert_allclose(
+        found.cam_from_world.rotation, expected.cam_from_world.rotation, atol=1e-5
+    )

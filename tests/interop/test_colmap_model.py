@@ -202,6 +202,17 @@ def test_truncated_file_is_one_clear_error(name, share, tmp_path):
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("bits", [0x7FF0000000000001, 0x7FF8000000000000, 0x7FEFFFFFFFFFFFFF])
+def test_a_rotation_of_a_binary_file_that_is_no_number_is_one_clear_error(bits, tmp_path):
+    write_colmap_model(tmp_path, SMALL)
+    data = bytearray((tmp_path / "images.bin").read_bytes())
+    data[12:44] = 4 * bits.to_bytes(8, "little")  # signalling and quiet NaN, the largest number
+    (tmp_path / "images.bin").write_bytes(data)
+    with pytest.raises(ValueError, match="must have a rotation"):
+        read_colmap_model(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -132,6 +132,13 @@ def test_a_pose_that_was_not_computed_is_the_identity_and_is_found_from_the_matr
     np.testing.assert_allclose(pair.geometry.cam2_from_cam1.rotation, R, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("bad", [struct.pack("<Q", 0x7FF0000000000001), blob("d", 1e200)])
+def test_a_pose_whose_length_is_no_number_is_found_from_the_matrix(build, bad):
+    pair = only_pair(build(2, E=blob("d", *np.ravel(ESSENTIAL)), qvec=4 * bad, tvec=3 * bad))
+    np.testing.assert_allclose(pair.geometry.cam2_from_cam1.rotation, R, atol=1e-6)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_numbers_that_are_none_are_no_pose(build, bad):
     path = build(2, E=blob("d", *[bad] * 9), qvec=blob("d", *[bad] * 4), tvec=blob("d", *[bad] * 3))

@@ -178,6 +178,10 @@ def without(key):
         (changed(shots=[]), "shots of reconstruction 0 must be a mapping"),
         (changed(shots={"a": 3}), "shot a: it must be a mapping"),
         (changed(shots={"a": {"camera": "theta"}}), "shot a: missing keys: rotation, translation"),
+        (
+            changed(shots={"a": {**SHOT, "rotation": [0, 1e200, 0]}}),
+            r"shot a: rotation vector must be at most 1e\+100 long",
+        ),
         (changed(shots={"a": {**SHOT, "rotation": [0, 1]}}), "shot a: rotation must be 3 finite"),
         (
             changed(shots={"a": {**SHOT, "translation": [0, float("nan"), 0]}}),

@@ -34,7 +34,7 @@ def strangers(tmp_path):
     """Two images of different places."""
     views = write_views(tmp_path / "views", NAMES[:1])
     camera = Equirectangular(512, 256)
-    place = Pose(np.eye(3), np.array([0.2, -1.4, 0.3]))
+    place = Pose(np.eye(3), np.array([-0.5, -1.4, 0.3]))
     write_png(views / NAMES[1], scene("studio").render(camera, place).image)
     return image_set(views, NAMES[:2])
 

@@ -63,6 +63,7 @@ def test_a_new_panorama_gets_its_pose_and_an_honest_sigma(world, new_image, room
     assert_right(result, world, room_folder[1])
     assert result.num_inliers > 50 and len(result.keypoints) == len(result.inlier_mask)
     assert result.seen_share > 3.0 * result.chance_share
+    assert result.same_share > 0.8 and result.warnings == ()
     assert set(result.map_images) <= {image.name for image in world.model.images}
     again = epi360.localize_image(new_image, world)
     np.testing.assert_array_equal(again.cam_from_world.matrix(), result.cam_from_world.matrix())
@@ -89,8 +90,13 @@ def test_another_room_and_noise_have_no_pose_in_the_map(world):
 def test_a_room_whose_furniture_was_moved_is_found_and_shows_less_of_the_map(
     world, new_image, room_folder
 ):
-    moved = epi360.localize_image(furnished_room(5).render(CAMERA, WORLD_FROM_NEW).image, world)
+    picture = furnished_room(5).render(CAMERA, WORLD_FROM_NEW).image
+    options = epi360.LocalizationOptions(known_place=True)
+    moved = epi360.localize_image(picture, world, options=options)
     assert_right(moved, world, room_folder[1], largest_deg=4.0, largest_m=0.1)
+    # It might as well be another room with the same walls.
+    assert epi360.localize_image(picture, world).status == "ambiguous"
+    assert any("much has changed" in warning for warning in moved.warnings)
     assert moved.seen_share < 0.6 * epi360.localize_image(new_image, world).seen_share
 
 

@@ -3,6 +3,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -481,8 +482,30 @@ def test_images_that_were_taken_near_each_other_are_paired(tmp_path):
         ({"pairs": "near", "radius": 0.0}, "radius must be above 0, got 0"),
         ({"pairs": "near", "radius": float("nan")}, "radius must be above 0, got nan"),
         ({"neighbors": 0}, "neighbors must be at least 1, got 0"),
+        (
+            {"pairs": "exhaustive", "overlap": 5},
+            'overlap must come with pairs="sequential" or "auto", got pairs="exhaustive"',
+        ),
+        (
+            {"pairs": "sequential", "neighbors": 5},
+            'neighbors must come with pairs="retrieval", "near" or "auto", got pairs="sequential"',
+        ),
+        ({"pairs": "retrieval,near", "overlap": 5}, 'overlap must come with pairs="sequential"'),
+        ({"pairs": Path("pairs.txt"), "neighbors": 5}, 'or "auto", got pairs="pairs.txt"'),
     ],
 )
 def test_options_of_partners_are_checked(changes, said):
     with pytest.raises(ValueError, match=said):
         MatchOptions(**changes)
+
+
+@pytest.mark.parametrize("pairs", ["auto", "sequential,retrieval", "near,sequential"])
+def test_numbers_of_partners_go_with_each_choice_that_uses_them(pairs):
+    options = MatchOptions(pairs=pairs, overlap=3, neighbors=4)
+    assert options.partners == {"overlap": 3, "neighbors": 4}
+
+
+def test_few_images_that_are_all_paired_say_that_numbers_of_partners_are_not_used(folder, tmp_path):
+    options = MatchOptions(overlap=1, neighbors=1)
+    run = match_images(image_set(folder, NAMES[:2]), tmp_path, options)
+    assert run.how == "exhaustive; overlap and neighbors not used"

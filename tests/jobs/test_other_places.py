@@ -49,14 +49,17 @@ def view_of(pose, points, descriptors, rng, noise=0.01):
     )
 
 
-def two_rooms(share):
+def two_rooms(share, by_side=False):
     """Map of a room and of another one that shares its first points, and a new image of the first.
 
-    The new image is told to look more like the first room by less noise in its descriptors.
+    With ``by_side`` they lie on one side of both rooms, else everywhere. The new image is told to
+    look more like the first room by less noise in its descriptors.
     """
     rng = np.random.default_rng(0)
     points, descriptors = room(rng)
     others, other_descriptors = room(rng)
+    if by_side:
+        points, others = (each[each[:, 0].argsort()] for each in (points, others))
     same = np.arange(NUM_POINTS) < share * NUM_POINTS
     others[same], other_descriptors[same] = points[same], descriptors[same]
     features, images, rows, owners = {}, [], [], []
@@ -117,14 +120,23 @@ def test_a_room_of_its_own_is_beyond_doubt():
     assert is_at(result.cam_from_world, HERE)
 
 
-def test_a_place_of_which_the_image_shows_little_leaves_a_warning():
+def test_of_two_rooms_that_look_alike_the_surroundings_choose_the_right_one():
+    result = localized(*two_rooms(0.55, by_side=True))
+    assert result.status == "ok" and is_at(result.cam_from_world, HERE)
+    assert any("another place of the map explains" in warning for warning in result.warnings)
+
+
+@pytest.mark.parametrize(("known", "status"), [(False, "ambiguous"), (True, "ok")])
+def test_a_place_of_which_the_image_shows_little_may_be_a_copy(known, status):
     """A copy that is in the map in place of the room: a third of the view is alike."""
     world, features = two_rooms(0.0)
     changed = features.descriptors.copy()
     left = CAMERA.bearings_from_pixels(features.keypoints)[:, 0] < 0.3
     changed[left] = unit(np.abs(np.random.default_rng(1).normal(size=changed[left].shape)))
-    result = localized(world, Features(features.keypoints, changed, features.sizes_px))
-    assert result.status == "ok"
+    image = Features(features.keypoints, changed, features.sizes_px)
+    result = localized(world, image, known_place=known)
+    assert result.status == status and is_at(result.cam_from_world, HERE)
+    assert result.same_share < 0.6 and (known or result.probability < 0.2)
     assert any("parts of the view" in warning for warning in result.warnings)
 
 

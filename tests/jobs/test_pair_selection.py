@@ -10,6 +10,7 @@ from epi360.jobs.pairs.pair_selection import (
     dense_pairs,
     is_dense,
     names_count_up,
+    said_unused,
     select_pairs,
     ways_of,
 )
@@ -51,6 +52,14 @@ def test_few_images_are_matched_exhaustively_and_a_long_sequence_with_what_looks
     assert how == ("31 images whose names count up: sequential, 10 neighbours; retrieval, 10")
     assert len(pairs) == len(set(pairs)) < 31 * 13
     assert (0, 30) in pairs
+
+
+def test_numbers_of_partners_that_auto_has_no_use_for_are_named():
+    rooms, given = [SourceImage("a.jpg", Path("x"), "c")], {"overlap": 5, "neighbors": 7}
+    assert said_unused(images(30), "auto", given) == "; overlap and neighbors not used"
+    assert said_unused([*images(31), *rooms], "auto", given) == "; overlap not used"
+    assert said_unused(images(31), "auto", given) == ""
+    assert said_unused(images(30), "auto", {"overlap": None, "neighbors": None}) == ""
 
 
 def test_many_images_without_an_order_are_matched_with_what_looks_alike():

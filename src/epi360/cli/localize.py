@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from epi360.cli.command import FAILURE, OUT_NAMES, POSES, SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
-    from epi360.jobs.localization import (
-        LocalizationMap,
-        LocalizationOptions,
-        LocalizationResult,
-    )
+    from epi360.jobs.localization import LocalizationMap, LocalizationResult
+    from epi360.jobs.localization.localize_files import LocalizedFiles
 
 _TABLE, _RECORD, _TRAJECTORIES = ".csv", ".json", (".txt", ".tum")
 
@@ -55,7 +53,10 @@ def localize(
     mask_nadir_deg: float = 0.0,
     max_views: int = 16,
     seed: int = 0,
+    known_place: Annotated[bool, Parameter(negative=())] = False,
+    keep: Path | None = None,
     out: Annotated[list[Path] | None, Parameter(name=OUT_NAMES, negative=())] = None,
+    report: Path | None = None,
 ) -> int:
     """Poses of new panoramas or fisheye images in an existing map.
 
@@ -82,25 +83,50 @@ def localize(
         Match with so many images of the map at most, those that look most like the new one first.
     seed
         Random seed; the same seed gives the same result.
+    known_place
+        The map has every place that the images show: poses are accepted even where most of a place
+        has changed. Without it such a pose is ambiguous, because it may be that of a room that
+        looks alike.
+    keep
+        Folder that keeps the result of each image. A run that was stopped, or has new images, takes
+        from there what is done and unchanged.
     out
         File to write, by its name: .csv a table, .json everything, .txt or .tum a TUM trajectory, a
         name without extension a COLMAP model with the new images in it. May be given several times.
+    report
+        HTML file with the map from above, the new images in it, and a table of them.
     """
     from epi360.jobs.localization import LocalizationOptions, load_map
+    from epi360.jobs.localization.localize_files import localize_files
 
     outputs = [] if out is None else out
     with options_as_typed():
         _check_outputs(outputs)
-        options = LocalizationOptions(max_views, mask_nadir_deg, seed)
+        if report is not None:
+            check_report(report)
+        if keep is not None and (keep.is_file() or not keep.parent.is_dir()):
+            raise ValueError(f"keep must be a folder, or the name of a new one, got {keep}")
+        options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
         world = load_map(
             model, images=of_map.images, features=of_map.features, database=of_map.database
         )
     given = None if camera is None else _camera(camera)
     files = _files_by_name([image, *others])
-    results = _localize_all(world, files, given, mask, options)
-    _write(outputs, results, files, world, str(model))
-    statuses = Counter(result.status for result in results.values())
-    return SUCCESS if statuses["ok"] else FAILURE
+    with show_bars() as progress:
+        found = localize_files(
+            files, world, camera=given, mask=mask, options=options, keep=keep, progress=progress
+        )
+    _print(found)
+    if not found.results:
+        raise ValueError("none of the images could be used")
+    _write(outputs, found.results, files, world, str(model))
+    if report is not None:
+        from epi360.report.localize_page import write_localize_report
+
+        name = model.resolve().name
+        write_localize_report(report, name, world.model, found.results, files, found.reasons)
+        print(f"wrote {report}")
+    return SUCCESS if any(each.success for each in found.results.values()) else FAILURE
 
 
 def _camera(camera: str) -> Camera:
@@ -135,51 +161,21 @@ def _files_by_name(paths: Sequence[Path]) -> dict[str, Path]:
     return named
 
 
-def _localize_all(
-    world: LocalizationMap,
-    files: Mapping[str, Path],
-    camera: Camera | None,
-    mask: Path | None,
-    options: LocalizationOptions,
-) -> dict[str, LocalizationResult]:
-    """Results by name; an image that cannot be read costs itself, not the others."""
-    from epi360.jobs.folder.masks import MaskSource
-    from epi360.jobs.localization import localize_image
-
-    masks = MaskSource(mask)
-    mask_of = {name: masks.mask_of(name) for name in files}
-    masks.check_used(list(mask_of.values()))
-    results: dict[str, LocalizationResult] = {}
-    reasons: dict[str, str] = {}
-    with show_bars() as progress:
-        for number, (name, path) in enumerate(files.items()):
-            progress("localizing images", number, len(files))
-            try:
-                results[name] = localize_image(
-                    path, world, camera=camera, mask=mask_of[name], options=options
-                )
-            except ValueError as error:
-                if len(files) == 1:
-                    raise
-                reasons[name] = str(error)
-        progress("localizing images", len(files), len(files))
-    width = max(map(len, files))
-    for name in files:
-        if name in results:
-            print(f"{name:{width}}  {_described(results[name])}")
-    for name, reason in reasons.items():
+def _print(found: LocalizedFiles) -> None:
+    width = max(map(len, (*found.results, *found.reasons)))
+    for name, result in found.results.items():
+        print(f"{name:{width}}  {_described(result)}")
+    for name, reason in found.reasons.items():
         print(f"epi360: {name} was not used: {reason}", file=sys.stderr)
-    if not results:
-        raise ValueError("none of the images could be used")
-    return results
+    if found.num_kept:
+        print(f"{found.num_kept} done already")
 
 
 def _described(result: LocalizationResult) -> str:
     counts = f"{result.num_inliers} inliers, {result.num_matches} matches"
     if not result.success:
-        return f"{result.status}: {result.num_matches} matches, probability " + (
-            f"{result.probability:.0%}"
-        )
+        line = f"{result.status}: {result.num_matches} matches, probability "
+        return "; ".join([f"{line}{result.probability:.0%}", *result.warnings])
     x, y, z = result.cam_from_world.inverse().translation
     line = (
         f"ok: at ({x:.4g}, {y:.4g}, {z:.4g}) sigma {result.position_sigma:.2g}, rotation sigma "

@@ -61,12 +61,12 @@ class MatchWork:
     near (by GPS or --positions), several as in retrieval,sequential, or a file with two names a
     line; auto: exhaustive for up to 30 images, unless those up to 21 ahead all match well; beyond
     that retrieval, and sequential as well if the names count up."""
-    overlap: int = 10
-    """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead; with 10,
-    image 1 is paired with 2 to 11, 21, 41 and 81."""
-    neighbors: int = 20
-    """Retrieval and near: so many partners for each image; auto takes half as many beside
-    sequential."""
+    overlap: int | None = None
+    """Sequential: so many images that follow, and those 2, 4 and 8 times as far ahead; with 10, the
+    default, image 1 is paired with 2 to 11, 21, 41 and 81."""
+    neighbors: int | None = None
+    """Retrieval and near: so many partners for each image, by default 20; auto takes half as many
+    beside sequential."""
     positions: Path | None = None
     """Near: poses of the images (TUM trajectory, COLMAP model, transforms.json); without them the
     GPS in the images."""

@@ -22,6 +22,9 @@ _STEPS, _NOISE_STEPS = 8, 12
 _LOSS_SCALE = 2.0  # of Cauchy's loss, in standard deviations
 _MEDIAN_OF_SQUARE = 2.0 * np.log(2.0)  # of the squared length of a standard normal vector
 _SMALLEST_NOISE = 1e-9  # radians
+# Eigenvalues of the information, scaled to a unit diagonal, below this share of the largest are
+# rounding. Coordinates that are large beside the distances have a coarser one of their own.
+_SINGULAR, _ROUNDING_STEPS = 1e-11, 10.0
 # Of the error that neighbouring bearings share, as with pairs of views: it falls to 1 / e.
 _REACH = np.radians(45.0)
 _SHARED_SAMPLE, _SIGNIFICANT = 400, 4.0
@@ -29,11 +32,16 @@ _SHARED_SAMPLE, _SIGNIFICANT = 400, 4.0
 
 @dataclass(frozen=True)
 class Refined:
-    """A pose, the noise of the bearings per axis and the covariance (6, 6) at the camera."""
+    """A pose, the noise of the bearings per axis and the covariance (6, 6) at the camera.
+
+    It is not ``determined`` if only rounding speaks for it in some direction, as where all points
+    lie on a line. The covariance is then large, not infinite, and too small.
+    """
 
     pose: Pose
     noise_rad: float
     covariance: Array
+    determined: bool
 
 
 @dataclass(frozen=True)
@@ -68,9 +76,11 @@ def refined_pose(
             break
     at = _linearised(pose, bearings, points)
     weights = _weights(noise, spread)
-    return Refined(
-        pose, noise, _covariance(pose, bearings, at, weights, level, noise, shared_error)
-    )
+    information = _information(pose, at, weights, level)
+    own = bounded_inverse(information)
+    if shared_error > 0.0 and len(bearings) >= 20:
+        own = own + _shared(bearings, at, weights, own, noise, shared_error)
+    return Refined(pose, noise, own, _is_determined(information, _rounding(pose, points)))
 
 
 def at_world(pose: Pose, at_camera: Array) -> Array:
@@ -170,20 +180,26 @@ def bounded_inverse(information: Array) -> Array:
     """Inverse whose values are large, not infinite, where nothing is determined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
-    values = np.maximum(values, 1e-11 * max(values[-1], 1e-300))
+    values = np.maximum(values, _SINGULAR * max(values[-1], 1e-300))
     return np.asarray((vectors / values) @ vectors.T * np.outer(scale, scale))
 
 
-def _covariance(
-    pose: Pose,
-    bearings: Array,
-    at: _Linearised,
-    weights: Array,
-    level: Gravity,
-    noise: float,
-    shared_error: float,
-) -> Array:
-    """Covariance of an M-estimator (Huber 1981, 7.6) and of what neighbouring bearings share."""
+def _is_determined(information: Array, rounding: float) -> bool:
+    """Whether more than rounding speaks for the pose in every direction, in any unit."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    values = np.linalg.eigvalsh(information * np.outer(scale, scale))
+    return bool(values[0] > max(_SINGULAR, rounding**2) * values[-1])
+
+
+def _rounding(pose: Pose, points: Array) -> float:
+    """Error of the directions, in radians, by the digits that the points' coordinates have."""
+    distances = np.linalg.norm(points @ pose.rotation.T + pose.translation, axis=1)
+    step = np.finfo(float).eps * float(np.abs(points).max())
+    return _ROUNDING_STEPS * step / max(float(np.median(distances)), 1e-300)
+
+
+def _information(pose: Pose, at: _Linearised, weights: Array, level: Gravity) -> Array:
+    """Inverse of the covariance of an M-estimator (Huber 1981, 7.6), with what gravity adds."""
     squares = _squares(at.residuals, weights)
     robust = 1.0 / (1.0 + squares / _LOSS_SCALE**2)
     # A Cauchy weight w of a length in the plane has psi' = w^2 on average over the directions.
@@ -191,10 +207,7 @@ def _covariance(
     factor = float(robust**2 @ squares) / spare / float(np.mean(robust**2)) ** 2
     factor *= 1.0 + 6.0 / len(squares)  # the noise comes from the same few residuals
     full, _ = _normal_equations(at, weights, np.ones(len(squares)))
-    own = bounded_inverse(full / max(factor, 1e-4) + _prior(pose, level)[0])
-    if shared_error <= 0.0 or len(squares) < 20:
-        return own
-    return own + _shared(bearings, at, weights, own, noise, shared_error)
+    return np.asarray(full / max(factor, 1e-4) + _prior(pose, level)[0])
 
 
 def _shared(

@@ -146,10 +146,7 @@ def _judged(
     evidence = _evidence(search, found)
     at_camera = found.refined.covariance
     distance = _median_distance(search, found)
-    spread = Spread(
-        math.sqrt(np.linalg.eigvalsh(at_camera[:3, :3])[-1]),
-        math.sqrt(np.linalg.eigvalsh(at_camera[3:, 3:])[-1]) / distance,
-    )
+    spread = _spread(found, distance)
     rival, rival_regions = None, 0.0
     status = judge(evidence, spread, search.min_num_inliers, rival_regions)
     if status == "ok":
@@ -178,6 +175,16 @@ def _judged(
         probability=probability_of(evidence),
         alternatives=() if rival is None or status != "ambiguous" else (rival,),
         warnings=warnings_of(evidence, count - len(rows), noise_deg, limit),
+    )
+
+
+def _spread(found: FoundPose, distance: float) -> Spread:
+    if not found.refined.determined:
+        return Spread(math.inf, math.inf)
+    covariance = found.refined.covariance
+    return Spread(
+        math.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]),
+        math.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]) / distance,
     )
 
 

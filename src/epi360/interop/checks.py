@@ -76,7 +76,7 @@ def pose_of_matrix(value: Any, name: str) -> Pose:
 def pose_of_numbers(numbers: Sequence[float] | NDArray[np.float64], expected: str) -> Pose:
     """Return the pose of a quaternion of any length, w first, and a translation."""
     wxyz, translation = np.array(numbers[:4]), np.array(numbers[4:])
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged files hold signalling NaN
         length = np.linalg.norm(wxyz)
     if not (0 < length < np.inf and np.isfinite(translation).all()):
         raise ValueError(f"{expected}, got {[*wxyz.tolist(), *translation.tolist()]}")

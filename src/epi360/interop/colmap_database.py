@@ -289,7 +289,8 @@ def _stored_pose(
     what = f"pose of pair {names[0]} {names[1]}"
     wxyz = pairs.array((1, 4, quaternion), np.float64, what)[0]
     t = pairs.array((1, 3, translation), np.float64, what)[0]
-    lengths = float(np.linalg.norm(wxyz)), float(np.linalg.norm(t))
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers of 1e200, signalling NaN
+        lengths = float(np.linalg.norm(wxyz)), float(np.linalg.norm(t))
     if not np.isfinite(lengths).all() or lengths[0] == 0:
         return None
     if status == "pure_rotation" and wxyz[0] != lengths[0]:

@@ -232,9 +232,9 @@ def _image(name: str, shot: Any) -> PosedImage:
         time = shot.get("capture_time")
         if time is not None:
             time = float(checks.finite_array([time], (1,), "capture_time")[0])
+        pose = Pose(rotation_from_vector(rotation), translation)
     except ValueError as error:
         raise ValueError(f"shot {name}: {error}") from None
-    pose = Pose(rotation_from_vector(rotation), translation)
     return PosedImage(name, str(shot["camera"]), pose, time)
 
 

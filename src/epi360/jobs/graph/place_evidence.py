@@ -208,7 +208,7 @@ def _looked_for(
     kept = contrasts > _LEAST_CONTRAST
     sources = np.array(list(there), dtype=np.int64)
     seen = points[kept] @ pose.rotation.T + pose.translation
-    beyond = [_beyond(seen, cloud) for cloud in there.values()]
+    beyond = [log_beyond(seen, cloud) for cloud in there.values()]
     return Sightings(
         witnesses[kept],
         _CELLS.indices(directions[kept]) + side * len(_CELLS),
@@ -219,7 +219,7 @@ def _looked_for(
     )
 
 
-def _beyond(seen: Array, cloud: Cloud) -> Array:
+def log_beyond(seen: Array, cloud: Cloud) -> Array:
     """Logarithm of distances over those of the cloud in about the same directions."""
     if len(cloud.points) < 2 or len(seen) == 0:
         return np.full(len(seen), np.nan)

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +26,7 @@ from epi360.interop.hloc_layout import (
     own_group,
     reading,
 )
-from epi360.jobs.folder.feature_cache import keypoints_in_file
+from epi360.jobs.folder.feature_cache import EXTRACTION_VERSION, keypoints_in_file
 from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 
@@ -49,6 +50,9 @@ class FeatureSource(Protocol):
 
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
+
+    def made_from(self, names: Sequence[str]) -> object:
+        """What changes when the features of these images of the map do; its text is compared."""
 
     def of_new(
         self,
@@ -86,6 +90,10 @@ class MatchedFolder(_Extracting):
     keys: Mapping[str, str]
     are_of_the_points = True
 
+    def made_from(self, names: Sequence[str]) -> object:
+        """Return hashes of images and options, by which the features are kept."""
+        return [self.keys.get(name) for name in names]
+
     @classmethod
     def opened(cls, output: Path) -> MatchedFolder:
         """Read which key points the images of an output have, and how they were found."""
@@ -118,6 +126,10 @@ class DatabaseFile(_Extracting):
     pairs: ColmapPairs
     are_of_the_points = True
 
+    def made_from(self, names: Sequence[str]) -> object:
+        """State of the database."""
+        return _state(Path(self.pairs.path))
+
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
         if name not in self.pairs.images:
@@ -141,6 +153,10 @@ class HlocFile:
 
     path: Path
     are_of_the_points = True
+
+    def made_from(self, names: Sequence[str]) -> object:
+        """State of the file."""
+        return _state(self.path)
 
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
@@ -197,10 +213,24 @@ class ImageFolder(_Extracting):
     folder: Path
     are_of_the_points = False
 
+    def made_from(self, names: Sequence[str]) -> object:
+        """State of the pictures, and how they are searched."""
+        rules = (EXTRACTION_VERSION, cv2.__version__, self.settings)
+        return rules, [_state(inside(self.folder, name)) for name in names]
+
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
         path = inside(self.folder, name)
         return _extracted(path, camera, None, self.settings, 0.0) if path.is_file() else None
+
+
+def _state(path: Path) -> list[int]:
+    """Size and times of change of a file, none if it is missing."""
+    try:
+        status = path.stat()
+    except OSError:
+        return []
+    return [status.st_size, status.st_mtime_ns, status.st_ctime_ns]
 
 
 def _extracted(

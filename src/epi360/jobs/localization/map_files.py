@@ -18,6 +18,7 @@ from epi360.jobs.localization.feature_sources import (
     ImageFolder,
     MatchedFolder,
 )
+from epi360.jobs.localization.kept_index import INDEX_FILE
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.mapping.mapped_models import with_given_cameras
 from epi360.runs.whole_files import PathLike
@@ -60,6 +61,12 @@ def load_map(
     ValueError
         If the folder holds no model, the model no points, or nothing says what its images look
         like.
+
+    Notes
+    -----
+    The first image that is localized makes an index over the map's images, which is kept in the
+    folder of the map as ``localize-index.npz``. The file may be deleted; it is made again when the
+    map or its features have changed, and done without where the folder cannot be written.
     """
     path = existing_folder(Path(path), "map")
     if sum(each is not None for each in (images, features, database)) > 1:
@@ -76,7 +83,7 @@ def load_map(
         model = with_given_cameras(model, load_cameras(ours / _CAMERAS))
     settings = ExtractionSettings(max_width, max_features)
     source = _source(folder, ours, images, features, database, settings)
-    return LocalizationMap(model, source, str(path))
+    return LocalizationMap(model, source, str(path), (ours or path) / INDEX_FILE)
 
 
 def _output_of_ours(path: Path, folder: Path) -> Path | None:

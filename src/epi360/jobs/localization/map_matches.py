@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from epi360.cameras import Camera
 from epi360.estimation.absolute_evidence import directions_of
 from epi360.features import Features, match_features
 from epi360.jobs.localization.map_views import MapView
+from epi360.jobs.localization.new_image import NewImage
 from epi360.poses import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
@@ -88,26 +87,19 @@ class SecondLook:
 
 
 def look_again(
-    views: Sequence[tuple[int, MapView]],
-    features: Features,
-    bearings: Array,
-    camera: Camera,
-    pose: Pose,
-    radius_rad: float,
+    views: Sequence[tuple[int, MapView]], new: NewImage, pose: Pose, radius_rad: float
 ) -> SecondLook:
     """Matches of points with features that are near where a pose says they are, and look alike."""
-    tree = cKDTree(bearings)
     parts = []
     found = np.zeros(1 + len(_TURNS))
     num_in_sight = 0
     for number, view in views:
         directions = directions_of(pose, view.points[view.rows])
-        in_sight = np.isfinite(camera.pixels_from_bearings(directions)[:, 0])
+        in_sight = np.isfinite(new.camera.pixels_from_bearings(directions)[:, 0])
         rows, directions = view.rows[in_sight], directions[in_sight]
         num_in_sight += len(rows)
-        turned = [directions, *(directions @ _turn(axis).T for axis in _TURNS)]
-        for number_of_turn, these in enumerate(turned):
-            near = _similar_near(view, rows, features, tree, these, radius_rad)
+        for number_of_turn, these in enumerate(turned(directions)):
+            near = similar_near(view, rows, new, these, radius_rad)
             found[number_of_turn] += np.count_nonzero(near >= 0)
             if number_of_turn == 0:
                 kept = near >= 0
@@ -116,33 +108,35 @@ def look_again(
     return SecondLook(joined(parts), float(shares[0]), float(shares[1:].max()))
 
 
-def _turn(axis: Array) -> Array:
-    return rotation_from_vector(_DISPLACED_RAD * axis)
+def turned(directions: Array) -> list[Array]:
+    """Directions, and where poses that are turned by 7 degrees have them."""
+    turns = [rotation_from_vector(_DISPLACED_RAD * axis) for axis in _TURNS]
+    return [directions, *(directions @ turn.T for turn in turns)]
 
 
-def _similar_near(
+def similar_near(
     view: MapView,
     rows: NDArray[np.intp],
-    features: Features,
-    tree: cKDTree,
+    new: NewImage,
     directions: Array,
     radius_rad: float,
 ) -> Indices:
     """Feature that is near each direction and most like the point's; -1 where none is."""
     nothing = np.full(len(rows), -1, dtype=np.int64)
-    if not len(rows) or not tree.n:
+    if not len(rows) or not new.tree.n:
         return nothing
-    count = min(_NUM_NEAR, tree.n)
+    count = min(_NUM_NEAR, new.tree.n)
     limit = 2.0 * np.sin(0.5 * radius_rad)
-    chords, near = tree.query(directions, k=np.arange(1, count + 1), distance_upper_bound=limit)
+    every = np.arange(1, count + 1)
+    chords, near = new.tree.query(directions, every, distance_upper_bound=limit)
     is_near = np.isfinite(chords)
     near = np.where(is_near, near, 0)
     described = view.features.descriptors[rows]
-    similarity = np.einsum("nd,nkd->nk", described, features.descriptors[near])
+    similarity = np.einsum("nd,nkd->nk", described, new.features.descriptors[near])
     similarity = np.where(is_near, similarity, -1.0)
     best = similarity.argmax(axis=1)
-    every = np.arange(len(rows))
-    return np.where(similarity[every, best] > _LEAST_SIMILARITY, near[every, best], nothing)
+    chosen = np.arange(len(rows)), best
+    return np.where(similarity[chosen] > _LEAST_SIMILARITY, near[chosen], nothing)
 
 
 def _of_view(view: MapView, number: int, own: Indices, rows: Indices) -> MapMatches:

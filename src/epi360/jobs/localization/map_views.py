@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,12 @@ from epi360.cameras import Camera
 from epi360.features import Features, match_features
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.localization.feature_sources import FeatureSource
+from epi360.jobs.localization.kept_index import index_key, read_index, write_index
 from epi360.jobs.localization.point_errors import point_covariances, world_rays
 from epi360.jobs.localization.view_index import ViewIndex
 from epi360.odometry.points import triangulate_tracks
 from epi360.poses import Pose
+from epi360.runs.made_from import fingerprint
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -63,9 +66,16 @@ class LocalizationMap:
     """A model in which new images get a pose; `load_map` reads one.
 
     Features of its images are read, or found, when they are needed, and 64 images stay in memory.
+    The index over all of them is kept in ``index_file``, if that is given.
     """
 
-    def __init__(self, model: Reconstruction, source: FeatureSource, name: str = "the map") -> None:
+    def __init__(
+        self,
+        model: Reconstruction,
+        source: FeatureSource,
+        name: str = "the map",
+        index_file: Path | None = None,
+    ) -> None:
         seen = model.observations
         if seen is None or not len(model.points):
             raise ValueError(f"{name} has no points with observations; triangulate them first")
@@ -75,6 +85,7 @@ class LocalizationMap:
         self.model = model
         self.name = name
         self.source = source
+        self._index_file = index_file
         order = np.argsort(seen.images, kind="stable")
         starts = np.searchsorted(seen.images[order], np.arange(len(model.images) + 1))
         self._observations = [order[starts[k] : starts[k + 1]] for k in range(len(model.images))]
@@ -127,16 +138,58 @@ class LocalizationMap:
         """
         seen = self.model.observations
         assert seen is not None
-        shown = np.isin(seen.points, seen.points[self._observations[number]])
-        counts = np.bincount(seen.images[shown], minlength=len(self.model.images))
+        counts = self.num_seen(seen.points[self._observations[number]])
         counts[number] = 0
         order = np.argsort(-counts, kind="stable")
         return [int(k) for k in order[: np.count_nonzero(counts >= max(least, 1))]]
+
+    def num_seen(self, points: Indices) -> Indices:
+        """How many of some points each image sees; numbers beyond those of the model count not.
+
+        Parameters
+        ----------
+        points : ndarray, shape (N,)
+            Rows of the model's points.
+        """
+        seen = self.model.observations
+        assert seen is not None
+        is_one = np.zeros(len(self.model.points), dtype=bool)
+        is_one[points[points < len(is_one)]] = True
+        counts = np.bincount(seen.images[is_one[seen.points]], minlength=len(self.model.images))
+        return counts
+
+    @cached_property
+    def centers(self) -> Array:
+        """Centre (I, 3) of each camera in the world."""
+        poses = [image.cam_from_world for image in self.model.images]
+        return np.array([pose.inverse().translation for pose in poses])
+
+    def made_from(self) -> str:
+        """Hash of the model and of what its features are made from."""
+        seen, model = self.model.observations, self.model
+        assert seen is not None
+        names = [image.name for image in model.images]
+        poses = np.array([image.cam_from_world.matrix() for image in model.images])
+        cameras = [self._camera(number) for number in range(len(names))]
+        arrays = model.points, seen.points, seen.images, seen.pixels, poses
+        return fingerprint((names, cameras, self.source.made_from(names)), *arrays)
 
     @cached_property
     def _index(self) -> tuple[ViewIndex, list[int]]:
         """Index of the images that have points and features, and their numbers."""
         with_points = [number for number, rows in enumerate(self._observations) if len(rows)]
+        if self._index_file is None:
+            return self._made_index(with_points)
+        names = [self.model.images[number].name for number in with_points]
+        cameras = [self._camera(number) for number in with_points]
+        key = index_key(with_points, names, cameras, self.source.made_from(names))
+        kept = read_index(self._index_file, key, len(self.model.images))
+        if kept is None:
+            kept = self._made_index(with_points)
+            write_index(self._index_file, key, *kept)
+        return kept
+
+    def _made_index(self, with_points: list[int]) -> tuple[ViewIndex, list[int]]:
         numbers: list[int] = []
 
         def descriptors() -> Iterator[NDArray[np.float32]]:
@@ -152,7 +205,7 @@ class LocalizationMap:
                     "folder of its images (--images)"
                 )
 
-        return ViewIndex(descriptors()), numbers
+        return ViewIndex.of(descriptors()), numbers
 
     def _features_of(self, number: int) -> Features:
         image = self.model.images[number]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether another place of the map explains a new image as well: rooms that look alike.
+"""Which place of a map a new image shows, if several look alike: rooms and their copies.
 
 The images of a map that look most like a new one may all be of one place, and then nothing speaks
 against it. So the next ones of other places are asked as well.
@@ -7,94 +7,130 @@ against it. So the next ones of other places are asked as well.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation import AbsolutePoseResult
 from epi360.estimation.absolute_evidence import angles_between, directions_of, evidence_for
 from epi360.jobs.localization.map_matches import MapMatches, joined
+from epi360.jobs.localization.map_search import Found, MapSearch
 from epi360.jobs.localization.map_views import LocalizationMap
-from epi360.poses import Pose, rotation_error_deg
+from epi360.jobs.localization.surroundings import Surroundings
+from epi360.poses import rotation_error_deg
 
 Array = NDArray[np.float64]
-PoseOf = Callable[[MapMatches, Pose | None], AbsolutePoseResult]
 
-_NUM_OTHERS = 4  # images of other places that are asked
+_NUM_OTHERS = 4  # images of other places that are asked, even if a place is confirmed
+_MOST_RIVALS = 3  # poses in other places, those with most inliers
 _FEWEST_SHARED = 15  # points that images of one place both see; inliers of an image that agrees
 # A pose of which another one explains this share of the regions is ambiguous, as in the estimator.
 _RIVAL_SHARE = 0.5
 _DOUBT_SHARE = 0.2  # from which there is a warning
+_SILENT = 0.9  # probability of a place, below which there is one
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05  # beyond which two poses differ, in distances of points
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A pose, and the matches that it was estimated from."""
+def find_place(search: MapSearch) -> Found:
+    """The pose that the image and the map speak most for; "ambiguous" where they leave a doubt."""
+    first = search.first_look()
+    places = [each for each in first if each.result.success]
+    if not places:
+        return first[0]
+    others = other_places(search.world, places, search.ranked)
+    places += _rivals(search, others[:_NUM_OTHERS], places)
+    if not any(each.is_confirmed for each in places):
+        places += _rivals(search, others[_NUM_OTHERS:], places)
+    best = _weighed(places, search.new.bearings)
+    return _with_remarks(best, search.options.known_place)
 
-    result: AbsolutePoseResult
-    matches: MapMatches
 
-
-def other_places(world: LocalizationMap, found: Found, ranked: Sequence[int]) -> list[int]:
-    """Images of a ranking that see other places than those that agree with a pose."""
-    views = found.matches.views[found.result.inlier_mask]
-    counts = np.bincount(views, minlength=len(world.model.images))
-    here = {int(k) for k in np.flatnonzero(counts >= _FEWEST_SHARED)} | {int(counts.argmax())}
+def other_places(
+    world: LocalizationMap, places: Sequence[Found], ranked: Sequence[int]
+) -> list[int]:
+    """Images of a ranking that see other places than those that agree with poses."""
+    here: set[int] = set()
+    for found in places:
+        views = found.matches.views[found.result.inlier_mask]
+        counts = np.bincount(views, minlength=len(world.model.images))
+        here |= {int(k) for k in np.flatnonzero(counts >= _FEWEST_SHARED)} | {int(counts.argmax())}
     for number in tuple(here):
         here.update(world.covisible(number, _FEWEST_SHARED))
-    return [number for number in ranked if number not in here][:_NUM_OTHERS]
+    return [number for number in ranked if number not in here]
 
 
-def with_rival(
-    found: Found, others: Sequence[MapMatches], bearings: Array, pose_of: PoseOf
-) -> Found:
-    """The pose that explains more of the image, "ambiguous" if the other explains half as much.
+def _rivals(search: MapSearch, others: Sequence[int], known: Sequence[Found]) -> list[Found]:
+    """Poses in other places: those of single images, refined with all of them."""
+    parts = search.matched(others)
+    together = joined(parts)
+    alone = [Found(search.pose_of(part), part) for part in parts]
+    alone = [each for each in alone if each.result.success]
+    alone.sort(key=lambda each: -each.result.num_inliers)
+    found: list[Found] = []
+    for each in alone[:_MOST_RIVALS]:
+        refined = Found(search.pose_of(together, each.result.cam_from_world), together)
+        if refined.result.success and not _differ(each, refined):
+            each = refined
+        if all(_differ(one, each) for one in (*known, *found)):
+            found.append(search.with_surroundings(each.result, each.matches))
+    return found
 
-    ``others`` are the matches of images of other places, each alone, and ``pose_of`` estimates a
-    pose, from a guess on where there is one.
-    """
-    rival = _rival(others, pose_of)
-    if rival is None or not _differ(found, rival):
-        return found
-    everything = joined([found.matches, *others])
-    regions = [_num_regions(each.result, everything, bearings) for each in (found, rival)]
-    best, second = (found, rival) if regions[0] >= regions[1] else (rival, found)
-    share = min(regions) / max(*regions, 1e-9)
-    if share <= _RIVAL_SHARE:
-        return best if share < _DOUBT_SHARE else _warned(best, share)
-    doubted = replace(
+
+def _weighed(places: Sequence[Found], bearings: Array) -> Found:
+    """The pose with most regions of the image, each place with its probability of being no copy."""
+    everything = joined([each.matches for each in places])
+    regions = np.array([_num_regions(each, everything, bearings) for each in places])
+    weights = regions * [max(each.around.probability, 1e-6) for each in places]
+    first, *others = np.argsort(-weights, kind="stable")
+    best = places[first]
+    if not others:
+        return best if best.is_confirmed else _ambiguous(best, None, 0.0)
+    rival, share = places[others[0]], float(weights[others[0]] / weights[first])
+    if share > _RIVAL_SHARE or not best.is_confirmed:
+        return _ambiguous(best, rival, share)
+    return _warned(best, float(regions[others].max() / max(regions[first], 1e-9)))
+
+
+def _ambiguous(best: Found, rival: Found | None, share: float) -> Found:
+    """A pose that may be that of another place; the rival has a share of what speaks for it."""
+    result = replace(
         best.result,
         status="ambiguous",
-        probability=best.result.probability * max(regions) / sum(regions),
-        alternatives=(second.result.cam_from_world,),
+        probability=best.result.probability / (1.0 + share),
+        alternatives=() if rival is None else (rival.result.cam_from_world,),
     )
-    return Found(doubted, best.matches)
+    return replace(best, result=result)
+
+
+def _with_remarks(found: Found, known_place: bool) -> Found:
+    """A pose with the probability that its surroundings leave, and what there is to say of them."""
+    result, around = found.result, found.around
+    probability = result.probability * (1.0 if known_place else around.probability)
+    sure = around.probability >= _SILENT
+    warnings = result.warnings if sure else (*result.warnings, _missing(around))
+    return replace(found, result=replace(result, probability=probability, warnings=warnings))
+
+
+def _missing(around: Surroundings) -> str:
+    if not around.num_parts:
+        return "no image of the map can say whether this is the place or one that looks alike"
+    alike = round(around.share * around.num_parts)
+    return (
+        f"only about {alike} of {around.num_parts} parts of the view look as in {around.witness} "
+        "of the map: this may be another place that looks alike, or much has changed"
+    )
 
 
 def _warned(found: Found, share: float) -> Found:
+    if share < _DOUBT_SHARE:
+        return found
     warning = (
         f"another place of the map explains {share:.0%} as much of the image: there may be rooms "
         "that look alike"
     )
-    warnings = (*found.result.warnings, warning)
-    return Found(replace(found.result, warnings=warnings), found.matches)
-
-
-def _rival(others: Sequence[MapMatches], pose_of: PoseOf) -> Found | None:
-    """Pose in another place: that of one of its images, refined with all of them."""
-    alone = [pose_of(matches, None) for matches in others]
-    with_pose = [each for each in alone if each.success]
-    if not with_pose:
-        return None
-    best = max(with_pose, key=lambda each: each.num_inliers)
-    together = joined(others)
-    refined = pose_of(together, best.cam_from_world)
-    if refined.success:
-        return Found(refined, together)
-    return Found(best, others[next(k for k, each in enumerate(alone) if each is best)])
+    result = replace(found.result, warnings=(*found.result.warnings, warning))
+    return replace(found, result=result)
 
 
 def _differ(found: Found, rival: Found) -> bool:
@@ -106,10 +142,10 @@ def _differ(found: Found, rival: Found) -> bool:
     return rotation_error_deg(*poses) > _RIVAL_DEG or apart > _RIVAL_DISTANCE * distance
 
 
-def _num_regions(result: AbsolutePoseResult, matches: MapMatches, bearings: Array) -> float:
-    """Regions of the image that agree with a pose, of the matches with both places."""
+def _num_regions(found: Found, matches: MapMatches, bearings: Array) -> float:
+    """Regions of the image that agree with a pose, of the matches with all places."""
     seen = bearings[matches.rows]
-    directions = directions_of(result.cam_from_world, matches.points)
-    gate = float(np.radians(result.inlier_threshold_deg))
+    directions = directions_of(found.result.cam_from_world, matches.points)
+    gate = float(np.radians(found.result.inlier_threshold_deg))
     inliers = angles_between(seen, directions) < gate
     return evidence_for(seen, directions, inliers, gate).num_regions

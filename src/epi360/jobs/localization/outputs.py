@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.extras import package_version
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
-from epi360.jobs.localization.localize import LocalizationResult
+from epi360.jobs.localization.localization_result import LocalizationResult
 from epi360.poses import Pose
 
 COLUMNS = (
     "image", "status", "num_matches", "num_inliers", "probability", "rotation_sigma_deg",
     "position_sigma", "noise_deg", "sphere_coverage", "seen_share", "qw", "qx", "qy", "qz", "tx",
-    "ty", "tz", "map_image", "seconds", "warnings",
+    "ty", "tz", "map_image", "seconds", "warnings", "same_share",
 )  # fmt: skip
 CONVENTION = "x_cam = R x_world + t, x right, y down, z forward; lengths in the unit of the map"
 _NEW = "localized"  # folder in the model of an image whose name is there already
@@ -42,7 +42,8 @@ def table_of(results: Mapping[str, LocalizationResult]) -> bytes:
         shown = result.map_images[0] if result.success else ""
         counts = [result.num_matches, result.num_inliers]
         warnings = "; ".join(result.warnings)
-        writer.writerow([name, result.status, *counts, *cells, shown, seconds, warnings])
+        same = "" if np.isnan(result.same_share) else f"{result.same_share:.3f}"
+        writer.writerow([name, result.status, *counts, *cells, shown, seconds, warnings, same])
     return text.getvalue().encode("utf-8")
 
 
@@ -150,6 +151,7 @@ def _record(result: LocalizationResult) -> dict[str, Any]:
         "sphere_coverage": result.sphere_coverage,
         "seen_share": result.seen_share,
         "chance_share": result.chance_share,
+        "same_share": result.same_share,
         "map_images": list(result.map_images),
         "seconds": result.seconds,
     }

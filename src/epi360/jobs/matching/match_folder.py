@@ -28,10 +28,13 @@ from epi360.jobs.matching.pair_work import MatchInputs, PairWork
 from epi360.jobs.matching.place_job import check_places
 from epi360.jobs.pairs.pair_selection import (
     NEIGHBORS,
+    OVERLAP,
     Pair,
+    check_partners,
     dense_pairs,
     is_dense,
     mostly_match,
+    said_unused,
     select_pairs,
     ways_of,
 )
@@ -49,8 +52,8 @@ class MatchOptions:
     """How images are matched."""
 
     pairs: str | Path = "auto"  # see `select_pairs`
-    overlap: int = 10  # in a sequence: neighbours that follow an image
-    neighbors: int = NEIGHBORS  # partners of an image by retrieval, and by position
+    overlap: int | None = None  # in a sequence: 10 neighbours that follow an image
+    neighbors: int | None = None  # 20 partners of an image by retrieval, and by position
     positions: Path | None = None  # poses for pairs that are near; without them GPS of the images
     radius: float | None = None  # of near pairs, in the unit of the positions; metres of GPS
     # Wider images are searched at this width; key points are in pixels of the originals. At 2048,
@@ -70,12 +73,18 @@ class MatchOptions:
         for name in ("positions", "radius"):
             if getattr(self, name) is not None and "near" not in ways:
                 raise ValueError(f'{name} must come with pairs="near", got pairs="{self.pairs}"')
+        check_partners(self.pairs, self.partners)
         if self.radius is not None and not 0.0 < self.radius < np.inf:
             raise ValueError(f"radius must be above 0, got {self.radius:g}")
         for name in ("overlap", "neighbors", "max_features", "num_threads"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} must be at least 1, got {value}")
+
+    @property
+    def partners(self) -> dict[str, int | None]:
+        """Numbers of partners that were given."""
+        return {"overlap": self.overlap, "neighbors": self.neighbors}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -180,11 +189,17 @@ def _match(
     else:
         more = more_pairs(images, job, options.positions, options.radius, job.progress)
         how, pairs = select_pairs(
-            images.images, options.pairs, options.overlap, options.neighbors, more
+            images.images,
+            options.pairs,
+            options.overlap or OVERLAP,
+            options.neighbors or NEIGHBORS,
+            more,
         )
         num_seen = len(finished)
         finished, num_there = _verified(pairs, job)
         num_found += num_there - num_seen
+    chosen_among = () if is_sequence else images.images
+    how += said_unused(chosen_among, options.pairs, options.partners)
     level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
     settled = finished if level is None else _with_level(level, pairs, job, finished)
     is_level = level is not None or options.upright_deg is not None

@@ -21,7 +21,9 @@ MAX_EXHAUSTIVE = 30
 # Partners of each image by retrieval. Of 96 panoramas of four rendered homes whose rooms are twins,
 # they hold all 136 pairs that all pairs give a right pose; 10 hold 130 of them, 5 hold 112.
 NEIGHBORS = 20
+OVERLAP = 10  # partners of each image among those that follow it
 WAYS, _ALONE = ("sequential", "near", "retrieval"), ("auto", "exhaustive")
+_USED_BY = {"overlap": ("sequential",), "neighbors": ("retrieval", "near")}
 NUMBERED = re.compile(r"(.*?)(\d+)\.\w+")
 # Beside its neighbours each image is matched with a few that are up to so many times as far ahead:
 # they hold the sequence together where the camera came back or a neighbour failed.
@@ -109,6 +111,32 @@ def ways_of(pairs: str | Path) -> tuple[str, ...]:
                 f"commas between them, got {pairs}"
             )
     return tuple(named) if len(named) == 1 else tuple(way for way in WAYS if way in named)
+
+
+def check_partners(pairs: str | Path, given: Mapping[str, int | None]) -> None:
+    """Refuse an ``overlap`` or ``neighbors`` for which this choice of pairs has no use."""
+    ways = ways_of(pairs)
+    for name in [] if ways == ("auto",) else _unused(ways, given):
+        *others, last = (f'"{way}"' for way in (*_USED_BY[name], "auto"))
+        raise ValueError(
+            f'{name} must come with pairs={", ".join(others)} or {last}, got pairs="{pairs}"'
+        )
+
+
+def said_unused(
+    images: Sequence[SourceImage], pairs: str | Path, given: Mapping[str, int | None]
+) -> str:
+    """End of a sentence on the choice of pairs: the numbers for which "auto" has no use here."""
+    if pairs != "auto":
+        return ""  # the others are refused
+    names = _unused(ways_of(_automatic(images, NEIGHBORS)[0]), given)
+    return f"; {' and '.join(names)} not used" if names else ""
+
+
+def _unused(ways: Sequence[str], given: Mapping[str, int | None]) -> list[str]:
+    """Names of the numbers that are given and that none of these ways uses."""
+    named = [name for name, value in given.items() if value is not None]
+    return [name for name in named if not set(_USED_BY[name]) & set(ways)]
 
 
 def names_count_up(images: Sequence[SourceImage]) -> bool:
