@@ -4,6 +4,7 @@
 #include <algorithm>
 
 #include "bindings/arrays.h"
+#include "core/features/nearest.h"
 #include "core/features/sift.h"
 
 using namespace nanobind::literals;
@@ -19,6 +20,19 @@ nb::object descriptor_rows(std::vector<unsigned char> values) {
                     [](void* p) noexcept { delete static_cast<std::vector<unsigned char>*>(p); });
   const std::size_t shape[2] = {owned->size() / 128, 128};
   return nb::ndarray<nb::numpy, unsigned char>(owned->data(), 2, shape, owner).cast();
+}
+
+using Floats = nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+Descriptors to_descriptors(const Floats& rows) {
+  return {rows.data(), static_cast<int>(rows.shape(0)), static_cast<int>(rows.shape(1))};
+}
+
+template <typename Number>
+nb::object array_of(std::vector<Number> values) {
+  auto* owned = new std::vector<Number>(std::move(values));
+  nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<Number>*>(p); });
+  return nb::ndarray<nb::numpy, Number, nb::ndim<1>>(owned->data(), {owned->size()}, owner).cast();
 }
 
 }  // namespace
@@ -38,6 +52,16 @@ void bind_features(nb::module_& m) {
                               descriptor_rows(std::move(found.descriptors)));
       },
       "picture"_a, "mask"_a.none(), "contrast_threshold"_a);
+  m.def(
+      "two_nearest",
+      [](Floats queries, Floats targets) -> nb::object {
+        const Descriptors first = to_descriptors(queries), second = to_descriptors(targets);
+        if (!unlocked([&] { return can_compare(first, second); })) return nb::none();
+        Nearest found = unlocked([&] { return two_nearest(first, second); });
+        return nb::make_tuple(array_of(std::move(found.nearest)), array_of(std::move(found.best)),
+                              array_of(std::move(found.second)), array_of(std::move(found.others)));
+      },
+      "queries"_a, "targets"_a);
 }
 
 }  // namespace epi360

@@ -115,10 +115,13 @@ def relative_pose_of_images(
     check_threshold(inlier_threshold_deg)
     say = progress or (lambda _: None)
     say("reading images")
-    views = (
-        _View.read(image1, camera1, mask1, mask_nadir_deg, "image1", "mask1"),
-        _View.read(image2, camera2, mask2, mask_nadir_deg, "image2", "mask2"),
+    sources = (
+        (image1, camera1, mask1, mask_nadir_deg, "image1", "mask1"),
+        (image2, camera2, mask2, mask_nadir_deg, "image2", "mask2"),
     )
+    with ThreadPoolExecutor(2) as pool:
+        view1, view2 = pool.map(lambda source: _View.read(*source), sources)
+    views = (view1, view2)
     estimate = partial(
         estimate_relative_pose,
         gravity1=gravity1,

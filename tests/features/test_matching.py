@@ -5,12 +5,19 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from epi360 import _core
 from epi360.features import Features, match_features, matching
 
 
 def features_of(descriptors):
     rows = np.asarray(descriptors, np.float32).reshape(-1, 128)
     return Features(np.zeros((len(rows), 2)), rows, np.ones(len(rows)))
+
+
+@pytest.fixture
+def blas_alone(monkeypatch):
+    """What is done on processors that the core's products were not written for."""
+    monkeypatch.setattr(matching._core, "two_nearest", lambda queries, targets: None)
 
 
 def unit_rows(array):
@@ -124,7 +131,7 @@ def test_products_of_descriptors_are_exact_in_any_order():
 
 
 @pytest.mark.parametrize("rows_per_block", [1, 7, 449, 450, 451])
-def test_where_blocks_end_does_not_matter(monkeypatch, rows_per_block):
+def test_where_blocks_end_does_not_matter(blas_alone, monkeypatch, rows_per_block):
     first, second = random_pair(2)
     expected = brute_force(first, second, 0.8, mutual=True)
     monkeypatch.setattr(matching, "_BLOCK_BYTES", 4 * len(second) * rows_per_block)
@@ -132,6 +139,7 @@ def test_where_blocks_end_does_not_matter(monkeypatch, rows_per_block):
     assert len(expected) > 250
 
 
+@pytest.mark.usefixtures("blas_alone")
 def test_more_descriptors_than_one_block_holds_are_all_matched():
     rng = np.random.default_rng(3)
     rows = unit_rows(np.abs(rng.normal(size=(4000, 128))))
@@ -140,6 +148,46 @@ def test_more_descriptors_than_one_block_holds_are_all_matched():
     matches = match_features(features_of(rows), features_of(rows[order]))
     np.testing.assert_array_equal(matches[:, 0], np.arange(4000))
     np.testing.assert_array_equal(order[matches[:, 1]], np.arange(4000))
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize(
+    ("num1", "num2", "size"),
+    [(1, 1, 128), (5, 2, 128), (513, 700, 128), (1000, 31, 129), (3, 1025, 64), (0, 5, 128),
+     (5, 0, 128), (0, 0, 128), (600, 600, 1), (40, 30, 511)],
+)  # fmt: skip
+def test_the_core_finds_the_same_as_blas(num1, num2, size, signed):
+    rng = np.random.default_rng(num1 + num2)
+    rows = rng.normal(size=(num1 + num2, size))
+    units = unit_rows(rows if signed else np.abs(rows)).astype(np.float32)
+    queries, targets = units[:num1], units[num1:]
+    queries = np.concatenate([queries, targets[:20], queries[:5]])  # some are equal
+    targets = np.concatenate([targets, queries[:20], targets[-5:]])
+    found = _core.two_nearest(queries, targets)
+    if found is None:
+        pytest.skip("this processor or compiler has no products of whole numbers")
+    rounded = (matching.rounded_descriptors(each) for each in (queries, targets))
+    expected = matching._two_nearest_by_blas(*rounded)
+    for name, value in zip(("nearest", "best", "second", "others"), found, strict=True):
+        assert value.dtype == getattr(expected, name).dtype
+        np.testing.assert_array_equal(value, getattr(expected, name))
+
+
+@pytest.mark.parametrize("value", [1.01, -40.0, float("nan"), float("inf")])
+def test_the_core_leaves_descriptors_of_another_length_to_blas(value):
+    rows = np.eye(128, dtype=np.float32)
+    strange = rows.copy()
+    strange[3, 7] = value
+    assert _core.two_nearest(strange, rows) is None
+    assert _core.two_nearest(rows, strange) is None
+    assert _core.two_nearest(rows[:, :64], rows) is None
+
+
+def test_matches_of_two_threads_are_those_of_one():
+    first, second = random_pair(13, 900, 600)
+    assert len(first) // 2 * len(second) > matching._WORTH_A_THREAD
+    found = match_features(first, second)
+    np.testing.assert_array_equal(found, matching.look(first, second).matches())
 
 
 def test_matches_are_one_to_one_and_ascend_in_the_first():

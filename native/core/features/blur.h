@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Gaussian filter of one row of a picture, from the rows around it.
+// Gaussian filter of some rows of a picture, from the rows around them.
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 namespace epi360 {
@@ -22,9 +23,17 @@ inline int reflected(int index, int size) {
   return index;
 }
 
-// out[x], from rows[0 .. 2 radius], the middle one of which is out's; scratch holds
-// width + 2 kLargestBlurRadius numbers.
-void blur_row(const GaussianKernel& kernel, const float* const* rows, int width, float* scratch,
-              float* out);
+// Rows that are filtered together.
+inline constexpr int kBlurRows = 4;
+
+// Numbers that blur_rows needs besides.
+inline std::size_t scratch_size(int width) {
+  return kBlurRows * ((static_cast<std::size_t>(width) + 15) / 16 * 16 + 48);
+}
+
+// Filters count rows, at most kBlurRows, from rows[0 .. 2 radius + count - 1], of which
+// rows[radius] is the first output's. What they are does not depend on count.
+void blur_rows(const GaussianKernel& kernel, const float* const* rows, int count, int width,
+               float* scratch, float* const* out);
 
 }  // namespace epi360

@@ -15,13 +15,13 @@ constexpr int kBorder = 5;
 constexpr int kMaxSteps = 5;
 constexpr double kEdgeThreshold = 10.0;
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void subtract_rows(const float* a, const float* b, int width, float* __restrict out) {
   for (int x = 0; x < width; ++x) out[x] = a[x] - b[x];
 }
 
 // Largest and smallest of three rows.
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void range_of_rows(const float* a, const float* b, const float* c, int width,
                    float* __restrict most, float* __restrict least) {
   for (int x = 0; x < width; ++x) {
@@ -30,17 +30,17 @@ void range_of_rows(const float* a, const float* b, const float* c, int width,
   }
 }
 
-// Marks values beyond the threshold that nothing around exceeds; sums are the ranges of three
-// levels (rows of width numbers).
-EPI360_MULTIVERSION
-void mark_extrema(const float* values, const float* most, const float* least, int width,
+// Marks values beyond the threshold that nothing around exceeds, except for the first and the last
+// of count; most and least are the ranges of three levels, stride numbers apart.
+EPI360_MULTIVERSION_WIDE
+void mark_extrema(const float* values, const float* most, const float* least, int stride, int count,
                   float threshold, float* __restrict high, float* __restrict low,
                   unsigned char* __restrict flags) {
-  for (int x = 0; x < width; ++x) {
-    high[x] = std::max(std::max(most[x], most[x + width]), most[x + 2 * width]);
-    low[x] = std::min(std::min(least[x], least[x + width]), least[x + 2 * width]);
+  for (int x = 0; x < count; ++x) {
+    high[x] = std::max(std::max(most[x], most[x + stride]), most[x + 2 * stride]);
+    low[x] = std::min(std::min(least[x], least[x + stride]), least[x + 2 * stride]);
   }
-  for (int x = kBorder; x < width - kBorder; ++x) {
+  for (int x = 1; x < count - 1; ++x) {
     const float top = std::max(std::max(high[x - 1], high[x + 1]), high[x]);
     const float bottom = std::min(std::min(low[x - 1], low[x + 1]), low[x]);
     const float v = values[x];
@@ -98,42 +98,49 @@ struct Neighbourhood {
 }  // namespace
 
 ExtremumSearch::ExtremumSearch(const Octave& octave, double contrast_threshold)
-    : octave_(octave),
-      contrast_threshold_(static_cast<float>(contrast_threshold)),
-      made_(kBorder - 1),
-      differences_(static_cast<std::size_t>(3 * kDifferences) * octave.width()),
-      most_(static_cast<std::size_t>(kDifferences + 1) * octave.width()),
-      least_(most_.size()),
-      flags_(octave.width() + 8) {}
+    : octave_(octave), contrast_threshold_(static_cast<float>(contrast_threshold)) {}
 
-void ExtremumSearch::search_row(int y, std::vector<Extremum>& found) {
-  const int width = octave_.width();
-  if (y < kBorder || y >= octave_.height() - kBorder) return;
-  for (; made_ <= y + 1; ++made_) {
-    for (int s = 0; s < kDifferences; ++s) {
-      subtract_rows(octave_.row(s + 1, made_), octave_.row(s, made_), width, difference(s, made_));
+void ExtremumSearch::search_rows(int first, int end, std::vector<Extremum>& found) {
+  first = std::max(first, kBorder);
+  end = std::min(end, octave_.height() - kBorder);
+  const int right = octave_.width() - kBorder;
+  if (first >= end) return;
+  for (int left = kBorder; left < right; left += kColumns) {
+    const int count = std::min(kColumns, right - left) + 2;
+    subtract(first - 1, left - 1, count);
+    subtract(first, left - 1, count);
+    for (int y = first; y < end; ++y) {
+      subtract(y + 1, left - 1, count);
+      search_row(y, left - 1, count, found);
     }
   }
+}
+
+void ExtremumSearch::subtract(int y, int left, int count) {
   for (int s = 0; s < kDifferences; ++s) {
-    range_of_rows(difference(s, y - 1), difference(s, y), difference(s, y + 1), width,
-                  most_.data() + s * width, least_.data() + s * width);
+    subtract_rows(octave_.row(s + 1, y) + left, octave_.row(s, y) + left, count, difference(s, y));
+  }
+}
+
+void ExtremumSearch::search_row(int y, int left, int count, std::vector<Extremum>& found) {
+  for (int s = 0; s < kDifferences; ++s) {
+    range_of_rows(difference(s, y - 1), difference(s, y), difference(s, y + 1), count, most_[s],
+                  least_[s]);
   }
   // Half of what is asked of the interpolated value: interpolation never doubles it.
   const float threshold = 0.5f * contrast_threshold_ / kScaleLayers * 255.0f;
   for (int layer = 1; layer <= kScaleLayers; ++layer) {
-    mark_extrema(difference(layer, y), most_.data() + (layer - 1) * width,
-                 least_.data() + (layer - 1) * width, width, threshold,
-                 most_.data() + kDifferences * width, least_.data() + kDifferences * width,
-                 flags_.data());
-    for (int x = kBorder; x < width - kBorder; ++x) {
+    mark_extrema(difference(layer, y), most_[layer - 1], least_[layer - 1], kRoom, count, threshold,
+                 most_[kDifferences], least_[kDifferences], flags_);
+    for (int x = 1; x < count - 1; ++x) {
       std::uint64_t eight;
-      std::memcpy(&eight, flags_.data() + x, 8);
+      std::memcpy(&eight, flags_ + x, 8);
       if (eight == 0) {
         x += 7;
         continue;
       }
       Extremum extremum;
-      if (flags_[x] != 0 && refine(layer, x, y, &extremum)) found.push_back(extremum);
+      if (flags_[x] != 0 && refine(layer, left + x, y, &extremum)) found.push_back(extremum);
     }
   }
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/eight.h"
 #include "core/multiversion.h"
 
 namespace epi360 {
@@ -74,8 +75,9 @@ EPI360_INLINE void narrow(float slope, float start, float low, float high, int& 
   last = std::min(last, static_cast<int>(std::floor(std::max(a, b))));
 }
 
+// Where each gradient falls, and its shares in a cell, the next one (01), and those below (10, 11).
 struct RowOfRegion {
-  float rows[kRowLength], columns[kRowLength], bins[kRowLength], weights[kRowLength];
+  float bins[kRowLength], w00[kRowLength], w01[kRowLength], w10[kRowLength], w11[kRowLength];
   int cells[kRowLength];
 };
 
@@ -110,32 +112,50 @@ EPI360_INLINE void locate_row(const Frame& frame, int i, int first, int count,
     float o = turned[k] - zero;
     o = (o < 0.0f ? o + 1.0f : o) * kBins;
     const int r0 = static_cast<int>(r), c0 = static_cast<int>(c);
-    row.rows[k] = r - r0;
-    row.columns[k] = c - c0;
+    const float fr = r - r0, fc = c - c0;
     row.bins[k] = o;
-    row.weights[k] = magnitudes[k] * weights[first + k] * weights[i];
+    const float w = magnitudes[k] * weights[first + k] * weights[i];
+    const float w1 = w * fr, w0 = w - w1;
+    row.w11[k] = w1 * fc;
+    row.w10[k] = w1 - row.w11[k];
+    row.w01[k] = w0 * fc;
+    row.w00[k] = w0 - row.w01[k];
     row.cells[k] = (r0 * (kSide + 2) + c0) * kBins;
   }
 }
 
 // Shares of each gradient among its nearest bins. All eight directions of a histogram are added to
-// at once: adding to two of them would wait for the last pixel's to be stored.
+// at once: adding to two of them would wait for the last pixel's to be stored. For the same reason
+// the four histograms stay in registers as long as neighbours fall between the same four.
+template <typename Vector>
 EPI360_INLINE void add_row(const RowOfRegion& row, int count, float* histograms) {
-  for (int k = 0; k < count; ++k) {
-    const float r = row.rows[k], c = row.columns[k], bin = row.bins[k], w = row.weights[k];
-    const float w1 = w * r, w0 = w - w1;
-    const float w11 = w1 * c, w10 = w1 - w11, w01 = w0 * c, w00 = w0 - w01;
-    float share[kBins];
-    for (int b = 0; b < kBins; ++b) {
-      const float distance = std::abs(bin - kBinNumbers[b]);
-      share[b] = std::max(0.0f, 1.0f - std::min(distance, kBins - distance));
-    }
-    float* h = histograms + row.cells[k];
-    constexpr int kDown = (kSide + 2) * kBins;
-    for (int b = 0; b < kBins; ++b) h[b] += w00 * share[b];
-    for (int b = 0; b < kBins; ++b) h[kBins + b] += w01 * share[b];
-    for (int b = 0; b < kBins; ++b) h[kDown + b] += w10 * share[b];
-    for (int b = 0; b < kBins; ++b) h[kDown + kBins + b] += w11 * share[b];
+  constexpr int kRight = kBins, kDown = (kSide + 2) * kBins;
+  Vector numbers;
+  load(kBinNumbers, numbers);
+  const Vector nothing = 0.0f * numbers;
+  for (int k = 0; k < count;) {
+    const int cell = row.cells[k];
+    float* h = histograms + cell;
+    Vector h00, h01, h10, h11;
+    load(h, h00);
+    load(h + kRight, h01);
+    load(h + kDown, h10);
+    load(h + kDown + kRight, h11);
+    do {
+      Vector distance = row.bins[k] - numbers;
+      raise(distance, 0.0f - distance);
+      lower(distance, static_cast<float>(kBins) - distance);
+      Vector share = 1.0f - distance;
+      raise(share, nothing);
+      h00 += row.w00[k] * share;
+      h01 += row.w01[k] * share;
+      h10 += row.w10[k] * share;
+      h11 += row.w11[k] * share;
+    } while (++k < count && row.cells[k] == cell);
+    store(h00, h);
+    store(h01, h + kRight);
+    store(h10, h + kDown);
+    store(h11, h + kDown + kRight);
   }
 }
 
@@ -160,9 +180,43 @@ void finish(const float* histograms, unsigned char* descriptor) {
   }
 }
 
+template <typename Vector>
+EPI360_INLINE void describe_by(const Octave& octave, const Place& place, float angle,
+                               unsigned char* descriptor) {
+  const Frame frame(place.sigma, angle);
+  const int radius = frame.radius;
+  alignas(32) float histograms[kCells * kBins] = {};
+  RowOfRegion row;
+  float magnitudes[kRowLength], turned[kRowLength];
+  for (int i = -radius; i <= radius; ++i) {
+    const int y = place.y + i;
+    if (y < 1 || y > octave.height() - 2) continue;
+    int first = std::max(-radius, 1 - place.x);
+    int last = std::min(radius, octave.width() - 2 - place.x);
+    narrow(frame.cosine, -i * frame.sine, -2.5f, 2.5f, first, last);
+    narrow(frame.sine, i * frame.cosine, -2.5f, 2.5f, first, last);
+    const int count = last - first + 1;
+    if (count <= 0) continue;
+    const int whole = whole_vectors(count);
+    gradients(octave.row(place.level, y - 1), octave.row(place.level, y),
+              octave.row(place.level, y + 1), place.x + first, whole, magnitudes, turned);
+    locate_row(frame, i, first, whole, magnitudes, turned, row);
+    add_row<Vector>(row, count, histograms);
+  }
+  finish(histograms, descriptor);
+}
+
+#ifdef EPI360_CLONES
+EPI360_MULTIVERSION_WIDE
+void describe_by_eights(const Octave& octave, const Place& place, float angle,
+                        unsigned char* descriptor) {
+  describe_by<Eight>(octave, place, angle, descriptor);
+}
+#endif
+
 }  // namespace
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 int orientations(const Octave& octave, const Place& place, float* angles) {
   const int radius = static_cast<int>(std::lround(4.5f * place.sigma));
   float weights[kLargestRadius + 1], magnitudes[kRowLength], turned[kRowLength];
@@ -188,29 +242,12 @@ int orientations(const Octave& octave, const Place& place, float* angles) {
   return peaks(histogram, angles);
 }
 
-EPI360_MULTIVERSION
 void describe(const Octave& octave, const Place& place, float angle, unsigned char* descriptor) {
-  const Frame frame(place.sigma, angle);
-  const int radius = frame.radius;
-  alignas(32) float histograms[kCells * kBins] = {};
-  RowOfRegion row;
-  float magnitudes[kRowLength], turned[kRowLength];
-  for (int i = -radius; i <= radius; ++i) {
-    const int y = place.y + i;
-    if (y < 1 || y > octave.height() - 2) continue;
-    int first = std::max(-radius, 1 - place.x);
-    int last = std::min(radius, octave.width() - 2 - place.x);
-    narrow(frame.cosine, -i * frame.sine, -2.5f, 2.5f, first, last);
-    narrow(frame.sine, i * frame.cosine, -2.5f, 2.5f, first, last);
-    const int count = last - first + 1;
-    if (count <= 0) continue;
-    const int whole = whole_vectors(count);
-    gradients(octave.row(place.level, y - 1), octave.row(place.level, y),
-              octave.row(place.level, y + 1), place.x + first, whole, magnitudes, turned);
-    locate_row(frame, i, first, whole, magnitudes, turned, row);
-    add_row(row, count, histograms);
-  }
-  finish(histograms, descriptor);
+#ifdef EPI360_CLONES
+  static const bool has_eights = __builtin_cpu_supports("x86-64-v3");
+  if (has_eights) return describe_by_eights(octave, place, angle, descriptor);
+#endif
+  describe_by<TwoFours>(octave, place, angle, descriptor);
 }
 
 }  // namespace epi360

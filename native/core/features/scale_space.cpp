@@ -20,16 +20,16 @@ class DoubledPicture {
         height_(height),
         kernel_(std::sqrt(kFirstSigma * kFirstSigma - 4.0 * kSigmaOfPicture * kSigmaOfPicture)),
         ring_(static_cast<std::size_t>(kRows) * 2 * width),
-        scratch_(2 * width + 2 * kLargestBlurRadius) {}
+        scratch_(scratch_size(2 * width)) {}
 
-  void write(int y, float* out) {
+  void write(int y, int count, float* const* out) {
     const int radius = kernel_.radius();
-    for (; made_ < std::min(2 * height_, y + radius + 1); ++made_) make(made_);
-    const float* rows[2 * kLargestBlurRadius + 1];
-    for (int t = -radius; t <= radius; ++t) {
+    for (; made_ < std::min(2 * height_, y + count + radius); ++made_) make(made_);
+    const float* rows[2 * kLargestBlurRadius + kBlurRows];
+    for (int t = -radius; t < radius + count; ++t) {
       rows[t + radius] = row(reflected(y + t, 2 * height_));
     }
-    blur_row(kernel_, rows, 2 * width_, scratch_.data(), out);
+    blur_rows(kernel_, rows, count, 2 * width_, scratch_.data(), out);
   }
 
  private:
@@ -57,24 +57,31 @@ class DoubledPicture {
 
 }  // namespace
 
-Octave::Octave(int width, int height, Source source)
+Octave::Octave(int width, int height, Source source, std::vector<float>& memory)
     : width_(width),
       height_(height),
       stride_((static_cast<std::size_t>(width) + 15) / 16 * 16 + 16),  // room for whole vectors
       source_(std::move(source)),
-      scratch_(width + 2 * kLargestBlurRadius),
+      scratch_(scratch_size(width)),
       next_(static_cast<std::size_t>(width / 2) * (height / 2)) {
   const double ratio = std::pow(2.0, 1.0 / kScaleLayers);
   double sigma = kFirstSigma;
   for (int level = 1; level < kScaleLevels; ++level, sigma *= ratio) {
     kernels_.emplace_back(sigma * std::sqrt(ratio * ratio - 1.0));
   }
-  const int rows = std::min(kRingRows, height);
-  for (std::vector<float>& level : levels_) level.resize(stride_ * rows);
+  std::size_t size = 0, starts[kScaleLevels];
+  for (int level = 0; level < kScaleLevels; ++level) {
+    starts[level] = size;
+    size += stride_ * std::min(kRingRows[level], height);
+  }
+  if (memory.size() < size) memory.resize(size);
+  for (int level = 0; level < kScaleLevels; ++level) levels_[level] = memory.data() + starts[level];
 }
 
-void Octave::advance(int first) {
+void Octave::advance(int first, bool is_searched) {
   ensure(kScaleLayers, first + kBandRows + kReachRows);
+  if (!is_searched) return;
+  skip(kScaleLevels - 1, first - kVisitRows);
   ensure(kScaleLevels - 1, first + kBandRows + kVisitRows);
 }
 
@@ -82,37 +89,56 @@ void Octave::ensure(int level, int rows) {
   rows = std::min(rows, height_);
   if (done_[level] >= rows) return;
   if (level > 0) ensure(level - 1, rows + kernels_[level - 1].radius());
-  for (; done_[level] < rows; ++done_[level]) make_row(level, done_[level]);
+  while (done_[level] < rows) {
+    const int count = std::min(kBlurRows, rows - done_[level]);
+    make_rows(level, done_[level], count);
+    done_[level] += count;
+  }
 }
 
-void Octave::make_row(int level, int y) {
-  float* out = levels_[level].data() + offset(y);
+// Leaves out rows that nothing needs: those of the levels above, which the next octave does not
+// begin with.
+void Octave::skip(int level, int rows) {
+  if (level <= kScaleLayers) return;
+  done_[level] = std::max(done_[level], rows);
+  skip(level - 1, rows - kernels_[level - 1].radius());
+}
+
+void Octave::make_rows(int level, int y, int count) {
+  float* out[kBlurRows];
+  for (int k = 0; k < count; ++k) out[k] = levels_[level] + offset(level, y + k);
   if (level == 0) {
-    source_(y, out);
+    source_(y, count, out);
     return;
   }
   const GaussianKernel& kernel = kernels_[level - 1];
   const int radius = kernel.radius();
-  const float* rows[2 * kLargestBlurRadius + 1];
-  for (int t = -radius; t <= radius; ++t) {
+  const float* rows[2 * kLargestBlurRadius + kBlurRows];
+  for (int t = -radius; t < radius + count; ++t) {
     rows[t + radius] = row(level - 1, reflected(y + t, height_));
   }
-  blur_row(kernel, rows, width_, scratch_.data(), out);
-  if (level == kScaleLayers && y % 2 == 0 && y / 2 < height_ / 2) {
-    float* half = next_.data() + static_cast<std::size_t>(y / 2) * (width_ / 2);
-    for (int x = 0; x < width_ / 2; ++x) half[x] = out[2 * x];
-  }
+  blur_rows(kernel, rows, count, width_, scratch_.data(), out);
+  if (level != kScaleLayers) return;
+  for (int k = 0; k < count; ++k) keep_half(y + k, out[k]);
+}
+
+void Octave::keep_half(int y, const float* row) {
+  if (y % 2 != 0 || y / 2 >= height_ / 2) return;
+  float* half = next_.data() + static_cast<std::size_t>(y / 2) * (width_ / 2);
+  for (int x = 0; x < width_ / 2; ++x) half[x] = row[2 * x];
 }
 
 Octave::Source doubled_picture(const unsigned char* picture, int width, int height) {
   auto doubled = std::make_shared<DoubledPicture>(picture, width, height);
-  return [doubled](int y, float* out) { doubled->write(y, out); };
+  return [doubled](int y, int count, float* const* out) { doubled->write(y, count, out); };
 }
 
 Octave::Source stored_rows(std::vector<float> values, int width) {
   auto kept = std::make_shared<std::vector<float>>(std::move(values));
-  return [kept, width](int y, float* out) {
-    std::copy_n(kept->data() + static_cast<std::size_t>(y) * width, width, out);
+  return [kept, width](int y, int count, float* const* out) {
+    for (int k = 0; k < count; ++k) {
+      std::copy_n(kept->data() + static_cast<std::size_t>(y + k) * width, width, out[k]);
+    }
   };
 }
 

@@ -19,33 +19,39 @@ inline constexpr int kReachRows = 46, kVisitRows = 8;
 
 class Octave {
  public:
-  // Writes row y of the first level.
-  using Source = std::function<void(int y, float* out)>;
+  // Writes count rows of the first level, from y on, at most kBlurRows.
+  using Source = std::function<void(int y, int count, float* const* out)>;
 
-  Octave(int width, int height, Source source);
+  // Rows are kept in memory, which grows where it must: octaves use it one after the other, because
+  // the system takes longer to give new memory than a small octave takes.
+  Octave(int width, int height, Source source, std::vector<float>& memory);
   int width() const { return width_; }
   int height() const { return height_; }
-  const float* row(int level, int y) const { return levels_[level].data() + offset(y); }
+  const float* row(int level, int y) const { return levels_[level] + offset(level, y); }
 
-  // Makes all rows present that key points of [first, first + kBandRows) look at. first grows.
-  void advance(int first);
+  // Makes all rows present that key points of [first, first + kBandRows) look at, or only those
+  // that later ones will need. first grows.
+  void advance(int first, bool is_searched);
 
   // Every second pixel of the level that has twice the first one's sigma, once all rows are made.
   std::vector<float> take_next() { return std::move(next_); }
 
  private:
-  static constexpr int kRingRows = 128;
-  std::size_t offset(int y) const {
-    return static_cast<std::size_t>(y & (kRingRows - 1)) * stride_;
+  // Rows of each level that are kept: less of those where no regions are described.
+  static constexpr int kRingRows[kScaleLevels] = {128, 128, 128, 128, 64, 32};
+  std::size_t offset(int level, int y) const {
+    return static_cast<std::size_t>(y & (kRingRows[level] - 1)) * stride_;
   }
   void ensure(int level, int rows);
-  void make_row(int level, int y);
+  void skip(int level, int rows);
+  void make_rows(int level, int y, int count);
+  void keep_half(int y, const float* row);
 
   int width_, height_;
   std::size_t stride_;
   Source source_;
   std::vector<GaussianKernel> kernels_;  // from each level to the next
-  std::vector<float> levels_[kScaleLevels];
+  float* levels_[kScaleLevels];
   int done_[kScaleLevels] = {};
   std::vector<float> scratch_, next_;
 };

@@ -28,6 +28,18 @@ bool is_masked(const Picture& picture, float x, float y) {
   return picture.mask[static_cast<std::size_t>(row) * picture.width + column] == 0;
 }
 
+// Whether the mask leaves anything of what extrema that start in rows [first, end) converge to.
+bool is_searched(const Picture& picture, int first, int end, float pixel) {
+  if (picture.mask == nullptr) return true;
+  const auto row_at = [&](int y) {
+    return std::clamp(static_cast<int>(std::floor(y * pixel)), 0, picture.height - 1);
+  };
+  const std::size_t width = picture.width;
+  const unsigned char* from = picture.mask + row_at(first - kVisitRows) * width;
+  const unsigned char* to = picture.mask + (row_at(end + kVisitRows) + 1) * width;
+  return std::any_of(from, to, [](unsigned char value) { return value != 0; });
+}
+
 // Key points of an extremum: one for each orientation. pixel is that of the octave.
 void add_keypoints(const Picture& picture, const Octave& octave, const Extremum& extremum,
                    float pixel, std::vector<Keypoint>& keypoints) {
@@ -51,10 +63,12 @@ void search_octave(const Picture& picture, Octave& octave, double contrast_thres
   ExtremumSearch search(octave, contrast_threshold);
   std::vector<Extremum> found;
   for (int first = 0; first < octave.height(); first += kBandRows) {
-    octave.advance(first);
+    const int end = first + kBandRows;
+    const bool searched = is_searched(picture, first, end, pixel);
+    octave.advance(first, searched);
+    if (!searched) continue;
     found.clear();
-    const int end = std::min(octave.height(), first + kBandRows);
-    for (int y = first; y < end; ++y) search.search_row(y, found);
+    search.search_rows(first, end, found);
     for (const Extremum& e : found) add_keypoints(picture, octave, e, pixel, keypoints);
   }
 }
@@ -89,9 +103,10 @@ SiftKeypoints find_sift(const Picture& picture, double contrast_threshold) {
   int width = 2 * picture.width, height = 2 * picture.height;
   const int octaves = static_cast<int>(std::lround(std::log2(std::min(width, height)) - 1.0));
   Octave::Source source = doubled_picture(picture.pixels, picture.width, picture.height);
+  std::vector<float> memory;
   float pixel = 0.5f;
   for (int k = 0; k < octaves && std::min(width, height) > 0; ++k, pixel *= 2.0f) {
-    Octave octave(width, height, std::move(source));
+    Octave octave(width, height, std::move(source), memory);
     search_octave(picture, octave, contrast_threshold, pixel, keypoints);
     source = stored_rows(octave.take_next(), width / 2);
     width /= 2;

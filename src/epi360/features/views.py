@@ -136,9 +136,9 @@ def _strip(grey: NDArray[np.uint8], camera: Equirectangular) -> Strip | None:
     if bottom - top < 16:  # a panorama of the ceiling or the floor alone
         return None
     padding = max(16, round(_MARGIN_DEG * width / 360.0))
-    columns = np.arange(-padding, width + padding) % width
-    strip = np.ascontiguousarray(grey[top:bottom, columns])
-    return Strip(strip, None, camera, padding, top)
+    rows = grey[top:bottom]
+    strip = cv2.copyMakeBorder(rows, 0, 0, padding, padding, cv2.BORDER_WRAP)
+    return Strip(np.asarray(strip, np.uint8), None, camera, padding, top)
 
 
 def _face(grey: NDArray[np.uint8], camera: Equirectangular, sign: float) -> Face:
