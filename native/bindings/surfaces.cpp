@@ -7,20 +7,20 @@ using namespace nanobind::literals;
 namespace epi360 {
 namespace {
 
-using Levels = nb::ndarray<const unsigned char, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using Floats = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Rows = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
-using Cells = nb::ndarray<const std::int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using GreyLevels = nb::ndarray<const unsigned char, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using FloatRow = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Vectors = nb::ndarray<const float, nb::shape<-1, 3>, nb::c_contig, nb::device::cpu>;
+using CellNumbers = nb::ndarray<const std::int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using CellRows = nb::ndarray<const std::int32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-GreyPanorama panorama(const Levels& levels) {
+GreyPanorama panorama(const GreyLevels& levels) {
   if (levels.shape(0) != GreyPanorama::kLevels || levels.shape(1) < 2 || levels.shape(2) < 2) {
     throw nb::value_error("a panorama has four levels of grey values");
   }
   return {levels.data(), static_cast<int>(levels.shape(2)), static_cast<int>(levels.shape(1))};
 }
 
-nb::object floats(std::vector<float> values, std::size_t columns = 0) {
+nb::object float_rows(std::vector<float> values, std::size_t columns = 0) {
   auto* owned = new std::vector<float>(std::move(values));
   nb::capsule owner(owned, [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
   const std::size_t shape[2] = {owned->size() / (columns > 0 ? columns : 1), columns};
@@ -47,9 +47,9 @@ void check_rows(const CellRows& rows, std::size_t count, std::size_t columns) {
 void bind_surfaces(nb::module_& m) {
   m.def(
       "grow_surfaces",
-      [](const Levels& first, const Levels& second, const Matrix3& rotation,
-         const Vector3& translation, const Rows& directions, const CellRows& neighbours,
-         const CellRows& around, const Cells& seed_cells, const Floats& seed_depths) {
+      [](const GreyLevels& first, const GreyLevels& second, const Matrix3& rotation,
+         const Vector3& translation, const Vectors& directions, const CellRows& neighbours,
+         const CellRows& around, const CellNumbers& seed_cells, const FloatRow& seed_depths) {
         const std::size_t count = directions.shape(0);
         check_rows(neighbours, count, SphereGrid::kNeighbours);
         check_rows(around, count, SphereGrid::kAround);
@@ -62,19 +62,20 @@ void bind_surfaces(nb::module_& m) {
         const SphereGrid grid{count, directions.data(), neighbours.data(), around.data()};
         const Seeds seeds{seed_cells.shape(0), seed_cells.data(), seed_depths.data()};
         SharedSurfaces found = unlocked([&] { return grow_surfaces(pair, grid, seeds); });
-        return nb::make_tuple(floats(std::move(found.contrast)), floats(std::move(found.depth)),
-                              floats(std::move(found.likeness)), floats(std::move(found.normal), 3),
-                              floats(std::move(found.expected_depth)),
-                              floats(std::move(found.expected_likeness)));
+        return nb::make_tuple(
+            float_rows(std::move(found.contrast)), float_rows(std::move(found.depth)),
+            float_rows(std::move(found.likeness)), float_rows(std::move(found.normal), 3),
+            float_rows(std::move(found.expected_depth)),
+            float_rows(std::move(found.expected_likeness)));
       },
       "first"_a, "second"_a, "rotation"_a, "translation"_a, "directions"_a, "neighbours"_a,
       "around"_a, "seed_cells"_a, "seed_depths"_a);
 
   m.def(
       "surface_likeness",
-      [](const Levels& first, const Levels& second, const Matrix3& rotation,
-         const Vector3& translation, const Rows& directions, const Floats& depths,
-         const Rows& normals) {
+      [](const GreyLevels& first, const GreyLevels& second, const Matrix3& rotation,
+         const Vector3& translation, const Vectors& directions, const FloatRow& depths,
+         const Vectors& normals) {
         const std::size_t count = directions.shape(0);
         if (depths.shape(0) != count || normals.shape(0) != count) {
           throw nb::value_error("every direction needs a depth and a normal");
@@ -91,7 +92,7 @@ void bind_surfaces(nb::module_& m) {
           }
           return 0;
         });
-        return floats(std::move(likeness));
+        return float_rows(std::move(likeness));
       },
       "first"_a, "second"_a, "rotation"_a, "translation"_a, "directions"_a, "depths"_a,
       "normals"_a);
