@@ -46,6 +46,9 @@ _ACCEPTED = 0.9875
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
 # Pairs are heard first with all that are not mistrusted, then with those that are this probable.
 _BELIEVED, _NUM_HEARINGS = 0.97, 4
+# Pairs that say the same see much the same things, so only a share of it counts again; and only
+# against them, because triangles confirm pairs already (`loop_check`).
+_SIBLING_SHARE, _SIBLING_LIMITS = 0.5, (-4.0, 0.0)
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MOST_STEPS = 200
 
@@ -95,6 +98,7 @@ def judge_places(
     believed = trusted
     for _ in range(_NUM_HEARINGS):
         heard = [court.all_heard(row, believed) for row in range(len(images))]
+        heard = _with_siblings(heard, evidence, believed)
         probabilities = _probabilities(heard, own_ratios)
         believed = probabilities >= _BELIEVED
     return tuple(
@@ -115,6 +119,10 @@ class _Heard:
     def ratio(self) -> float:
         """Log-likelihood ratio of the right pose over any other."""
         return float(self.logs[0] - self.logs[1:].max())
+
+    def favoured_by(self, ratio: float) -> _Heard:
+        """Add evidence for the right pose, as a log-likelihood ratio, against all others."""
+        return replace(self, logs=self.logs - np.where(np.arange(len(self.logs)) > 0, ratio, 0.0))
 
 
 class _Court:
@@ -151,8 +159,7 @@ class _Court:
     def all_heard(self, row: int, trusted: Mask) -> _Heard:
         """What trusted pairs say about one, by points and by surfaces."""
         heard = self.heard(row, trusted)
-        ratio = surfaces_ratio(self.surfaces[row], trusted)
-        return replace(heard, logs=heard.logs - np.where(np.arange(len(_SHARES)) > 0, ratio, 0.0))
+        return heard.favoured_by(surfaces_ratio(self.surfaces[row], trusted))
 
     def trusted(self) -> Mask:
         """Pairs that are believed: the worst is left out until none is mistrusted."""
@@ -177,6 +184,19 @@ class _Court:
                 found += np.bincount(s.changes[kept], s.found[kept], minlength=len(_RATES))
         rates: Array = np.clip(found / counts, _RATES - _LOWER, _RATES + _HIGHER)
         return rates
+
+
+def _with_siblings(
+    heard: Sequence[_Heard], evidence: Sequence[Evidence], believed: Mask
+) -> list[_Heard]:
+    """What is said against pairs that say the same counts against each of them."""
+    ratios = np.array([h.ratio + e.own_ratio for h, e in zip(heard, evidence, strict=True)])
+    told = []
+    for each, of in zip(heard, evidence, strict=True):
+        rows = sorted({sibling.pair for sibling in of.siblings if believed[sibling.via]})
+        ratio = float(np.clip(_SIBLING_SHARE * ratios[rows].sum(), *_SIBLING_LIMITS))
+        told.append(each.favoured_by(ratio))
+    return told
 
 
 def _must_be_seen(sightings: Sightings, trusted: Mask) -> Mask:

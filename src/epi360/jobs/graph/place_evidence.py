@@ -22,6 +22,7 @@ from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_be
 from epi360.jobs.graph.surface_evidence import (
     OWN,
     KnownView,
+    Sibling,
     SurfaceSightings,
     SurfaceWitnesses,
     own_ratio,
@@ -78,12 +79,14 @@ class Sightings:
 class Evidence:
     """What was looked for from both sides of a pair: points, and whole surfaces.
 
-    ``own_ratio`` is the log-likelihood ratio of the pose by what the pair shows by itself.
+    ``own_ratio`` is the log-likelihood ratio of the pose by what the pair shows by itself;
+    ``siblings`` are wrong with it.
     """
 
     sides: tuple[Sightings, Sightings]
     surfaces: tuple[SurfaceSightings, SurfaceSightings]
     own_ratio: float
+    siblings: tuple[Sibling, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +145,7 @@ class Surroundings:
         surfaces = [
             known.sightings(row, side, panoramas[side], panoramas[1 - side]) for side in (0, 1)
         ]
-        return Evidence((sides[0], sides[1]), (surfaces[0], surfaces[1]), own)
+        return Evidence((sides[0], sides[1]), (surfaces[0], surfaces[1]), own, known.siblings(row))
 
     def _known(self, row: int, side: int) -> dict[int, Cloud]:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""

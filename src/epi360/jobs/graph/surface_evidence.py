@@ -25,7 +25,7 @@ from epi360.features.shared_surfaces import (
 from epi360.features.sphere_cells import SphereCells
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.shared_points import PosedPair
-from epi360.poses import Pose
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
@@ -79,6 +79,8 @@ _FEWEST_PLACES = 4  # parts of either view, before they say anything
 # depths speak against right pairs too, so that surfaces may not decide alone.
 _SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
 _LIMITS = (-3.0, 6.0)
+# Poses of siblings agree to this; a step shorter than this share of the baseline says nothing.
+_ROTATIONS_AGREE_DEG, _DIRECTIONS_AGREE_DEG, _SHORTEST_STEP = 2.5, 6.0, 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +218,24 @@ class _Witness:
         return cells[good], depths[good], self.view.normals[rows[good]]
 
 
+@dataclass(frozen=True)
+class Sibling:
+    """A pair that says the same as another one if a third, ``via``, is right."""
+
+    pair: int
+    via: int
+
+
+def _agrees(pose: Pose, expected: Pose) -> bool:
+    """Whether rotations and directions are equal; short steps have no direction to compare."""
+    if float(np.linalg.norm(expected.translation)) < _SHORTEST_STEP:
+        return False
+    return (
+        rotation_error_deg(pose, expected) < _ROTATIONS_AGREE_DEG
+        and translation_error_deg(pose, expected) < _DIRECTIONS_AGREE_DEG
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceWitnesses:
     """All pairs of a folder with what they know about the views of its panoramas."""
@@ -223,6 +243,7 @@ class SurfaceWitnesses:
     pairs: Sequence[PosedPair]
     views: Mapping[tuple[int, int], KnownView]  # by pair and side
     at: Mapping[int, Sequence[tuple[int, int]]]  # pairs and sides of each panorama
+    rows_of: Mapping[frozenset[int], Sequence[int]]  # pairs of two panoramas
 
     @classmethod
     def of(
@@ -232,7 +253,10 @@ class SurfaceWitnesses:
         at: dict[int, list[tuple[int, int]]] = {}
         for row, side in sorted(views, key=lambda key: (-len(views[key].cells), key)):
             at.setdefault(pairs[row].images[side], []).append((row, side))
-        return cls(pairs, views, at)
+        rows_of: dict[frozenset[int], list[int]] = {}
+        for row, pair in enumerate(pairs):
+            rows_of.setdefault(frozenset(pair.images), []).append(row)
+        return cls(pairs, views, at, rows_of)
 
     def sightings(self, row: int, side: int, first: Panorama, second: Panorama) -> SurfaceSightings:
         """Look for what other pairs know of the view of one side in that of the other.
@@ -258,6 +282,24 @@ class SurfaceWitnesses:
             sources,
             hidden,
         )
+
+    def siblings(self, row: int) -> tuple[Sibling, ...]:
+        """Pairs that are right if this one is, and wrong if it is wrong."""
+        images, found = self.pairs[row].images, []
+        for side in (0, 1):
+            here, there = images[side], images[1 - side]
+            for each in self._witnesses(row, side):
+                witness = self.pairs[each.pair]
+                witness_side = witness.images.index(here)
+                beyond = witness.images[1 - witness_side]
+                pose = witness.other_from(witness_side)
+                step = Pose(pose.rotation, np.exp(each.log_scale) * pose.translation)
+                expected = self.pairs[row].other_from(side) @ step.inverse()
+                for other in self.rows_of.get(frozenset((beyond, there)), ()):
+                    pair = self.pairs[other]
+                    if _agrees(pair.other_from(pair.images.index(beyond)), expected):
+                        found.append(Sibling(other, each.pair))
+        return tuple(found)
 
     def _witnesses(self, row: int, side: int) -> list[_Witness]:
         """Pairs that know the view of a side, in one scale with this pair."""
