@@ -14,6 +14,7 @@ from epi360.jobs.graph.surface_evidence import (
     OWN,
     UNKNOWN,
     VISIBLE,
+    Sibling,
     SurfaceSightings,
     surfaces_ratio,
 )
@@ -156,6 +157,25 @@ def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
         found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio),) * 2)
         told.append(judge_places(pairs, found)[0].probability)
     assert told[0] < told[1] < 0.9875 < told[2]
+
+
+def test_what_speaks_against_a_pair_speaks_against_those_that_say_the_same():
+    pairs, is_right = twin_rooms()
+    shares = [None, *np.where(is_right, 1.0, 0.4)[1:]]
+    wrong, right = int(np.argmin(is_right)), 1
+    told = {}
+    for name, siblings in (
+        ("alone", ()),
+        ("with a wrong one", (Sibling(wrong, right),)),
+        ("if a wrong one were right", (Sibling(wrong, wrong),)),
+        ("with a right one", (Sibling(2, right),)),
+    ):
+        found = evidence_on(pairs, shares)
+        found[0] = replace(found[0], siblings=siblings)
+        told[name] = judge_places(pairs, found)[0].probability
+    assert told["with a wrong one"] < told["alone"] - 0.01
+    assert told["if a wrong one were right"] == pytest.approx(told["alone"])
+    assert told["with a right one"] == pytest.approx(told["alone"])
 
 
 TRUSTED = np.ones(4, dtype=bool)
