@@ -43,6 +43,18 @@ def test_triangles_confirm_a_pair_that_is_refused_in_doubt(probability, is_accep
     assert all(verdict.accepted for verdict in judged[1:])
 
 
+def test_the_probability_is_that_of_the_matches_and_of_the_surroundings():
+    verdicts = verdicts_of(["ab", "bc", "cd"])
+    places = [
+        PlaceVerdict(0.2, 0.3, 30, "shows another place"),
+        PlaceVerdict(0.995),
+        PlaceVerdict(),
+    ]
+    judged = match_folder._checked(verdicts, places, is_level=False)
+    told = [verdict.probability for verdict in judged]
+    assert told == pytest.approx([0.99 * 0.2, 0.99 * 0.995, 0.99])
+
+
 def test_a_pair_in_no_triangle_stays_refused():
     verdicts = verdicts_of(["ab", "bc", "cd"])
     places = [PlaceVerdict(0.6, 0.8, 30, "may show a copy of the place, as others do")]

@@ -70,6 +70,11 @@ class PlaceVerdict:
     refused: str = ""
 
     @property
+    def if_accepted(self) -> float:
+        """Probability of a pose that is accepted: triangles confirm what leaves a doubt."""
+        return max(self.probability, _ACCEPTED)
+
+    @property
     def leaves_a_doubt(self) -> bool:
         """Whether other pairs may confirm a pose that is refused."""
         return bool(self.refused) and self.probability >= _DOUBTED

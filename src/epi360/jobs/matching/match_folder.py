@@ -329,6 +329,16 @@ def _checked(
     verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
 ) -> tuple[PairVerdict, ...]:
     """Verdicts with what the surroundings and the other pairs say."""
+    judged = _judged(verdicts, places, is_level)
+    return tuple(
+        replace(v, probability=v.probability * (p.probability if v.refused else p.if_accepted))
+        for v, p in zip(judged, places, strict=True)
+    )
+
+
+def _judged(
+    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
+) -> tuple[PairVerdict, ...]:
     refused = [replace(v, refused=p.refused) for v, p in zip(verdicts, places, strict=True)]
     judged = _with_graph(refused, is_level)
     names = [(verdict.image1, verdict.image2) for verdict in verdicts]
