@@ -210,5 +210,15 @@ def test_the_reason_counts_places():
     assert worst.probability < 0.01
 
 
+def test_the_reason_does_not_count_places_where_surfaces_alone_speak_against_a_pair():
+    pairs, is_right = twin_rooms()
+    found = evidence_on(pairs, [None, *np.where(is_right, 1.0, 0.4)[1:]])
+    against = (surfaces_of([1, 2], -3.8, num=6000),) * 2
+    found[0] = replace(found[0], surfaces=against, own_ratio=-2.0)
+    assert judge_places(pairs, found)[0].refused == (
+        f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
+    )
+
+
 def test_an_empty_folder_has_no_verdicts():
     assert judge_places([], []) == ()

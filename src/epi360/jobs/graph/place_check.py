@@ -7,6 +7,9 @@ Irschara and Bischof (CVPR 2008, "What can missing correspondences tell us about
 motion?") count points that a third view must see; here `place_evidence` also knows which of them
 nothing hides, and compares pictures, so that a point counts which no detector finds again.
 
+Whole surfaces are asked for too (`surface_evidence`), and what speaks against a pair counts
+against those that say the same.
+
 Three explanations of each accepted pair are compared: the pose is right; it is that of a copy of
 the place, which shares most of its surfaces; it is that of another place with a similar thing. How
 common each of them is, the folder says itself.
@@ -50,6 +53,7 @@ _BELIEVED, _NUM_HEARINGS = 0.97, 4
 # against them, because triangles confirm pairs already (`loop_check`).
 _SIBLING_SHARE, _SIBLING_LIMITS = 0.5, (-4.0, 0.0)
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
+_MANY_ALIKE = 0.8  # share of the parts; a refusal does not rest on points then
 _MOST_STEPS = 200
 
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
@@ -260,12 +264,14 @@ def _verdict(heard: _Heard, probability: float) -> PlaceVerdict:
 
 def _refusal(heard: _Heard) -> str:
     """Why a pair is not accepted; what stands before the comma is what summaries count."""
-    if heard.ratio < 0.0:
+    if heard.ratio >= 0.0:
         return (
-            f"{ANOTHER_PLACE}, for only {int(heard.num_alike)} of {heard.num_places} parts of the "
-            "views that both cameras must see look the same"
+            f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "
+            "see says otherwise"
         )
+    if heard.num_alike >= _MANY_ALIKE * heard.num_places:
+        return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
     return (
-        f"{COPY}, as other pairs of this folder do, and too little of what both cameras must see "
-        "says otherwise"
+        f"{ANOTHER_PLACE}, for only {int(heard.num_alike)} of {heard.num_places} parts of the "
+        "views that both cameras must see look the same"
     )

@@ -49,7 +49,8 @@ def check_places(
     by_row = _of_each(job, known.grown, range(len(keys)), 0)
     keys = [keys[row] for row in sorted(by_row)]
     grown = [by_row[row] for row in sorted(by_row)]
-    known = Surroundings.of([posed[each] for each in keys], panorama_of)
+    if len(grown) < len(known.pairs):
+        known = Surroundings.of([posed[each] for each in keys], panorama_of)
     views = {(row, side): both[side] for row, (both, _) in enumerate(grown) for side in (0, 1)}
     witnesses = SurfaceWitnesses.of(known.pairs, views)
 
