@@ -74,7 +74,7 @@ def test_a_right_pair_speaks_for_itself_and_a_wrong_one_does_not():
 @pytest.mark.parametrize("row", range(3))
 def test_right_pairs_speak_for_each_other(row):
     known, grown, witnesses = right_room()
-    evidence = known.evidence(row, witnesses, grown[row][1])
+    evidence = known.with_surfaces(row, known.of_points(row), witnesses, grown[row][1])
     for sightings in evidence.surfaces:
         assert set(sightings.witnesses) <= {0, 1, 2} - {row}
         assert sightings.sources[0] == OWN
@@ -84,7 +84,7 @@ def test_right_pairs_speak_for_each_other(row):
 
 def test_nobody_is_asked_who_is_not_believed():
     known, grown, witnesses = right_room()
-    evidence = known.evidence(0, witnesses, grown[0][1])
+    evidence = known.with_surfaces(0, known.of_points(0), witnesses, grown[0][1])
     believed = np.array([True, False, False])
     assert surfaces_ratio(evidence.surfaces, believed) == 0.0
 

@@ -80,12 +80,12 @@ class Evidence:
     """What was looked for from both sides of a pair: points, and whole surfaces.
 
     ``own_ratio`` is the log-likelihood ratio of the pose by what the pair shows by itself;
-    ``siblings`` are wrong with it.
+    ``siblings`` are wrong with it. Where surfaces were not asked for there are none.
     """
 
     sides: tuple[Sightings, Sightings]
-    surfaces: tuple[SurfaceSightings, SurfaceSightings]
-    own_ratio: float
+    surfaces: tuple[SurfaceSightings, ...] = ()
+    own_ratio: float = 0.0
     siblings: tuple[Sibling, ...] = ()
 
 
@@ -137,15 +137,23 @@ class Surroundings:
         )
         return views, own_ratio(pair, (first, second))
 
-    def evidence(self, row: int, known: SurfaceWitnesses, own: float) -> Evidence:
-        """Look for what is known of the views of a pair."""
+    def of_points(self, row: int) -> Evidence:
+        """Look for points that are known of the views of a pair."""
         clouds = [self._known(row, side) for side in (0, 1)]
+        first, second = (
+            self._sightings(row, side, clouds[side], clouds[1 - side]) for side in (0, 1)
+        )
+        return Evidence((first, second))
+
+    def with_surfaces(
+        self, row: int, points: Evidence, known: SurfaceWitnesses, own_ratio: float
+    ) -> Evidence:
+        """Look for surfaces that are known of the views of a pair as well."""
         panoramas = [self.panorama_of(image) for image in self.pairs[row].images]
-        sides = [self._sightings(row, side, clouds[side], clouds[1 - side]) for side in (0, 1)]
-        surfaces = [
+        surfaces = tuple(
             known.sightings(row, side, panoramas[side], panoramas[1 - side]) for side in (0, 1)
-        ]
-        return Evidence((sides[0], sides[1]), (surfaces[0], surfaces[1]), own, known.siblings(row))
+        )
+        return Evidence(points.sides, surfaces, own_ratio, known.siblings(row))
 
     def _known(self, row: int, side: int) -> dict[int, Cloud]:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""

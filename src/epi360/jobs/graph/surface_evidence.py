@@ -341,6 +341,8 @@ def _states(depths: Array, ranges: Array) -> NDArray[np.int8]:
 
 def surfaces_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
     """Log-likelihood ratio of a pose over any other, by what trusted pairs know; limited."""
+    if len(sides) == 0:
+        return 0.0
     places = [_place_ratios(each, trusted) for each in sides]
     ratios = np.concatenate(places)
     logs = np.log(_SHARES * np.exp(ratios)[:, None] + 1 - _SHARES).sum(axis=0)

@@ -45,31 +45,43 @@ def check_places(
     keys = sorted(posed, key=lambda each: posed[each].images)
     panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job))
     known = Surroundings.of([posed[each] for each in keys], panorama_of)
-    job.progress("places", 0, 2 * len(keys))
-    by_row = _of_each(job, known.grown, range(len(keys)), 0)
-    keys = [keys[row] for row in sorted(by_row)]
-    grown = [by_row[row] for row in sorted(by_row)]
-    if len(grown) < len(known.pairs):
+    by_row = _of_each(job, known.of_points, range(len(keys)))
+    if len(by_row) < len(keys):  # a picture is gone
+        keys = [keys[row] for row in sorted(by_row)]
         known = Surroundings.of([posed[each] for each in keys], panorama_of)
-    views = {(row, side): both[side] for row, (both, _) in enumerate(grown) for side in (0, 1)}
+        by_row = _of_each(job, known.of_points, range(len(keys)))
+    if len(by_row) < len(keys):
+        return {}
+    points = [by_row[row] for row in range(len(keys))]
+    return dict(zip(keys, _judged(job, known, points), strict=True))
+
+
+def _judged(
+    job: MatchJob, known: Surroundings, points: Sequence[Evidence]
+) -> Sequence[PlaceVerdict]:
+    """Verdicts by points; where these refuse a pair, by surfaces too, which cost much more."""
+    images = [pair.images for pair in known.pairs]
+    verdicts = judge_places(images, points)
+    if not any(verdict.refused for verdict in verdicts):
+        return verdicts
+    grown = _of_each(job, known.grown, range(len(images)))
+    if len(grown) < len(images):
+        return verdicts
+    views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
     witnesses = SurfaceWitnesses.of(known.pairs, views)
 
     def look(row: int) -> Evidence:
-        return known.evidence(row, witnesses, grown[row][1])
+        return known.with_surfaces(row, points[row], witnesses, grown[row][1])
 
-    evidence = _of_each(job, look, range(len(keys)), len(keys))
-    if len(evidence) < len(keys):  # a picture went while it was needed
-        return {}
-    verdicts = judge_places(
-        [pair.images for pair in known.pairs], [evidence[row] for row in range(len(keys))]
-    )
-    return dict(zip(keys, verdicts, strict=True))
+    found = _of_each(job, look, range(len(images)))
+    if len(found) < len(images):
+        return verdicts
+    return judge_places(images, [found[row] for row in range(len(images))])
 
 
-def _of_each(
-    job: MatchJob, look: Callable[[int], Found], rows: Sequence[int], num_done: int
-) -> dict[int, Found]:
+def _of_each(job: MatchJob, look: Callable[[int], Found], rows: Sequence[int]) -> dict[int, Found]:
     """What is found about each pair, on all threads; nothing where a picture is gone."""
+    job.progress("places", 0, len(rows))
     found = {}
 
     def tried(row: int) -> Found | None:
@@ -79,7 +91,7 @@ def _of_each(
             return None
 
     for count, (row, each) in enumerate(on_threads(tried, rows, job.work.num_threads), start=1):
-        job.progress("places", num_done + count, 2 * len(rows))
+        job.progress("places", count, len(rows))
         if each is not None:
             found[row] = each
     return found
