@@ -36,11 +36,11 @@ def picture(points, descriptors):
     return view_of(NEW, points, descriptors, np.random.default_rng(5))
 
 
-def asked(world, features, mask=None):
+def asked(world, features, mask=None, without=()):
     """What the map says of the true pose."""
     new = NewImage.of(features, CAMERA, mask)
     matches = joined([matches_with(world.view(k), k, features) for k in range(len(CENTERS))])
-    return surroundings_at(world, matches, NEW, new, radius_rad=0.01)
+    return surroundings_at(world, matches, NEW, new, 0.01, without)
 
 
 def with_others(changed):
@@ -52,6 +52,19 @@ def test_the_room_itself_is_confirmed():
     around = asked(world_of(POINTS, DESCRIPTORS), picture(POINTS, DESCRIPTORS))
     assert around.confirm and around.probability > 0.99 and around.share > 0.9
     assert around.num_parts > 60 and around.witness in {"0.jpg", "1.jpg", "2.jpg", "3.jpg"}
+
+
+def test_images_that_are_left_out_say_nothing():
+    world, features = world_of(POINTS, DESCRIPTORS), picture(POINTS, DESCRIPTORS)
+    witness = asked(world, features).witness
+    around = asked(world, features, without={witness})
+    assert around.confirm and around.witness not in {witness, ""}
+    assert asked(world, features, without={f"{k}.jpg" for k in range(4)}).witness == ""
+
+
+def test_a_picture_all_of_whose_features_are_alike_confirms_nothing():
+    same = np.tile(DESCRIPTORS[:1], (len(POINTS), 1))
+    assert not asked(world_of(POINTS, same), picture(POINTS, same)).confirm
 
 
 def test_a_room_of_which_half_is_another_is_not_confirmed():

@@ -65,8 +65,11 @@ EPI360_INLINE void pixel_of(const GreyPanorama& panorama, const Vec3f& direction
 EPI360_INLINE float value_at(const GreyPanorama& panorama, const unsigned char* level, float u,
                              float v) {
   const int width = panorama.width;
-  const float row = std::min(std::max(v, 0.0f), panorama.height - 1.001f);
-  const int i = static_cast<int>(u + 1.0f) - 1, j = static_cast<int>(row);
+  // The constants come first: then what is no number becomes 0.
+  const float row = std::min(std::max(0.0f, v), panorama.height - 1.001f);
+  const float column = std::min(std::max(0.0f, u + 1.0f), static_cast<float>(width));
+  const int i = static_cast<int>(column) - 1;
+  const int j = std::min(static_cast<int>(row), panorama.height - 2);
   const float a = u - i, b = row - j;
   const int left = i < 0 ? i + width : (i >= width ? i - width : i);
   const int right = left + 1 < width ? left + 1 : 0;

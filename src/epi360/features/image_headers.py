@@ -27,7 +27,7 @@ LARGEST_XMP = 2**20  # a JPEG holds 64 kB of it, the longest seen in panoramas i
 _WIDTH, _HEIGHT, _ORIENTATION, _XMP, _GPS = 256, 257, 274, 700, 34853  # tags of TIFF and Exif
 _LATITUDE, _LONGITUDE = (1, 2, "NS"), (3, 4, "EW")  # tags of the hemisphere and of the angle
 _PNG_METADATA = (b"IHDR", b"tRNS", b"eXIf", b"iTXt")
-_IGNORING_WARNINGS = Lock()  # of two threads, the second to stop would not restore what was there
+IGNORING_WARNINGS = Lock()  # of two threads, the second to stop would not restore what was there
 _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
 
 
@@ -59,7 +59,7 @@ def parse_image_header(file: IO[bytes]) -> ImageHeader:
     start = file.read(8)
     file.seek(0)
     try:
-        with _IGNORING_WARNINGS, warnings.catch_warnings():
+        with IGNORING_WARNINGS, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of damaged metadata
             if start.startswith(JPEG_SIGNATURE):
                 return _jpeg_header(JpegImageFile(file))

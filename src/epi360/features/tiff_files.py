@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL.TiffImagePlugin import ImageFileDirectory_v2, TiffImageFile
 
+from epi360.features.image_headers import IGNORING_WARNINGS
 from epi360.features.jpeg_files import check_jpeg, read_jpeg_header
 
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _COLORS = 256, 257, 258, 259, 262
@@ -46,7 +47,7 @@ class _Chunk(NamedTuple):
 def check_tiff(data: bytes) -> None:
     """Raise ``ValueError`` for a TIFF file that is cut or damaged."""
     try:
-        with warnings.catch_warnings():
+        with IGNORING_WARNINGS, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of damaged metadata
             tags = _first_directory(data)
     except Exception:  # what damaged headers make Pillow raise is not documented
@@ -143,7 +144,7 @@ def _is_unpacked(chunk: _Chunk) -> bool:
 
 def _is_decompressed(data: bytes) -> bool:
     try:
-        with warnings.catch_warnings():
+        with IGNORING_WARNINGS, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of damaged metadata
             TiffImageFile(io.BytesIO(data)).load()
     except OSError as error:

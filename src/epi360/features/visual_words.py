@@ -56,7 +56,7 @@ def signature(descriptors: Descriptors, words: Descriptors) -> Signature:
     """Signature of an image by its descriptors (N, D), strongest first."""
     strongest = rounded_descriptors(descriptors[:NUM_DESCRIPTORS])
     if len(strongest) == 0 or len(words) == 0:
-        return Signature(np.zeros(0, np.uint16), np.zeros((0, words.shape[1] // 8), np.uint8))
+        return Signature(np.zeros(0, np.uint16), np.zeros((0, -(-words.shape[1] // 8)), np.uint8))
     nearest = _nearest(strongest, words)
     present, row = np.unique(nearest, return_inverse=True)
     sums = _sums(strongest - words[nearest], row, len(present))

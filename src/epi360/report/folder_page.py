@@ -184,7 +184,7 @@ def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:
     if np.isfinite(verdict.probability):
         sure = f"{100 * verdict.probability:.1f}" if verdict.probability < 0.999 else "over 99.9"
         sentences.append(
-            f"By matches and surroundings, the pose is right with a probability of {sure} %."
+            f"The pose, with what its surroundings say, has a probability of {sure} %."
         )
     explained = describe_explanations(verdict.explanations)
     if explained:

@@ -112,7 +112,8 @@ def _bar(page: _Page) -> str:
     """Return a bar of a round length in units of the map."""
     longest = _LONGEST_BAR * _WIDTH / page.scale
     power = 10.0 ** np.floor(np.log10(longest))
-    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= longest)
+    lengths = [step * power for step in (1.0, 2.0, 5.0) if step * power <= longest]
+    length = max(lengths, default=power)
     x, y = _MARGIN / 2.0, page.height - 12.0
     unit = "unit" if length == 1.0 else "units"
     return (

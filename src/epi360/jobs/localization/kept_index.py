@@ -72,5 +72,5 @@ def _is_whole(arrays: Arrays, num_images: int) -> bool:
         and (np.diff(ends, prepend=0) >= 0).all()
         and ends[-1] == len(image_words) == len(image_signs)
         and image_words.max(initial=0) < min(NUM_WORDS, max(len(words), 1))
-        and image_signs.shape[1] == words.shape[1] // 8
+        and image_signs.shape[1] == -(-words.shape[1] // 8)
     )

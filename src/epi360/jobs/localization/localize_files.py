@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -58,5 +59,6 @@ def localize_files(
             reasons[name] = str(error)
     progress("localizing images", len(files), len(files))
     if kept is not None:
-        kept.save_digests()
+        with suppress(OSError):  # they only save time
+            kept.save_digests()
     return LocalizedFiles(results, reasons, 0 if kept is None else kept.num_used)

@@ -50,7 +50,7 @@ class MapSearch:
         without: Collection[str],
         options: LocalizationOptions,
     ) -> None:
-        self.world, self.new, self.options = world, new, options
+        self.world, self.new, self.options, self.without = world, new, options, without
         names = [image.name for image in world.model.images]
         similar = world.similar_views(new.features)
         self.ranked = [k for k in similar if names[k] not in without][: options.max_views]
@@ -92,7 +92,7 @@ class MapSearch:
             return Found(result, matches)
         inliers = matches.chosen(result.inlier_mask)
         pose, radius = result.cam_from_world, self.radius_rad(result)
-        around = surroundings_at(self.world, inliers, pose, self.new, radius)
+        around = surroundings_at(self.world, inliers, pose, self.new, radius, self.without)
         return Found(result, matches, around, self.options.known_place or around.confirm)
 
     def first_look(self) -> list[Found]:
@@ -101,12 +101,16 @@ class MapSearch:
         The first says what the matches say. If they are ambiguous, each of their two poses follows.
         """
         found = [Found(self.pose_of(no_matches()), no_matches())]
+        with_pose = found
         while len(self._parts) < len(self.ranked) and not any(f.is_confirmed for f in found):
             parts = self.matched(self.ranked[: max(2 * len(self._parts), FIRST_VIEWS)])
             matches = joined(parts)
             result = self._robust_pose(matches, parts)
             found = [self.with_surroundings(result, matches), *self._apart(result, matches)]
-        return found
+            if any(each.result.success for each in found):
+                with_pose = found
+        # More images may bring so many wrong matches that a pose of fewer ones is lost.
+        return found if any(each.result.success for each in found) else with_pose
 
     def _robust_pose(self, matches: MapMatches, parts: Sequence[MapMatches]) -> AbsolutePoseResult:
         """Pose from all matches; where that fails, from where the best single image leads."""

@@ -9,7 +9,7 @@ like in the new image. `epi360.jobs.graph.place_evidence` asks the same of pairs
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +32,7 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what is known there ma
 _MOST_OF_CELL = 4.0  # a cell with more points counts like so many: they are not independent
 # Of the points in sight that are the same, the share that a new image shows as well: 0.45 to 0.85
 # of the best witness on rendered homes and on three real sets. Of other points, by chance.
-_SHOWN, _SHOWN_SIGMA, _LEAST_CHANCE = 0.6, 0.1, 0.03
+_SHOWN, _SHOWN_SIGMA, _LEAST_CHANCE, _MOST_CHANCE = 0.6, 0.1, 0.03, 0.95
 _RATES = np.linspace(0.2, 0.9, 15)
 _SHARES = np.linspace(0.02, 1.0, 50)
 # Of 96 rendered panoramas, each in maps with and without its room, 47 of 66 right poses have this
@@ -60,10 +60,15 @@ class Surroundings:
 
 
 def surroundings_at(
-    world: LocalizationMap, inliers: MapMatches, pose: Pose, new: NewImage, radius_rad: float
+    world: LocalizationMap,
+    inliers: MapMatches,
+    pose: Pose,
+    new: NewImage,
+    radius_rad: float,
+    without: Collection[str],
 ) -> Surroundings:
     """Ask the images of the map around a pose for the points that must be visible from there."""
-    views = [world.view(number) for number in _witnesses(world, inliers, pose)]
+    views = [world.view(number) for number in _witnesses(world, inliers, pose, without)]
     seen = [_moved(pose, view.points[view.rows]) for view in views]
     clouds = [_cloud(each) for each in (*seen, _moved(pose, inliers.points))]
     best = Surroundings()
@@ -74,14 +79,17 @@ def surroundings_at(
     return best
 
 
-def _witnesses(world: LocalizationMap, inliers: MapMatches, pose: Pose) -> list[int]:
+def _witnesses(
+    world: LocalizationMap, inliers: MapMatches, pose: Pose, without: Collection[str]
+) -> list[int]:
     """Images that see enough of the points that agree with a pose, the nearest ones."""
     # Points of features that were found anew are known to the images that were matched only.
     counts = np.maximum(
         world.num_seen(inliers.ids),
         np.bincount(inliers.views, minlength=len(world.model.images)),
     )
-    (able,) = np.nonzero(counts >= _FEWEST_SHARED)
+    is_asked = np.array([image.name not in without for image in world.model.images], dtype=bool)
+    (able,) = np.nonzero((counts >= _FEWEST_SHARED) & is_asked)
     centers = world.centers[able]
     away = np.linalg.norm(centers - pose.inverse().translation, axis=1)
     return [int(k) for k in able[np.argsort(away, kind="stable")][:_MOST_WITNESSES]]
@@ -99,7 +107,7 @@ def _asked(
     found, *by_chance = (
         similar_near(view, rows, new, each, radius_rad) >= 0 for each in turned(directions)
     )
-    chance = max(_LEAST_CHANCE, float(np.mean(by_chance)))
+    chance = float(np.clip(np.mean(by_chance), _LEAST_CHANCE, _MOST_CHANCE))
     _, cells = np.unique(_CELLS.indices(directions), return_inverse=True)
     num_found = np.asarray(np.bincount(cells, found), np.float64)
     likely = _likely_shares(np.bincount(cells), num_found, chance)
