@@ -59,6 +59,8 @@ def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_p
         [sys.executable, "-m", "epi360.cli", "demo", "--port", "0", "--no-open"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         env=os.environ | {"TMPDIR": str(tmp_path)},
+        # Under nohup, a closed terminal ends no command that it starts.
+        preexec_fn=lambda: signal.signal(signal.Signals[how], signal.SIG_DFL),
     )  # fmt: skip
     try:
         address = process.stdout.readline().split()[2]
