@@ -7,12 +7,13 @@ Irschara and Bischof (CVPR 2008, "What can missing correspondences tell us about
 motion?") count points that a third view must see; here `place_evidence` also knows which of them
 nothing hides, and compares pictures, so that a point counts which no detector finds again.
 
-Whole surfaces are asked for too (`surface_evidence`), and what speaks against a pair counts
-against those that say the same.
+Whole surfaces are asked for too, and what a pair shows by itself (`surface_evidence`). Three
+explanations of each accepted pair are compared: the pose is right; it is that of a copy of the
+place, which shares most of its surfaces; it is that of another place with a similar thing.
 
-Three explanations of each accepted pair are compared: the pose is right; it is that of a copy of
-the place, which shares most of its surfaces; it is that of another place with a similar thing. How
-common each of them is, the folder says itself.
+Panoramas are put together by this, surest first (`place_groups`), so that a pair is judged by what
+is known without it. How many pairs are wrong the folder says itself: where many are, they
+contradict what is surer.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
+from epi360.jobs.graph.place_groups import Groups, put_together
+from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import OWN, surfaces_ratio
 
 Array = NDArray[np.float64]
@@ -40,21 +43,17 @@ _CHANCE = 0.12  # of another thing to look the same
 _SHARES = np.array([1.0, 0.8, 0.65, 0.5, 0.3, 0.1])
 _OF_COPIES = slice(1, 4)
 _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees may be hidden
-_TEMPER = 0.8  # cells are not quite independent
-_MISTRUSTED = -1.0  # a pair with less than this is not asked about others
-# Pairs are right, at copies, elsewhere: what is thought before the folder is seen.
-_PRIOR = np.array([400.0, 0.1, 0.1])
-# Least probability; in ten homes 8 wrong pairs pass 0.975, and 3 this, which costs 2 % of recall.
-_ACCEPTED = 0.9875
+# Evidence says more than it claims, because each kind of it is limited: logistic regression on
+# four homes.
+_STEEPNESS = 1.75
+_CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
+# Pairs that are right and wrong: what is thought before the folder is seen.
+_PRIOR_RIGHT, _PRIOR_WRONG = 30.0, 0.1
+_ACCEPTED = 0.95  # least probability
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
-# Pairs are heard first with all that are not mistrusted, then with those that are this probable.
-_BELIEVED, _NUM_HEARINGS = 0.97, 4
-# Pairs that say the same see much the same things, so only a share of it counts again; and only
-# against them, because triangles confirm pairs already (`loop_check`).
-_SIBLING_SHARE, _SIBLING_LIMITS = 0.5, (-4.0, 0.0)
 _FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MANY_ALIKE = 0.8  # share of the parts; a refusal does not rest on points then
-_MOST_STEPS = 200
+_MOST_STEPS = 300
 
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
 ANOTHER_PLACE, COPY = "shows another place", "may show a copy of the place"
@@ -85,34 +84,28 @@ class PlaceVerdict:
 
 
 def judge_places(
-    images: Sequence[tuple[int, int]], evidence: Sequence[Evidence]
+    pairs: Sequence[PosedPair], evidence: Sequence[Evidence]
 ) -> tuple[PlaceVerdict, ...]:
     """Which accepted pairs the surroundings speak against.
 
-    Pairs witness against each other, so those whose evidence is worst lose their say one by one.
-    What the others say is weighed; and then again, with only those pairs as witnesses that it has
-    found right. What is said last counts: at a panorama all of whose pairs are wrong, they speak
-    for each other until nobody believes them. A pair is refused if its pose is less probable than
-    0.9875. In a folder whose pairs all look right that takes clear evidence against it; in one with
-    many copies, a pair needs some for it.
+    All panoramas are put together first, as far as nothing contradicts: that tells how many pairs
+    are wrong. Then only those are put together that are right with a probability of 0.95, given how
+    many are wrong; and again, with what these say about the folder.
+    In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
+    pair needs some for it.
     """
-    if len(images) == 0:
+    if len(pairs) == 0:
         return ()
-    rates = _RATES
-    for _ in range(2):
-        court = _Court(images, evidence, rates)
-        trusted = court.trusted()
-        rates = court.rates(trusted)
-    own_ratios = [each.own_ratio for each in evidence]
-    believed = trusted
-    for _ in range(_NUM_HEARINGS):
-        heard = [court.all_heard(row, believed) for row in range(len(images))]
-        heard = _with_siblings(heard, evidence, believed)
-        probabilities = _probabilities(heard, own_ratios)
-        believed = probabilities >= _BELIEVED
+    court = _Court(pairs, evidence, _RATES)
+    share_wrong = _share_wrong(court.groups(-np.inf).ratios)
+    groups = court.groups(_least_ratio(share_wrong))
+    share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios)))
+    court = _Court(pairs, evidence, court.rates(groups.joined))
+    groups = court.groups(_least_ratio(share_wrong))
+    probabilities = _probabilities(groups.ratios, share_wrong)
     return tuple(
-        _verdict(each, float(probability))
-        for each, probability in zip(heard, probabilities, strict=True)
+        _verdict(court.heard(row, groups.joined), float(ratio), float(probability))
+        for row, (ratio, probability) in enumerate(zip(groups.ratios, probabilities, strict=True))
     )
 
 
@@ -129,34 +122,48 @@ class _Heard:
         """Log-likelihood ratio of the right pose over any other."""
         return float(self.logs[0] - self.logs[1:].max())
 
+    @property
+    def ratio_over_copies(self) -> float:
+        """Log-likelihood ratio of the right pose over that of a copy of the place."""
+        return float(self.logs[0] - self.logs[_OF_COPIES].max())
+
     def favoured_by(self, ratio: float) -> _Heard:
         """Add evidence for the right pose, as a log-likelihood ratio, against all others."""
         return replace(self, logs=self.logs - np.where(np.arange(len(self.logs)) > 0, ratio, 0.0))
 
 
 class _Court:
-    """Evidence on all pairs, and who is believed."""
+    """Evidence on all pairs."""
 
     def __init__(
-        self, images: Sequence[tuple[int, int]], evidence: Sequence[Evidence], rates: Array
+        self, pairs: Sequence[PosedPair], evidence: Sequence[Evidence], rates: Array
     ) -> None:
-        self.images = images
-        self.sides = [each.sides for each in evidence]
-        self.surfaces = [each.surfaces for each in evidence]
-        self.logs = [tuple(_logs(s, rates, _SHARES) for s in sides) for sides in self.sides]
-        self.at: dict[int, set[int]] = {}
-        for row, pair in enumerate(images):
-            for image in pair:
-                self.at.setdefault(image, set()).add(row)
+        self._pairs = pairs
+        self._evidence = evidence
+        self._logs = [tuple(_logs(s, rates, _SHARES) for s in each.sides) for each in evidence]
+
+    def groups(self, least_ratio: float) -> Groups:
+        """Panoramas that pairs put together, if so much speaks for them."""
+        siblings = [each.siblings for each in self._evidence]
+        return put_together(self._pairs, siblings, self.ratio, least_ratio)
+
+    def ratio(self, row: int, trusted: Mask) -> float:
+        """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
+        heard, own = self.heard(row, trusted), self._evidence[row].own
+        return min(heard.ratio_over_copies + own.over_copies, heard.ratio + own.over_others)
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
-        """What trusted pairs say about one by the points that they know."""
-        sides = self.sides[row]
+        """What trusted pairs say about one, by points and by surfaces."""
+        heard = self._points_heard(row, trusted)
+        return heard.favoured_by(surfaces_ratio(self._evidence[row].surfaces, trusted))
+
+    def _points_heard(self, row: int, trusted: Mask) -> _Heard:
+        sides = self._evidence[row].sides
         heeded = [_must_be_seen(s, trusted) for s in sides]
         cells = np.concatenate([s.cells[kept] for s, kept in zip(sides, heeded, strict=True)])
         found = np.concatenate([s.found[kept] for s, kept in zip(sides, heeded, strict=True)])
         logs = np.concatenate(
-            [all_logs[kept] for all_logs, kept in zip(self.logs[row], heeded, strict=True)]
+            [all_logs[kept] for all_logs, kept in zip(self._logs[row], heeded, strict=True)]
         )
         means = _cell_means(cells, np.column_stack([logs, found]))
         heard = _Heard(means[:, :-1].sum(axis=0), len(means), float(means[:, -1].sum()))
@@ -165,47 +172,16 @@ class _Court:
         one_sided = heard.ratio > 0.0 and min(num_places) < _FEWEST_PLACES
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
-    def all_heard(self, row: int, trusted: Mask) -> _Heard:
-        """What trusted pairs say about one, by points and by surfaces."""
-        heard = self.heard(row, trusted)
-        return heard.favoured_by(surfaces_ratio(self.surfaces[row], trusted))
-
-    def trusted(self) -> Mask:
-        """Pairs that are believed: the worst is left out until none is mistrusted."""
-        trusted = np.ones(len(self.images), dtype=bool)
-        ratios = np.array([self.heard(row, trusted).ratio for row in range(len(trusted))])
-        while True:
-            worst = int(np.argmin(np.where(trusted, ratios, np.inf)))
-            if not trusted[worst] or ratios[worst] >= _MISTRUSTED:
-                return trusted
-            trusted[worst] = False
-            for row in set().union(*(self.at[image] for image in self.images[worst])):
-                if trusted[row]:
-                    ratios[row] = self.heard(row, trusted).ratio
-
     def rates(self, trusted: Mask) -> Array:
         """Share of the visible points that trusted pairs find, by class of the view change."""
         counts, found = np.full(len(_RATES), _RATE_WEIGHT), _RATES * _RATE_WEIGHT
-        for row in np.flatnonzero(trusted):
-            for s in self.sides[row]:
+        for row in np.flatnonzero(trusted).tolist():
+            for s in self._evidence[row].sides:
                 kept = _must_be_seen(s, trusted)
                 counts += np.bincount(s.changes[kept], minlength=len(_RATES))
                 found += np.bincount(s.changes[kept], s.found[kept], minlength=len(_RATES))
         rates: Array = np.clip(found / counts, _RATES - _LOWER, _RATES + _HIGHER)
         return rates
-
-
-def _with_siblings(
-    heard: Sequence[_Heard], evidence: Sequence[Evidence], believed: Mask
-) -> list[_Heard]:
-    """What is said against pairs that say the same counts against each of them."""
-    ratios = np.array([h.ratio + e.own_ratio for h, e in zip(heard, evidence, strict=True)])
-    told = []
-    for each, of in zip(heard, evidence, strict=True):
-        rows = sorted({sibling.pair for sibling in of.siblings if believed[sibling.via]})
-        ratio = float(np.clip(_SIBLING_SHARE * ratios[rows].sum(), *_SIBLING_LIMITS))
-        told.append(each.favoured_by(ratio))
-    return told
 
 
 def _must_be_seen(sightings: Sightings, trusted: Mask) -> Mask:
@@ -236,34 +212,47 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
     return np.stack(means, axis=1) if len(counts) else np.zeros((0, values.shape[1]))
 
 
-def _probabilities(heard: Sequence[_Heard], own_ratios: Sequence[float]) -> Array:
-    """Probability of each pose; how common copies are is estimated along (EM)."""
-    copies = np.array([each.logs[_OF_COPIES].max() - each.logs[0] for each in heard])
-    elsewhere = np.array([-each.ratio for each in heard]) - np.array(own_ratios)
-    logs = _TEMPER * np.stack([np.zeros(len(heard)), copies, elsewhere], axis=1)
-    common = _PRIOR / _PRIOR.sum()
+def _share_wrong(ratios: Array) -> float:
+    """Share of the pairs of a folder that are wrong, by the ratios of all (EM)."""
+    share = _PRIOR_WRONG / _PRIOR_RIGHT
     for _ in range(_MOST_STEPS):
-        weighted = logs + np.log(common)
-        odds = np.exp(weighted - weighted.max(axis=1, keepdims=True))
-        posterior = odds / odds.sum(axis=1, keepdims=True)
-        updated = (posterior.sum(axis=0) + _PRIOR) / (len(heard) + _PRIOR.sum())
-        if np.abs(updated - common).max() < 1e-6:
+        wrong = float(np.sum(1 - _probabilities(ratios, share, _CLEARLY)))
+        updated = (wrong + _PRIOR_WRONG) / (len(ratios) + _PRIOR_RIGHT)
+        if abs(updated - share) < 1e-6:
             break
-        common = updated
-    probabilities: Array = posterior[:, 0]
-    return probabilities
+        share = updated
+    return share
 
 
-def _verdict(heard: _Heard, probability: float) -> PlaceVerdict:
+def _least_ratio(share_wrong: float) -> float:
+    """Ratio of a pair that is just accepted."""
+    return float((_log_odds(_ACCEPTED) - _log_odds(1 - share_wrong)) / _STEEPNESS)
+
+
+def _probabilities(
+    ratios: Array, share_wrong: float, limits: tuple[float, float] = (-30.0, 30.0)
+) -> Array:
+    """Probability of each pose; 0 of those that contradict the groups."""
+    odds = _STEEPNESS * np.clip(ratios, *limits) + _log_odds(1 - share_wrong)
+    return np.asarray(np.where(np.isneginf(ratios), 0.0, 1 / (1 + np.exp(-odds))))
+
+
+def _log_odds(probability: float) -> float:
+    return float(np.log(probability / (1 - probability)))
+
+
+def _verdict(heard: _Heard, ratio: float, probability: float) -> PlaceVerdict:
     share = heard.num_alike / heard.num_places if heard.num_places else np.nan
     refused = ""
     if probability < _ACCEPTED:
-        refused = _refusal(heard)
+        refused = _refusal(heard, ratio)
     return PlaceVerdict(probability, share, heard.num_places, refused)
 
 
-def _refusal(heard: _Heard) -> str:
+def _refusal(heard: _Heard, ratio: float) -> str:
     """Why a pair is not accepted; what stands before the comma is what summaries count."""
+    if np.isneginf(ratio):
+        return f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise"
     if heard.ratio >= 0.0:
         return (
             f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "

@@ -22,10 +22,10 @@ from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_be
 from epi360.jobs.graph.surface_evidence import (
     OWN,
     KnownView,
+    OwnEvidence,
     Sibling,
     SurfaceSightings,
     SurfaceWitnesses,
-    own_ratio,
 )
 
 Array = NDArray[np.float64]
@@ -79,13 +79,13 @@ class Sightings:
 class Evidence:
     """What was looked for from both sides of a pair: points, and whole surfaces.
 
-    ``own_ratio`` is the log-likelihood ratio of the pose by what the pair shows by itself;
-    ``siblings`` are wrong with it. Where surfaces were not asked for there are none.
+    ``own`` is what the pair shows by itself; ``siblings`` are right or wrong with it. Where
+    surfaces were not asked for there are none.
     """
 
     sides: tuple[Sightings, Sightings]
     surfaces: tuple[SurfaceSightings, ...] = ()
-    own_ratio: float = 0.0
+    own: OwnEvidence = OwnEvidence()
     siblings: tuple[Sibling, ...] = ()
 
 
@@ -118,7 +118,7 @@ class Surroundings:
             at.setdefault(pairs[row].images[side], []).append((row, side))
         return cls(pairs, clouds, at, panorama_of)
 
-    def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], float]:
+    def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], OwnEvidence]:
         """What the surfaces that a pair shares say about its views, and about itself."""
         pair = self.pairs[row]
         panoramas = [self.panorama_of(image) for image in pair.images]
@@ -135,7 +135,7 @@ class Surroundings:
             KnownView.of(first, pair.other_from(0)),
             KnownView.of(second, pair.other_from(1)),
         )
-        return views, own_ratio(pair, (first, second))
+        return views, OwnEvidence.of(pair, (first, second))
 
     def of_points(self, row: int) -> Evidence:
         """Look for points that are known of the views of a pair."""
@@ -146,14 +146,14 @@ class Surroundings:
         return Evidence((first, second))
 
     def with_surfaces(
-        self, row: int, points: Evidence, known: SurfaceWitnesses, own_ratio: float
+        self, row: int, points: Evidence, known: SurfaceWitnesses, own: OwnEvidence
     ) -> Evidence:
         """Look for surfaces that are known of the views of a pair as well."""
         panoramas = [self.panorama_of(image) for image in self.pairs[row].images]
         surfaces = tuple(
             known.sightings(row, side, panoramas[side], panoramas[1 - side]) for side in (0, 1)
         )
-        return Evidence(points.sides, surfaces, own_ratio, known.siblings(row))
+        return Evidence(points.sides, surfaces, own, known.siblings(row))
 
     def _known(self, row: int, side: int) -> dict[int, Cloud]:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""

@@ -66,11 +66,23 @@ _IF_OTHER = np.array(
     ]
 )
 _RATIOS = np.log(_IF_SAME / _IF_OTHER)
-# Logistic regression of right pairs of one room, and of others but copies, on what a pair shows by
-# itself: logarithms of the smaller and the larger number of cells found, and of the share of cells
-# that differ where they are expected, up to 45 and up to 20 degrees of view change.
-_OWN_COEFFICIENTS, _OWN_CONSTANT = np.array([-1.04, 4.20, -1.93, -1.39]), -27.56
-_OWN_LIMITS = (-2.0, 8.0)  # photographed tours grow less than rendered ones, and are right
+# Logistic regressions on what a pair shows by itself: logarithms of the smaller and the larger
+# number of cells found, and of the share of cells that differ where they are expected, up to 45
+# and up to 20 degrees of view change. Of right pairs of one room and pairs of different rooms; and,
+# with all products, around a mean, of right pairs and pairs of copies of a room.
+_OVER_OTHERS, _OVER_OTHERS_CONSTANT = np.array([-1.04, 4.20, -1.93, -1.39]), -27.56
+_OVER_COPIES, _OVER_COPIES_CONSTANT = np.array([-0.70, -2.44, -2.72, -0.76]), 0.57
+_OVER_COPIES_MEAN = np.array([6.5, 6.7, -1.9, -2.1])
+_OVER_COPIES_PRODUCTS = np.array(
+    [
+        [0.36, -0.17, -1.46, -1.16],
+        [0.0, -1.37, -1.21, -0.81],
+        [0.0, 0.0, 0.83, 0.45],
+        [0.0, 0.0, 0.0, 0.35],
+    ]
+)
+# Photographed tours grow less than rendered ones, and are right: this speaks for a pair only.
+_MOST_OVER_OTHERS, _MOST_OVER_COPIES = 8.0, 5.0
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 # Cells of one part of a view are not independent: so many of them tell as much as all.
 _FEWEST_CELLS, _MOST_INDEPENDENT, _LARGEST_RATIO = 2, 3.0, 5.0
@@ -78,7 +90,7 @@ _FEWEST_PLACES = 4  # parts of either view, before they say anything
 # Shares of the parts that are the same: nearly all if the pose is right. Things that move and wrong
 # depths speak against right pairs too, so that surfaces may not decide alone.
 _SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
-_LIMITS = (-3.0, 6.0)
+_LIMITS = (-1.0, 6.0)
 # Poses of siblings agree to this; a step shorter than this share of the baseline says nothing.
 _ROTATIONS_AGREE_DEG, _DIRECTIONS_AGREE_DEG, _SHORTEST_STEP = 2.5, 6.0, 0.2
 
@@ -148,16 +160,34 @@ class SurfaceSightings:
     hidden: NDArray[np.int8]
 
 
-def own_ratio(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> float:
-    """Log-likelihood ratio of a pose over that of another place with a similar thing."""
-    found = sorted(int(np.count_nonzero(view.found)) for view in views)
-    shares = []
-    for largest_deg in (45.0, 20.0):
-        counts = [_expected(pair, side, views, largest_deg) for side in (0, 1)]
-        differ, seen = np.sum(counts, axis=0)
-        shares.append((differ + 3) / (seen + 30))
-    logs = np.log([found[0] + 20, found[1] + 20, *shares])
-    return float(np.clip(_OWN_COEFFICIENTS @ logs + _OWN_CONSTANT, *_OWN_LIMITS))
+@dataclass(frozen=True)
+class OwnEvidence:
+    """Log-likelihood ratios of a pose by what the pair shows by itself.
+
+    Over that of another place with a similar thing, and over that of a copy of the place.
+    """
+
+    over_others: float = 0.0
+    over_copies: float = 0.0
+
+    @classmethod
+    def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
+        """Of a right pair much of both views grows, and little differs within that."""
+        found = sorted(int(np.count_nonzero(view.found)) for view in views)
+        shares = []
+        for largest_deg in (45.0, 20.0):
+            counts = [_expected(pair, side, views, largest_deg) for side in (0, 1)]
+            differ, seen = np.sum(counts, axis=0)
+            shares.append((differ + 3) / (seen + 30))
+        logs = np.log([found[0] + 20, found[1] + 20, *shares])
+        centred = logs - _OVER_COPIES_MEAN
+        over_others = _OVER_OTHERS @ logs + _OVER_OTHERS_CONSTANT
+        over_copies = (_OVER_COPIES + centred @ _OVER_COPIES_PRODUCTS) @ centred
+        over_copies += _OVER_COPIES_CONSTANT
+        return cls(
+            float(np.clip(over_others, 0.0, _MOST_OVER_OTHERS)),
+            float(np.clip(over_copies, 0.0, _MOST_OVER_COPIES)),
+        )
 
 
 def _expected(

@@ -60,12 +60,11 @@ def _judged(
     job: MatchJob, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
     """Verdicts by points; where these refuse a pair, by surfaces too, which cost much more."""
-    images = [pair.images for pair in known.pairs]
-    verdicts = judge_places(images, points)
+    verdicts = judge_places(known.pairs, points)
     if not any(verdict.refused for verdict in verdicts):
         return verdicts
-    grown = _of_each(job, known.grown, range(len(images)))
-    if len(grown) < len(images):
+    grown = _of_each(job, known.grown, range(len(points)))
+    if len(grown) < len(points):
         return verdicts
     views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
     witnesses = SurfaceWitnesses.of(known.pairs, views)
@@ -73,10 +72,10 @@ def _judged(
     def look(row: int) -> Evidence:
         return known.with_surfaces(row, points[row], witnesses, grown[row][1])
 
-    found = _of_each(job, look, range(len(images)))
-    if len(found) < len(images):
+    found = _of_each(job, look, range(len(points)))
+    if len(found) < len(points):
         return verdicts
-    return judge_places(images, [found[row] for row in range(len(images))])
+    return judge_places(known.pairs, [found[row] for row in range(len(points))])
 
 
 def _of_each(job: MatchJob, look: Callable[[int], Found], rows: Sequence[int]) -> dict[int, Found]:

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Panoramas of one place, put together pair by pair, surest first.
+
+A pair of two copies of a room has matched what both have, so what it knows is found in both again,
+and it witnesses for all other pairs that take them for one room. What pairs within one copy know
+is not. So panoramas are put together to groups, as in agglomerative clustering, and whether two
+groups belong together is decided by what pairs within each of them know. All pairs that say the
+same about two groups are right or wrong together, and are weighed together; those that say
+something else contradict them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.surface_evidence import Sibling
+from epi360.poses import rotation_error_deg
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+GroupPair = tuple[int, int]
+
+# What pairs say that agree is not independent: their correlation.
+_CORRELATION = 0.15
+# A poor pose among good ones says no more against a claim than this, and is not heard about others.
+_LEAST_OF_ONE = -3.0
+# Pairs contradict a group if they turn a camera by more than this, and more than is not known.
+_AGREES_DEG, _LEAST_SIGMA_DEG, _NUM_SIGMAS = 5.0, 0.5, 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """How pairs put panoramas together.
+
+    ``joined`` (N,) are the pairs that the groups rest on. ``ratios`` (N,) are log-likelihood ratios
+    of each pair being right, together with those that say the same; minus infinity for what
+    contradicts the groups.
+    """
+
+    joined: Mask
+    ratios: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Claim:
+    """Pairs that say the same about two groups, and how the second is turned in the first."""
+
+    rows: Sequence[int]
+    ratio: float
+    turn: Array
+    variance: float
+
+
+def put_together(
+    pairs: Sequence[PosedPair],
+    siblings: Sequence[Sequence[Sibling]],
+    ratio_of: Callable[[int, Mask], float],
+    least_ratio: float,
+) -> Groups:
+    """Join groups by the claim that most speaks for, until nothing speaks enough for any.
+
+    ``siblings`` are the pairs that say the same as each if a third one is right. ``ratio_of`` gives
+    a pair's log-likelihood ratio by what the joined pairs of a mask know.
+    """
+    assembly = _Assembly(pairs, siblings, ratio_of, least_ratio)
+    while assembly.join_surest():
+        pass
+    return assembly.result()
+
+
+class _Assembly:
+    """Groups while they grow; each is named by its first panorama."""
+
+    def __init__(
+        self,
+        pairs: Sequence[PosedPair],
+        siblings: Sequence[Sequence[Sibling]],
+        ratio_of: Callable[[int, Mask], float],
+        least_ratio: float,
+    ) -> None:
+        self._pairs, self._siblings = pairs, siblings
+        self._ratio_of, self._least = ratio_of, least_ratio
+        self._joined = np.zeros(len(pairs), dtype=bool)
+        self._said = np.full(len(pairs), np.nan)
+        self._ratios = np.full(len(pairs), np.nan)  # NaN: joined pairs have changed since
+        images = sorted({image for pair in pairs for image in pair.images})
+        self._group_of = {image: image for image in images}
+        self._members = {image: [image] for image in images}
+        self._turns: dict[int, Array] = {image: np.eye(3) for image in images}  # from the group
+        self._variances = dict.fromkeys(images, 0.0)
+        self._rows_at: dict[int, list[int]] = {image: [] for image in images}
+        self._between: dict[GroupPair, list[int]] = {}
+        for row, pair in enumerate(pairs):
+            for image in pair.images:
+                self._rows_at[image].append(row)
+            self._between.setdefault(self._groups_of(row), []).append(row)
+        self._inside: list[int] = self._between.pop((-1, -1), [])
+        self._claims = {groups: self._claims_of(groups) for groups in self._between}
+
+    def join_surest(self) -> bool:
+        """Join the two groups that most speaks for; False if that is too little."""
+        heard = ((claim, groups) for groups, told in self._claims.items() for claim in told)
+        surest = max(heard, key=lambda each: each[0].ratio, default=None)
+        if surest is None or surest[0].ratio < self._least:
+            return False
+        self._join(*surest)
+        return True
+
+    def result(self) -> Groups:
+        """What has been joined, and what is said about all pairs."""
+        for claims in self._claims.values():
+            for claim in claims:
+                self._said[list(claim.rows)] = claim.ratio
+        return Groups(self._joined, self._said)
+
+    def _join(self, claim: _Claim, groups: GroupPair) -> None:
+        first, second = groups
+        for image in self._members[second]:
+            self._group_of[image] = first
+            self._turns[image] = self._turns[image] @ claim.turn
+            self._variances[image] += claim.variance
+        self._members[first] += self._members.pop(second)
+        self._said[list(claim.rows)] = claim.ratio
+        sound = [row for row in claim.rows if self._ratio(row) >= _LEAST_OF_ONE]
+        inside = self._between.pop(groups)
+        del self._claims[groups]
+        self._inside += [row for row in inside if row not in set(claim.rows)]
+        stale = {self._groups_of(row) for row in self._let_in(sound)}
+        stale |= self._renamed(second)
+        stale |= self._settle_inside()
+        for each in stale & self._between.keys():
+            self._claims[each] = self._claims_of(each)
+
+    def _renamed(self, second: int) -> set[GroupPair]:
+        """Move what stands between a group that is gone and others; return where to."""
+        moved = [groups for groups in self._between if second in groups]
+        rows = [row for groups in moved for row in self._between.pop(groups)]
+        for groups in moved:
+            del self._claims[groups]
+        for row in rows:
+            self._between.setdefault(self._groups_of(row), []).append(row)
+        return {self._groups_of(row) for row in rows}
+
+    def _settle_inside(self) -> set[GroupPair]:
+        """Let in what agrees with its group and is sure enough; return where that is heard."""
+        changed: set[GroupPair] = set()
+        while True:
+            sure = []
+            for row in [
+                row for row in self._inside if np.isnan(self._ratios[row] + self._said[row])
+            ]:
+                if self._contradicts(row):
+                    self._inside.remove(row)
+                    self._said[row] = -np.inf
+                    continue
+                self._said[row] = self._ratio(row)
+                if self._said[row] >= self._least:
+                    sure.append(row)
+            if not sure:
+                return changed
+            self._inside = [row for row in self._inside if row not in set(sure)]
+            changed |= {self._groups_of(row) for row in self._let_in(sure)}
+
+    def _let_in(self, rows: Sequence[int]) -> set[int]:
+        """From now on these pairs are heard; return all that they are heard about."""
+        self._joined[rows] = True
+        images = {image for row in rows for image in self._pairs[row].images}
+        heard = {row for image in images for row in self._rows_at[image]}
+        self._ratios[list(heard)] = np.nan
+        return heard
+
+    def _groups_of(self, row: int) -> GroupPair:
+        """Both groups of a pair, in order; (-1, -1) if it lies within one."""
+        first, second = (self._group_of[image] for image in self._pairs[row].images)
+        return (min(first, second), max(first, second)) if first != second else (-1, -1)
+
+    def _ratio(self, row: int) -> float:
+        if np.isnan(self._ratios[row]):
+            self._ratios[row] = self._ratio_of(row, self._joined)
+        return float(self._ratios[row])
+
+    def _turn(self, row: int) -> Array:
+        """Rotation from the first group of a pair to the second, as the pair says."""
+        first, second = self._pairs[row].images
+        turn = self._turns[second].T @ self._pairs[row].cam2_from_cam1.rotation @ self._turns[first]
+        return turn if self._group_of[first] <= self._group_of[second] else turn.T
+
+    def _variance(self, row: int) -> float:
+        """Variance of that rotation, in square degrees."""
+        sigma = max(self._pairs[row].rotation_sigma_deg, _LEAST_SIGMA_DEG)
+        return sigma**2 + sum(self._variances[image] for image in self._pairs[row].images)
+
+    def _contradicts(self, row: int) -> bool:
+        limit = _AGREES_DEG + _NUM_SIGMAS * self._variance(row) ** 0.5
+        return bool(rotation_error_deg(self._turn(row), np.eye(3)) > limit)
+
+    def _claims_of(self, groups: GroupPair) -> list[_Claim]:
+        """Pairs between two groups, sorted by what they say."""
+        rows = self._between[groups]
+        claims = []
+        for same in _linked(rows, self._links_among(rows)):
+            ratios = [self._ratio(row) for row in same]
+            surest = same[int(np.argmax(ratios))]
+            claims.append(
+                _Claim(same, _together(ratios), self._turn(surest), self._variance(surest))
+            )
+        return claims
+
+    def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:
+        """Pairs of rows that say the same, as joined pairs tell."""
+        among = set(rows)
+        for row in rows:
+            for sibling in self._siblings[row]:
+                if sibling.pair in among and self._joined[sibling.via]:
+                    yield row, sibling.pair
+
+
+def _together(ratios: Sequence[float]) -> float:
+    """What pairs that say the same say together."""
+    count = len(ratios)
+    mean = float(np.mean(np.maximum(ratios, _LEAST_OF_ONE)))
+    return mean * count / (1 + _CORRELATION * (count - 1))
+
+
+def _linked(rows: Sequence[int], links: Iterable[tuple[int, int]]) -> list[list[int]]:
+    """Rows in sets that links connect."""
+    set_of = {row: [row] for row in rows}
+    for first, second in links:
+        if set_of[first] is not set_of[second]:
+            merged = set_of[first] + set_of[second]
+            set_of.update(dict.fromkeys(merged, merged))
+    return list({id(each): sorted(each) for each in set_of.values()}.values())
