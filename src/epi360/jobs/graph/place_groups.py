@@ -115,7 +115,8 @@ class _Assembly:
         """What has been joined, and what is said about all pairs."""
         for claims in self._claims.values():
             for claim in claims:
-                self._said[list(claim.rows)] = claim.ratio
+                for row in claim.rows:
+                    self._said[row] = min(claim.ratio, self._ratio(row))
         return Groups(self._joined, self._said)
 
     def _join(self, claim: _Claim, groups: GroupPair) -> None:
