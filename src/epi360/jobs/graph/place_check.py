@@ -97,9 +97,11 @@ def judge_places(
     if len(pairs) == 0:
         return ()
     court = _Court(pairs, evidence, _RATES)
-    share_wrong = _share_wrong(court.groups(-np.inf).ratios)
-    groups = court.groups(_least_ratio(share_wrong))
-    share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios)))
+    groups = court.groups(-np.inf)
+    share_wrong = _share_wrong(groups.ratios)
+    if groups.ratios.min() < _least_ratio(share_wrong):
+        groups = court.groups(_least_ratio(share_wrong))
+        share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios)))
     court = _Court(pairs, evidence, court.rates(groups.joined))
     groups = court.groups(_least_ratio(share_wrong))
     probabilities = _probabilities(groups.ratios, share_wrong)
