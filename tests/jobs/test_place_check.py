@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from epi360.jobs.graph.own_evidence import OwnEvidence
 from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.shared_points import PosedPair
@@ -15,7 +16,6 @@ from epi360.jobs.graph.surface_evidence import (
     OWN,
     UNKNOWN,
     VISIBLE,
-    OwnEvidence,
     SurfaceSightings,
     surfaces_ratio,
 )

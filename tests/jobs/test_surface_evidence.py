@@ -91,12 +91,16 @@ def test_nobody_is_asked_who_is_not_believed():
 
 
 def test_pairs_of_a_triangle_that_closes_say_the_same():
-    _, _, witnesses = right_room()
-    assert set(witnesses.siblings(0)) == {Sibling(1, 2), Sibling(2, 1)}
+    known, grown, witnesses = right_room()
+    evidence = known.with_surfaces(0, known.of_points(0), witnesses, grown[0][1])
+    assert set(evidence.siblings) == {Sibling(1, 2), Sibling(2, 1)}
 
 
 def test_pairs_of_a_triangle_that_is_open_do_not():
     pairs = [posed_pair(0, 1, TURNED), posed_pair(0, 2), posed_pair(1, 2)]
     known = surroundings(pairs)
-    views = {(row, side): known.grown(row)[0][side] for row in range(3) for side in (0, 1)}
-    assert SurfaceWitnesses.of(pairs, views).siblings(0) == ()
+    grown = [known.grown(row) for row in range(3)]
+    views = {(row, side): both[side] for row, (both, _) in enumerate(grown) for side in (0, 1)}
+    witnesses = SurfaceWitnesses.of(pairs, views)
+    evidence = known.with_surfaces(0, known.of_points(0), witnesses, grown[0][1])
+    assert evidence.siblings == ()

@@ -58,6 +58,30 @@ def grid() -> Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class SeenCells:
+    """Cells of one view at some depths, as the other camera sees them.
+
+    ``points`` (N, 3) are in its frame, ``ranges`` and ``directions`` theirs there, ``changes_deg``
+    the angles between both rays.
+    """
+
+    points: Array
+    ranges: Array
+    directions: Array
+    changes_deg: Array
+
+    @classmethod
+    def of(cls, pose: Pose, cells: Indices, depths: NDArray[np.floating]) -> SeenCells:
+        """Place cells (N,) of a camera at depths (N,); the pose leads from it to the other."""
+        rays = grid().directions[cells].astype(np.float64) @ pose.rotation.T
+        points = depths[:, None] * rays + pose.translation
+        ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
+        directions = points / ranges[:, None]
+        cosines = np.clip(np.sum(directions * rays, axis=1), -1, 1)
+        return cls(points, ranges, directions, np.degrees(np.arccos(cosines)))
+
+
+@dataclass(frozen=True, eq=False)
 class SharedSurfaces:
     """What one of two panoramas shows of the other's surroundings, for each cell of `grid`.
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, put_together
 from epi360.jobs.graph.shared_points import PosedPair
-from epi360.jobs.graph.surface_evidence import OWN, surfaces_ratio
+from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -51,7 +51,6 @@ _CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
 _PRIOR_RIGHT, _PRIOR_WRONG = 30.0, 0.1
 _ACCEPTED = 0.95  # least probability
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
-_FEWEST_PLACES = 4  # of either view that must look the same before anything speaks for a pair
 _MANY_ALIKE = 0.8  # share of the parts; a refusal does not rest on points then
 _MOST_STEPS = 300
 
@@ -171,7 +170,7 @@ class _Court:
         heard = _Heard(means[:, :-1].sum(axis=0), len(means), float(means[:, -1].sum()))
         num_places = [len(np.unique(s.cells[kept])) for s, kept in zip(sides, heeded, strict=True)]
         # A door that one camera knows well matches all doors of its kind.
-        one_sided = heard.ratio > 0.0 and min(num_places) < _FEWEST_PLACES
+        one_sided = heard.ratio > 0.0 and min(num_places) < FEWEST_PARTS
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
     def rates(self, trusted: Mask) -> Array:

@@ -15,14 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from epi360.features.shared_surfaces import grow_surfaces
-from epi360.features.sphere_cells import SphereCells
+from epi360.features.shared_surfaces import LEAST_CONTRAST, grow_surfaces
 from epi360.features.warped_patches import Panorama, likeness
-from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_between
+from epi360.jobs.graph.own_evidence import OwnEvidence
+from epi360.jobs.graph.shared_points import (
+    MOST_WITNESSES,
+    PLACE_SIGMA_DEG,
+    Cloud,
+    PosedPair,
+    cloud_of,
+    place_sigmas_deg,
+    scale_between,
+)
 from epi360.jobs.graph.surface_evidence import (
     OWN,
+    PARTS,
     KnownView,
-    OwnEvidence,
     Sibling,
     SurfaceSightings,
     SurfaceWitnesses,
@@ -33,16 +41,11 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 _NOBODY = np.empty(0, dtype=np.int64)
-_CELLS = SphereCells(183)  # of 15 degrees: what lies in one is one witness
 _FOUND = 0.7  # likeness of what is the same
-_LEAST_CONTRAST = 4.0  # grey values; less than that is a bare wall
 _VIEW_CHANGES_DEG = (20.0, 45.0)  # points are classed by the angle between both rays
-_MOST_WITNESSES = 12  # pairs that are asked at either end
 _MOST_POINTS, _MOST_OF_ONE = 240, 40  # that are looked for from one side, in all and of one witness
 _FEWEST_POINTS = 15  # of a pair that is asked
 _LEAST_PARALLAX_DEG, _LEAST_OWN_PARALLAX_DEG = 1.5, 0.5
-# A point counts if it is known to this where in the view it must be.
-_PLACE_SIGMA_DEG = 0.5
 _ABOUT_DEG, _NUM_ABOUT = 5.0, 7  # the distance that a camera sees somewhere is that of points near
 
 
@@ -150,10 +153,8 @@ class Surroundings:
     ) -> Evidence:
         """Look for surfaces that are known of the views of a pair as well."""
         panoramas = [self.panorama_of(image) for image in self.pairs[row].images]
-        surfaces = tuple(
-            known.sightings(row, side, panoramas[side], panoramas[1 - side]) for side in (0, 1)
-        )
-        return Evidence(points.sides, surfaces, own, known.siblings(row))
+        surfaces, siblings = known.asked(row, panoramas)
+        return Evidence(points.sides, surfaces, own, siblings)
 
     def _known(self, row: int, side: int) -> dict[int, Cloud]:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""
@@ -166,7 +167,7 @@ class Surroundings:
             scale = scale_between(own, cloud)
             if scale is not None:
                 known[other] = cloud.scaled(*scale)
-            if len(known) == _MOST_WITNESSES:
+            if len(known) == MOST_WITNESSES:
                 break
         return {**known, OWN: own}
 
@@ -193,21 +194,11 @@ class Surroundings:
 
     def _placed(self, row: int, side: int, cloud: Cloud, most: int) -> Indices:
         """Rows of some points whose place in the other view is known well enough."""
-        sigmas = self._place_sigmas(row, side, cloud.points, cloud.log_sigmas)
-        (good,) = np.nonzero(sigmas < _PLACE_SIGMA_DEG)
+        pair, pose = self.pairs[row], self.pairs[row].other_from(side)
+        seen = cloud.points @ pose.rotation.T + pose.translation
+        sigmas = place_sigmas_deg(pair, side, seen, cloud.log_sigmas)
+        (good,) = np.nonzero(sigmas < PLACE_SIGMA_DEG)
         return _some(good, most)
-
-    def _place_sigmas(
-        self, row: int, side: int, points: Array, log_sigmas: float | Array = 0.0
-    ) -> Array:
-        """How well the place of points in the other view is known, in degrees; NaN if not."""
-        pair = self.pairs[row]
-        pose = pair.other_from(side)
-        seen = points @ pose.rotation.T + pose.translation
-        ranges = np.maximum(np.linalg.norm(seen, axis=1), 1e-9)
-        across = np.linalg.norm(np.cross(seen, pose.translation), axis=1) / ranges**2
-        sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
-        return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))
 
 
 def _looked_for(
@@ -230,13 +221,13 @@ def _looked_for(
     planes /= np.maximum(np.linalg.norm(planes, axis=2, keepdims=True), 1e-9)
     alike, contrasts = likeness(first, second, points, pose, planes)
     cosines = np.clip(np.sum(directions * backward, axis=1), -1, 1)
-    kept = contrasts > _LEAST_CONTRAST
+    kept = contrasts > LEAST_CONTRAST
     sources = np.array(list(there), dtype=np.int64)
     seen = points[kept] @ pose.rotation.T + pose.translation
     beyond = [log_beyond(seen, cloud) for cloud in there.values()]
     return Sightings(
         witnesses[kept],
-        _CELLS.indices(directions[kept]) + side * len(_CELLS),
+        PARTS.indices(directions[kept]) + side * len(PARTS),
         np.digitize(np.degrees(np.arccos(cosines[kept])), _VIEW_CHANGES_DEG),
         alike[kept] > _FOUND,
         sources,

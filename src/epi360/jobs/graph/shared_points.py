@@ -19,8 +19,9 @@ _LEAST_NOISE_DEG = 0.05
 # Two pairs share the scale by so many key points, or by so many points in about one direction.
 _FEWEST_SHARED, _FEWEST_NEAR, _NEAR_DEG = 4, 8, 3.0
 _FEWEST_POINTS = 6
-_LARGEST_SCALE_SIGMA = 0.15
-_LEAST_SCALE_SIGMA = 0.005
+_LARGEST_SCALE_SIGMA, _LEAST_SCALE_SIGMA = 0.15, 0.005
+MOST_WITNESSES = 12  # pairs that are asked at either end
+PLACE_SIGMA_DEG = 0.5  # what is looked for in another view has a place that is known to this
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +98,29 @@ def scale_between(own: Cloud, other: Cloud) -> tuple[float, float] | None:
             return None
         rows = nearest[others]
         num_witnesses = len(np.unique(rows))
-    ratios = log_own[rows] - log_other[others]
-    middle = float(np.median(ratios))
-    scatter = 1.4826 * float(np.median(np.abs(ratios - middle)))
-    sigma = max(1.2533 * scatter / num_witnesses**0.5, _LEAST_SCALE_SIGMA)  # of a median
-    return (float(np.exp(middle)), sigma) if sigma < _LARGEST_SCALE_SIGMA else None
+    found = scale_of(log_own[rows] - log_other[others], num_witnesses)
+    return None if found is None else (float(np.exp(found[0])), found[1])
+
+
+def scale_of(log_ratios: Array, num_witnesses: float) -> tuple[float, float] | None:
+    """Median of the logarithms of ratios of distances, and its standard deviation.
+
+    As many of them are independent as ``num_witnesses`` says. None where it is not known well.
+    """
+    middle = float(np.median(log_ratios))
+    scatter = 1.4826 * float(np.median(np.abs(log_ratios - middle)))
+    sigma = max(1.2533 * scatter / num_witnesses**0.5, _LEAST_SCALE_SIGMA)
+    return (middle, sigma) if sigma < _LARGEST_SCALE_SIGMA else None
+
+
+def place_sigmas_deg(pair: PosedPair, side: int, seen: Array, log_sigmas: Array) -> Array:
+    """How well the places of points in the view of the other camera than that of a side are known.
+
+    ``seen`` (N, 3) are the points in the frame of that other camera, ``log_sigmas`` the standard
+    deviations of the logarithms of their distances from the camera of the side.
+    """
+    ranges = np.maximum(np.linalg.norm(seen, axis=1), 1e-9)
+    baseline = pair.other_from(side).translation
+    across = np.linalg.norm(np.cross(seen, baseline), axis=1) / ranges**2
+    sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
+    return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the surfaces that pairs share say about other pairs, and about themselves.
+"""What the surfaces that pairs share say about other pairs.
 
 `place_evidence` asks for points that pairs matched; here whole surfaces are asked for, which grow
-from these points (`features.shared_surfaces`). Much more of both views has a say, and a pair
-speaks for itself: of a wrong one little grows, and what grows has holes.
+from these points (`features.shared_surfaces`), so that much more of both views has a say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -16,15 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.features.shared_surfaces import (
-    LEAST_CONTRAST,
     NUM_CELLS,
+    SeenCells,
     SharedSurfaces,
     grid,
     likeness_of,
 )
 from epi360.features.sphere_cells import SphereCells
 from epi360.features.warped_patches import Panorama
-from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.shared_points import (
+    MOST_WITNESSES,
+    PLACE_SIGMA_DEG,
+    PosedPair,
+    place_sigmas_deg,
+    scale_of,
+)
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
@@ -33,15 +38,14 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 OWN = -1  # the pair itself, as a source of depths
+PARTS = SphereCells(183)  # of a view, of 15 degrees: what lies in one is one witness
+FEWEST_PARTS = 4  # of either view, before anything speaks for a pair
 HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
-_MOST_WITNESSES = 12  # pairs that are asked at either end
 _MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
 _MOST_OF_ONE = 500  # of one witness
 _FEWEST_SHARED = 12  # cells that put two pairs into one scale
-_LARGEST_SCALE_SIGMA, _LEAST_SCALE_SIGMA = 0.15, 0.005
 _NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
 _DEPTH_NOISE_DEG, _LEAST_PARALLAX_DEG = 0.15, 2.0
-_PLACE_SIGMA_DEG = 0.5  # as for points
 # A surface is sure if it is this alike, and if so many of its neighbours lie at its depth.
 _SURE, _FEWEST_BESIDE, _ONE_SURFACE = 0.9, 3, 0.15
 _NUM_NEAR, _FEWEST_NEAR = 8, 5  # cells that say how far the other camera sees in a direction
@@ -66,34 +70,8 @@ _IF_OTHER = np.array(
     ]
 )
 _RATIOS = np.log(_IF_SAME / _IF_OTHER)
-# What a pair shows by itself: logarithms of the larger number of cells found in either view, and of
-# the share of cells that differ where they are expected, up to 45 and up to 20 degrees of view
-# change. Mean and covariance over right pairs of one room (183), right pairs through a door (97),
-# pairs of copies of a room (127) and of different rooms (414) of four rendered homes. Each variance
-# is larger by 0.01, for other homes are different.
-_OF_ROOMS = (
-    np.array([7.68, -2.66, -3.28]),
-    np.array([[0.117, -0.100, -0.161], [-0.100, 0.181, 0.233], [-0.161, 0.233, 0.474]]),
-)
-_OF_DOORS = (
-    np.array([6.74, -1.94, -2.00]),
-    np.array([[0.155, -0.074, -0.107], [-0.074, 0.138, 0.112], [-0.107, 0.112, 0.254]]),
-)
-_OF_COPIES = (
-    np.array([7.38, -1.92, -2.00]),
-    np.array([[0.129, -0.043, -0.033], [-0.043, 0.048, 0.038], [-0.033, 0.038, 0.098]]),
-)
-_OF_OTHERS = (
-    np.array([6.03, -1.56, -1.61]),
-    np.array([[0.359, -0.049, -0.013], [-0.049, 0.069, 0.046], [-0.013, 0.046, 0.111]]),
-)
-_SHARE_OF_ROOMS = 0.65  # of the right pairs
-# Photographed tours grow less than rendered ones, and are right: this speaks for a pair only.
-_MOST_OVER_OTHERS, _MOST_OVER_COPIES = 8.0, 5.0
-_DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 # Cells of one part of a view are not independent: so many of them tell as much as all.
 _FEWEST_CELLS, _MOST_INDEPENDENT, _LARGEST_RATIO = 2, 3.0, 5.0
-_FEWEST_PLACES = 4  # parts of either view, before they say anything
 # Shares of the parts that are the same: nearly all if the pose is right. Things that move and wrong
 # depths speak against right pairs too, so that surfaces may not decide alone.
 _SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
@@ -123,7 +101,7 @@ class KnownView:
         depths = np.where(surfaces.found, surfaces.depths, np.nan)
         with np.errstate(invalid="ignore"):
             gaps = np.abs(np.log(depths[grid().neighbours[cells]] / depths[cells, None]))
-        changes_deg = _Seen.of(other_from_camera, cells, depths[cells]).changes_deg
+        changes_deg = SeenCells.of(other_from_camera, cells, depths[cells]).changes_deg
         is_sure = np.sum(gaps < _ONE_SURFACE, axis=1) >= _FEWEST_BESIDE
         is_sure &= (surfaces.likeness[cells] > _SURE) & (changes_deg > _LEAST_PARALLAX_DEG)
         sines = np.sin(np.radians(np.clip(changes_deg, _LEAST_PARALLAX_DEG, 90.0)))
@@ -167,78 +145,6 @@ class SurfaceSightings:
     hidden: NDArray[np.int8]
 
 
-@dataclass(frozen=True)
-class OwnEvidence:
-    """Log-likelihood ratios of a pose by what the pair shows by itself.
-
-    Over that of another place with a similar thing, and over that of a copy of the place.
-    """
-
-    over_others: float = 0.0
-    over_copies: float = 0.0
-
-    @classmethod
-    def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
-        """Of a right pair much of both views grows, and little differs within that."""
-        shares = []
-        for largest_deg in (45.0, 20.0):
-            counts = [_expected(pair, side, views, largest_deg) for side in (0, 1)]
-            differ, seen = np.sum(counts, axis=0)
-            shares.append((differ + 3) / (seen + 30))
-        most = max(int(np.count_nonzero(view.found)) for view in views)
-        shown = np.log([most + 20, *shares])
-        right = np.logaddexp(
-            np.log(_SHARE_OF_ROOMS) + _log_density(shown, *_OF_ROOMS),
-            np.log(1 - _SHARE_OF_ROOMS) + _log_density(shown, *_OF_DOORS),
-        )
-        over_others = right - _log_density(shown, *_OF_OTHERS)
-        over_copies = right - _log_density(shown, *_OF_COPIES)
-        return cls(
-            float(np.clip(over_others, 0.0, _MOST_OVER_OTHERS)),
-            float(np.clip(over_copies, 0.0, _MOST_OVER_COPIES)),
-        )
-
-
-def _log_density(values: Array, mean: Array, covariance: Array) -> float:
-    """Logarithm of a normal density, but for a constant that all have in common."""
-    centred = values - mean
-    return float(
-        -(centred @ np.linalg.solve(covariance, centred) + np.linalg.slogdet(covariance)[1]) / 2
-    )
-
-
-def _expected(
-    pair: PosedPair, side: int, views: Sequence[SharedSurfaces], largest_deg: float
-) -> tuple[int, int]:
-    """Cells that differ where those around say that they are, and all of which this is known."""
-    here, there = views[side], views[1 - side]
-    (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
-    seen = _Seen.of(pair.other_from(side), cells, here.expected_depths[cells])
-    near = grid().nearest(seen.directions, _NUM_NEAR - 1)
-    nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
-    kept = (nearest >= _CLEARLY_HIDDEN * seen.ranges) & (seen.changes_deg < largest_deg)
-    return int(np.sum(here.expected_likeness[cells[kept]] < _DIFFERS)), int(kept.sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Cells of one view at some depths, as the other camera sees them."""
-
-    points: Array
-    ranges: Array
-    directions: Array
-    changes_deg: Array
-
-    @classmethod
-    def of(cls, pose: Pose, cells: Indices, depths: Floats) -> _Seen:
-        rays = grid().directions[cells].astype(np.float64) @ pose.rotation.T
-        points = depths[:, None] * rays + pose.translation
-        ranges = np.maximum(np.linalg.norm(points, axis=1), 1e-9)
-        directions = points / ranges[:, None]
-        cosines = np.clip(np.sum(directions * rays, axis=1), -1, 1)
-        return cls(points, ranges, directions, np.degrees(np.arccos(cosines)))
-
-
 @dataclass(frozen=True, eq=False)
 class _Witness:
     """What another pair knows about a view, with what makes it this pair's units."""
@@ -253,13 +159,10 @@ class _Witness:
         (rows,) = np.nonzero(self.view.is_sure)
         cells = self.view.cells[rows].astype(np.int64)
         depths = self.view.depths[rows] * np.exp(self.log_scale)
-        pose = pair.other_from(side)
-        seen = _Seen.of(pose, cells, depths)
+        seen = SeenCells.of(pair.other_from(side), cells, depths)
         log_sigmas = np.hypot(self.view.log_sigmas[rows].astype(np.float64), self.scale_sigma)
-        across = np.linalg.norm(np.cross(seen.points, pose.translation), axis=1) / seen.ranges**2
-        sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
-        sigmas = np.hypot(sigmas, pair.translation_sigma_deg / seen.ranges)
-        kept = (sigmas < _PLACE_SIGMA_DEG) & (seen.changes_deg < _LARGEST_CHANGE_DEG)
+        sigmas = place_sigmas_deg(pair, side, seen.points, log_sigmas)
+        kept = (sigmas < PLACE_SIGMA_DEG) & (seen.changes_deg < _LARGEST_CHANGE_DEG)
         (good,) = np.nonzero(kept)
         good = good[np.linspace(0, len(good) - 1, min(len(good), most)).astype(int)]
         return cells[good], depths[good], self.view.normals[rows[good]]
@@ -305,23 +208,43 @@ class SurfaceWitnesses:
             rows_of.setdefault(frozenset(pair.images), []).append(row)
         return cls(pairs, views, at, rows_of)
 
-    def sightings(self, row: int, side: int, first: Panorama, second: Panorama) -> SurfaceSightings:
-        """Look for what other pairs know of the view of one side in that of the other.
+    def asked(
+        self, row: int, panoramas: Sequence[Panorama]
+    ) -> tuple[tuple[SurfaceSightings, SurfaceSightings], tuple[Sibling, ...]]:
+        """Look for what other pairs know of either view of a pair in the other, and for siblings.
 
-        ``first`` is the panorama of that side.
+        ``panoramas`` are those of both sides.
         """
+        witnesses = (self._witnesses(row, 0), self._witnesses(row, 1))
+        first, second = panoramas
+        sightings = (
+            self._sightings(row, 0, first, second, witnesses),
+            self._sightings(row, 1, second, first, witnesses),
+        )
+        return sightings, tuple(self._siblings(row, witnesses))
+
+    def _sightings(
+        self,
+        row: int,
+        side: int,
+        first: Panorama,
+        second: Panorama,
+        witnesses: Sequence[Sequence[_Witness]],
+    ) -> SurfaceSightings:
+        """What is known of the view of a side, ``first``, looked for in that of the other."""
         pair, pose = self.pairs[row], self.pairs[row].other_from(side)
-        most = min(_MOST_OF_ONE, _MOST_SIGHTINGS // (2 * _MOST_WITNESSES * len(self.pairs)))
-        witnesses = self._witnesses(row, side)
-        placed = [each.placed(pair, side, most) for each in witnesses]
+        most = min(_MOST_OF_ONE, _MOST_SIGHTINGS // (2 * MOST_WITNESSES * len(self.pairs)))
+        placed = [each.placed(pair, side, most) for each in witnesses[side]]
         cells = np.concatenate([np.empty(0, np.int64), *(each[0] for each in placed)])
         depths = np.concatenate([np.empty(0), *(each[1] for each in placed)])
         normals = np.concatenate([np.empty((0, 3)), *(each[2] for each in placed)])
-        names = np.repeat([each.pair for each in witnesses], [len(each[0]) for each in placed])
+        names = np.repeat(
+            [each.pair for each in witnesses[side]], [len(each[0]) for each in placed]
+        )
         alike = likeness_of(first, second, pose, cells, depths, normals)
-        seen = _Seen.of(pose, cells, depths)
+        seen = SeenCells.of(pose, cells, depths)
         changes = np.digitize(seen.changes_deg, _VIEW_CHANGES_DEG)
-        sources, hidden = self._hidden(row, 1 - side, seen)
+        sources, hidden = self._hidden(row, 1 - side, seen, witnesses[1 - side])
         return SurfaceSightings(
             names.astype(np.int32),
             cells.astype(np.int16),
@@ -330,12 +253,12 @@ class SurfaceWitnesses:
             hidden,
         )
 
-    def siblings(self, row: int) -> tuple[Sibling, ...]:
+    def _siblings(self, row: int, witnesses: Sequence[Sequence[_Witness]]) -> Iterator[Sibling]:
         """Pairs that are right if this one is, and wrong if it is wrong."""
-        images, found = self.pairs[row].images, []
+        images = self.pairs[row].images
         for side in (0, 1):
             here, there = images[side], images[1 - side]
-            for each in self._witnesses(row, side):
+            for each in witnesses[side]:
                 witness = self.pairs[each.pair]
                 witness_side = witness.images.index(here)
                 beyond = witness.images[1 - witness_side]
@@ -345,33 +268,32 @@ class SurfaceWitnesses:
                 for other in self.rows_of.get(frozenset((beyond, there)), ()):
                     pair = self.pairs[other]
                     if _agrees(pair.other_from(pair.images.index(beyond)), expected):
-                        found.append(Sibling(other, each.pair))
-        return tuple(found)
+                        yield Sibling(other, each.pair)
 
     def _witnesses(self, row: int, side: int) -> list[_Witness]:
         """Pairs that know the view of a side, in one scale with this pair."""
         own = self.views[row, side].as_map()
         found: list[_Witness] = []
         for other, other_side in self.at[self.pairs[row].images[side]]:
-            if other == row or len(found) == _MOST_WITNESSES:
+            if other == row or len(found) == MOST_WITNESSES:
                 continue
             view = self.views[other, other_side]
             ratios = np.log(own[view.cells] / view.depths)
             ratios = ratios[~np.isnan(ratios)]
             if len(ratios) < _FEWEST_SHARED:
                 continue
-            middle = float(np.median(ratios))
-            scatter = 1.4826 * float(np.median(np.abs(ratios - middle)))
-            sigma = 1.2533 * scatter / (len(ratios) / _NEIGHBOURS_PER_WITNESS) ** 0.5
-            if sigma < _LARGEST_SCALE_SIGMA:
-                found.append(_Witness(other, view, middle, max(sigma, _LEAST_SCALE_SIGMA)))
+            scale = scale_of(ratios, len(ratios) / _NEIGHBOURS_PER_WITNESS)
+            if scale is not None:
+                found.append(_Witness(other, view, *scale))
         return found
 
-    def _hidden(self, row: int, side: int, seen: _Seen) -> tuple[Indices, NDArray[np.int8]]:
+    def _hidden(
+        self, row: int, side: int, seen: SeenCells, witnesses: Sequence[_Witness]
+    ) -> tuple[Indices, NDArray[np.int8]]:
         """What the pair and others know about things in front of points in the view of a side."""
         near = grid().nearest(seen.directions, _NUM_NEAR)
         maps = {OWN: self.views[row, side].as_map()}
-        for each in self._witnesses(row, side):
+        for each in witnesses:
             maps[each.pair] = np.exp(each.log_scale) * each.view.as_map()
         states = [_states(depths[near], seen.ranges) for depths in maps.values()]
         return np.array(list(maps), np.int64), np.stack(states, axis=1)
@@ -394,7 +316,7 @@ def surfaces_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
     ratios = np.concatenate(places)
     logs = np.log(_SHARES * np.exp(ratios)[:, None] + 1 - _SHARES).sum(axis=0)
     ratio = float(logs[0] - logs[1:].max())
-    if min(len(each) for each in places) < _FEWEST_PLACES:
+    if min(len(each) for each in places) < FEWEST_PARTS:
         return 0.0  # a door that one camera knows well matches all doors of its kind
     return float(np.clip(ratio, *_LIMITS))
 
@@ -420,4 +342,4 @@ def _place_ratios(sightings: SurfaceSightings, trusted: Mask) -> Array:
 @cache
 def _parts() -> Indices:
     """Part of the view, of 15 degrees, that each cell lies in."""
-    return SphereCells(183).indices(grid().directions.astype(np.float64))
+    return PARTS.indices(grid().directions.astype(np.float64))
