@@ -118,6 +118,17 @@ def test_pairs_of_twin_rooms_are_refused_and_hardly_any_of_one_room(share, seed)
     assert all(each.refused.startswith((ANOTHER_PLACE, COPY)) for each in verdicts if each.refused)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_twin_rooms_stay_apart_where_pairs_show_nothing_by_themselves(seed):
+    images, is_right = twin_rooms()
+    order = np.random.default_rng(seed).permutation(len(images))
+    images, is_right = [images[row] for row in order], is_right[order]
+    found = evidence_on(images, np.where(is_right, 1.0, 0.5), seed=seed)
+    found = [replace(each, own=NOTHING_GROWS) for each in found]
+    refused = np.array([bool(verdict.refused) for verdict in judged(images, found)])
+    assert refused[~is_right].all()
+
+
 def test_a_pair_about_which_nothing_is_known_is_refused_only_where_copies_are():
     pairs, is_right = twin_rooms()
     told = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])

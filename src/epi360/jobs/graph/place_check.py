@@ -51,6 +51,7 @@ _CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
 _PRIOR_RIGHT, _PRIOR_WRONG = 30.0, 0.1
 _ACCEPTED = 0.95  # least probability
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
+_SPEAKS_AGAINST = -1.0  # a ratio
 _MANY_ALIKE = 0.8  # share of the parts; a refusal does not rest on points then
 _MOST_STEPS = 300
 
@@ -108,6 +109,16 @@ def judge_places(
         _verdict(court.heard(row, groups.joined), float(ratio), float(probability))
         for row, (ratio, probability) in enumerate(zip(groups.ratios, probabilities, strict=True))
     )
+
+
+def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> bool:
+    """Whether points speak against any pair, so that more should be known about all of them.
+
+    Before anything else is known, no pair is surer than others. So all are heard about each, those
+    too that may be wrong.
+    """
+    court, everyone = _Court(pairs, points, _RATES), np.ones(len(pairs), dtype=bool)
+    return any(court.ratio(row, everyone) < _SPEAKS_AGAINST for row in range(len(pairs)))
 
 
 @dataclass(frozen=True, eq=False)

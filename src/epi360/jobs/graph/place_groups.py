@@ -48,10 +48,15 @@ class Groups:
 
 @dataclass(frozen=True, eq=False)
 class _Claim:
-    """Pairs that say the same about two groups, and how the second is turned in the first."""
+    """Pairs that say the same about two groups, and how the second is turned in the first.
+
+    ``hearsay`` is what all pairs say together, right and wrong ones; it decides between claims of
+    which nothing is known.
+    """
 
     rows: Sequence[int]
     ratio: float
+    hearsay: float
     turn: Array
     variance: float
 
@@ -88,6 +93,8 @@ class _Assembly:
         self._joined = np.zeros(len(pairs), dtype=bool)
         self._said = np.full(len(pairs), np.nan)
         self._ratios = np.full(len(pairs), np.nan)  # NaN: joined pairs have changed since
+        everyone = np.ones(len(pairs), dtype=bool)
+        self._hearsay = [ratio_of(row, everyone) for row in range(len(pairs))]
         images = sorted({image for pair in pairs for image in pair.images})
         self._group_of = {image: image for image in images}
         self._members = {image: [image] for image in images}
@@ -105,7 +112,7 @@ class _Assembly:
     def join_surest(self) -> bool:
         """Join the two groups that most speaks for; False if that is too little."""
         heard = ((claim, groups) for groups, told in self._claims.items() for claim in told)
-        surest = max(heard, key=lambda each: each[0].ratio, default=None)
+        surest = max(heard, key=lambda each: (each[0].ratio, each[0].hearsay), default=None)
         if surest is None or surest[0].ratio < self._least:
             return False
         self._join(*surest)
@@ -207,9 +214,9 @@ class _Assembly:
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
             surest = same[int(np.argmax(ratios))]
-            claims.append(
-                _Claim(same, _together(ratios), self._turn(surest), self._variance(surest))
-            )
+            hearsay = _together([self._hearsay[row] for row in same])
+            turn, variance = self._turn(surest), self._variance(surest)
+            claims.append(_Claim(same, _together(ratios), hearsay, turn, variance))
         return claims
 
     def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:

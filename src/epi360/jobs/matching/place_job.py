@@ -10,7 +10,7 @@ from typing import TypeVar
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.level_folder import Level
-from epi360.jobs.graph.place_check import PlaceVerdict, judge_places
+from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import SurfaceWitnesses
@@ -59,13 +59,12 @@ def check_places(
 def _judged(
     job: MatchJob, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
-    """Verdicts by points; where these refuse a pair, by surfaces too, which cost much more."""
-    verdicts = judge_places(known.pairs, points)
-    if not any(verdict.refused for verdict in verdicts):
-        return verdicts
+    """Verdicts by points; where these leave a doubt, by surfaces too, which cost much more."""
+    if not leave_a_doubt(known.pairs, points):
+        return judge_places(known.pairs, points)
     grown = _of_each(job, known.grown, range(len(points)))
     if len(grown) < len(points):
-        return verdicts
+        return judge_places(known.pairs, points)
     views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
     witnesses = SurfaceWitnesses.of(known.pairs, views)
 
@@ -74,7 +73,7 @@ def _judged(
 
     found = _of_each(job, look, range(len(points)))
     if len(found) < len(points):
-        return verdicts
+        return judge_places(known.pairs, points)
     return judge_places(known.pairs, [found[row] for row in range(len(points))])
 
 
