@@ -192,14 +192,14 @@ def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
     for ratio in (-3.0, 0.0, 2.0):
         found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio),) * 2)
         told.append(judged(pairs, found)[0].probability)
-    assert told[0] < told[1] < 0.95 < told[2]
+    assert told[0] < told[1] - 0.1 and told[1] + 0.1 < told[2]
 
 
 TRUSTED = np.ones(4, dtype=bool)
 
 
 def test_surfaces_alone_say_only_so_much():
-    for ratio, limit in ((-3.8, -1.0), (1.7, 3.0)):
+    for ratio, limit in ((-3.8, -1.0), (1.7, 1.0)):
         assert surfaces_ratio((surfaces_of([1], ratio, num=6000),) * 2, TRUSTED) == limit
 
 

@@ -28,7 +28,7 @@ GroupPair = tuple[int, int]
 # What pairs say that agree is not independent: their correlation.
 _CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
-_LEAST_OF_ONE = -3.0
+_LEAST_OF_ONE = -4.0
 # Pairs contradict a group if they turn a camera by more than this, and more than is not known.
 _AGREES_DEG, _LEAST_SIGMA_DEG, _NUM_SIGMAS = 5.0, 0.5, 3.0
 

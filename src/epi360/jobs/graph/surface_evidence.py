@@ -73,9 +73,9 @@ _RATIOS = np.log(_IF_SAME / _IF_OTHER)
 # Cells of one part of a view are not independent: so many of them tell as much as all.
 _FEWEST_CELLS, _MOST_INDEPENDENT, _LARGEST_RATIO = 2, 3.0, 5.0
 # Shares of the parts that are the same: nearly all if the pose is right. Things that move and wrong
-# depths speak against right pairs too, so that surfaces may not decide alone.
+# depths speak against right pairs too, and most of a copy looks the same: surfaces may not decide.
 _SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
-_LIMITS = (-1.0, 3.0)
+_LIMITS = (-1.0, 1.0)
 # Poses of siblings agree to this; a step shorter than this share of the baseline says nothing.
 _ROTATIONS_AGREE_DEG, _DIRECTIONS_AGREE_DEG, _SHORTEST_STEP = 2.5, 6.0, 0.2
 
