@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from epi360.jobs.graph.own_evidence import OwnEvidence
-from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places
+from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import (
@@ -16,6 +16,7 @@ from epi360.jobs.graph.surface_evidence import (
     OWN,
     UNKNOWN,
     VISIBLE,
+    Sibling,
     SurfaceSightings,
     surfaces_ratio,
 )
@@ -227,15 +228,48 @@ def test_the_reason_counts_places():
     assert worst.probability < 0.01
 
 
-def test_the_reason_does_not_count_places_where_surfaces_alone_speak_against_a_pair():
+def test_the_reason_names_surfaces_where_they_alone_speak_against_a_pair():
     pairs, is_right = twin_rooms()
     found = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])
-    against = (surfaces_of([1, 2], -3.8, num=6000),) * 2
-    found[0] = replace(found[0], surfaces=against)
-    assert judged(pairs, found)[0].refused == (
-        f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
-    )
+    for ratio, why in ((-3.8, "for surfaces differ"), (0.0, "as other pairs of this folder do")):
+        found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio, num=6000),) * 2)
+        assert why in judged(pairs, found)[0].refused
+
+
+def test_the_reason_names_pairs_that_say_the_same():
+    """Panorama 0 in the other room: one pair alone would do, those that say the same are wrong."""
+    pairs, is_right = twin_rooms()
+    found = evidence_on(pairs, np.where(is_right, 1.0, 0.4))
+    across = [row for row, pair in enumerate(pairs) if pair[0] == 0 and pair[1] > 3]
+    for row in across:
+        said = tuple(
+            Sibling(other, pairs.index((pairs[row][1], pairs[other][1])))
+            for other in across
+            if pairs[other][1] > pairs[row][1]
+        )
+        found[row] = replace(found[row], siblings=said)
+    best = across[0]
+    silent = evidence_on(pairs, [1.0] * len(pairs), silent=[best])[best]
+    found[best] = replace(silent, siblings=found[best].siblings, own=OwnEvidence(3.0, 3.0))
+    assert "pairs that say the same" in judged(pairs, found)[best].refused
+
+
+@pytest.mark.parametrize("row", range(6))
+def test_one_wrong_pair_is_refused_wherever_it_stands(row):
+    images = list(combinations(range(4), 2))
+    found = evidence_on(images, [0.3 if k == row else 1.0 for k in range(6)])
+    found = [replace(each, own=NOTHING_GROWS) for each in found]
+    assert leave_a_doubt([posed(pair) for pair in images], found)
+    assert [bool(verdict.refused) for verdict in judged(images, found)] == [
+        k == row for k in range(6)
+    ]
+
+
+def test_where_all_looks_the_same_no_doubt_is_left():
+    images = list(combinations(range(6), 2))
+    assert not leave_a_doubt([posed(pair) for pair in images], evidence_on(images, [1.0] * 15))
 
 
 def test_an_empty_folder_has_no_verdicts():
     assert judge_places([], []) == ()
+    assert not leave_a_doubt([], [])

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Panoramas are put together surest first, by made pairs and made evidence."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.place_groups import put_together
+from epi360.jobs.graph import place_groups
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import Sibling
 from epi360.poses import Pose, rotation_from_vector
@@ -26,8 +27,8 @@ def pair_of(images, degrees=0.0, *, sigma_deg=0.1):
 
 def groups_of(pairs, ratios, least, siblings=None):
     """Pairs whose ratios depend on nobody."""
-    told = siblings or [()] * len(pairs)
-    return put_together(pairs, told, lambda row, _: ratios[row], least)
+    told = [place_groups.Testimony(each, set()) for each in siblings or [()] * len(pairs)]
+    return place_groups.put_together(pairs, told, lambda row, _: ratios[row], least)
 
 
 def test_panoramas_are_joined_by_what_is_sure_enough():
@@ -68,7 +69,7 @@ def test_pairs_that_say_the_same_are_weighed_together():
     groups = groups_of(pairs, ratios, 0.9, linked)
     assert groups.joined.all()
     # Two that are correlated say less than twice as much.
-    assert 0.6 < groups.ratios[1] == groups.ratios[2] < 1.2
+    assert groups.ratios[1] == groups.ratios[2] == pytest.approx(2 * 0.6 / 1.15)
 
 
 def test_they_say_the_same_only_if_what_leads_from_one_to_the_other_is_joined():
@@ -109,9 +110,91 @@ def test_rooms_that_are_copies_stay_apart_though_their_pairs_witness_for_each_ot
     pairs, is_right, ratio_of = copies()
     everyone = np.ones(len(pairs), dtype=bool)
     assert min(ratio_of(row, everyone) for row in np.flatnonzero(~is_right)) > 1.0
-    groups = put_together(pairs, [()] * len(pairs), ratio_of, 1.0)
+    told = [place_groups.Testimony((), set(range(len(pairs))) - {row}) for row in range(len(pairs))]
+    groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.joined.tolist() == is_right.tolist()
     assert groups.ratios[~is_right].max() < 0.0
+
+
+def test_what_is_joined_is_heard_again_when_more_is_known():
+    """The first of two pairs looks good alone, until the other knows better."""
+    pairs = [pair_of((0, 1)), pair_of((1, 2))]
+    told = [place_groups.Testimony((), {1}), place_groups.Testimony((), {0})]
+
+    def ratio_of(row, joined):
+        return 5.0 if row == 1 else -20.0 if joined[1] else 6.0
+
+    groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
+    assert groups.ratios.tolist() == [-20.0, 5.0]
+
+
+@pytest.mark.parametrize("witness", [0, 1])
+def test_what_becomes_known_is_heard_at_once(witness):
+    """The first pair joins two groups, the second lies within; the third hears one of them."""
+    pairs = [pair_of(images) for images in ((0, 1), (0, 1), (0, 2))]
+    told = [place_groups.Testimony((), each) for each in (set(), set(), {witness})]
+
+    def ratio_of(row, joined):
+        return (5.0, 4.0, 3.0 * joined[witness])[row]
+
+    groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
+    assert groups.joined.all() and groups.ratios.tolist() == [5.0, 4.0, 3.0]
+
+
+def test_of_claims_of_which_nothing_is_known_hearsay_decides():
+    pairs = [pair_of((0, 1), 90), pair_of((0, 2)), pair_of((1, 2))]
+    told = [place_groups.Testimony((), {0, 1, 2} - {row}) for row in range(3)]
+
+    def ratio_of(row, joined):
+        if row == 0:
+            return -3.0 * joined[1:].sum()
+        return 2.0 * joined[3 - row] - joined[0]
+
+    groups = place_groups.put_together(pairs, told, ratio_of, 0.0)
+    assert groups.joined.tolist() == [False, True, True]
+    assert groups.ratios[0] == -np.inf
+
+
+def random_world(rng, num):
+    """Rotations of panoramas, all pairs of which agree."""
+    rotations = [rotation_from_vector(rng.normal(size=3)) for _ in range(num)]
+    pairs = []
+    for a, b in combinations(range(num), 2):
+        pose = Pose(rotations[b] @ rotations[a].T, [0.0, 0.0, 1.0])
+        pair = PosedPair((a, b), pose, (NOBODY,) * 2, (np.empty((0, 3)),) * 2, 0.1, 0.1, 0.1)
+        pairs.append(pair if rng.random() < 0.5 else swapped(pair))
+    return pairs
+
+
+def swapped(pair):
+    return replace(pair, images=pair.images[::-1], cam2_from_cam1=pair.cam2_from_cam1.inverse())
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_panoramas_that_are_turned_anyhow_agree(seed):
+    rng = np.random.default_rng(seed)
+    pairs = random_world(rng, 9)
+    groups = groups_of(pairs, rng.uniform(0, 5, len(pairs)), -1.0)
+    assert groups.joined.all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_numbers_of_panoramas_mean_nothing(seed):
+    rng = np.random.default_rng(seed)
+    pairs = random_world(rng, 8)
+    off = rotation_from_vector([0.0, np.radians(8.3), 0.0])  # about what chains may be off
+    bent = [
+        replace(pair, cam2_from_cam1=Pose(off @ pair.cam2_from_cam1.rotation, [0.0, 0.0, 1.0]))
+        if rng.random() < 0.4
+        else pair
+        for pair in pairs
+    ]
+    ratios = rng.permutation(np.linspace(0.0, 6.0, len(bent)))
+    expected = groups_of(bent, ratios, -1.0)
+    assert 7 <= expected.joined.sum() < len(bent)
+    names = rng.permutation(8)
+    renamed = [replace(pair, images=tuple(int(names[k]) for k in pair.images)) for pair in bent]
+    np.testing.assert_array_equal(groups_of(renamed, ratios, -1.0).joined, expected.joined)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -127,11 +210,9 @@ def test_neither_the_order_of_pairs_nor_that_of_their_images_matters(seed):
     expected = groups_of(pairs, ratios, 0.5)
     assert np.isneginf(expected.ratios).any()
     order = rng.permutation(len(images))
-    swapped = []
+    told = []
     for row in order:
-        pose = pairs[row].cam2_from_cam1.inverse()
-        back = PosedPair(images[row][::-1], pose, *list(vars(pairs[row]).values())[2:])
-        swapped.append(back if rng.random() < 0.5 else pairs[row])
-    found = groups_of(swapped, ratios[order], 0.5)
+        told.append(swapped(pairs[row]) if rng.random() < 0.5 else pairs[row])
+    found = groups_of(told, ratios[order], 0.5)
     np.testing.assert_array_equal(found.joined, expected.joined[order])
     np.testing.assert_allclose(found.ratios, expected.ratios[order])

@@ -41,6 +41,8 @@ _OF_OTHERS = (
     np.array([[0.359, -0.049, -0.013], [-0.049, 0.069, 0.046], [-0.013, 0.046, 0.111]]),
 )
 _SHARE_OF_ROOMS = 0.65  # of the right pairs
+# Beyond what pairs of these homes show, densities of unlike width say the opposite.
+_LEAST_SHOWN, _MOST_SHOWN = np.log([320.0, 0.01, 0.01]), np.log([5000.0, 0.3, 0.3])
 # Photographed tours grow less than rendered ones, and are right: this speaks for a pair only.
 _MOST_OVER_OTHERS, _MOST_OVER_COPIES = 8.0, 5.0
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
@@ -66,7 +68,7 @@ class OwnEvidence:
             differ, seen = np.sum(counts, axis=0)
             shares.append((differ + 3) / (seen + 30))
         most = max(int(np.count_nonzero(view.found)) for view in views)
-        shown = np.log([most + 20, *shares])
+        shown = np.clip(np.log([most + 20, *shares]), _LEAST_SHOWN, _MOST_SHOWN)
         right = np.logaddexp(
             np.log(_SHARE_OF_ROOMS) + _log_density(shown, *_OF_ROOMS),
             np.log(1 - _SHARE_OF_ROOMS) + _log_density(shown, *_OF_DOORS),

@@ -7,13 +7,14 @@ Irschara and Bischof (CVPR 2008, "What can missing correspondences tell us about
 motion?") count points that a third view must see; here `place_evidence` also knows which of them
 nothing hides, and compares pictures, so that a point counts which no detector finds again.
 
-Whole surfaces are asked for too, and what a pair shows by itself (`surface_evidence`). Three
+Whole surfaces are asked for too (`surface_evidence`), and what a pair shows by itself
+(`own_evidence`). Three
 explanations of each accepted pair are compared: the pose is right; it is that of a copy of the
 place, which shares most of its surfaces; it is that of another place with a similar thing.
 
 Panoramas are put together by this, surest first (`place_groups`), so that a pair is judged by what
-is known without it. How many pairs are wrong the folder says itself: where many are, they
-contradict what is surer.
+is known before it is believed. How many pairs are wrong the folder says itself: where many are,
+they contradict what is surer.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
-from epi360.jobs.graph.place_groups import Groups, put_together
+from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 
@@ -47,12 +48,11 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees m
 # nine in ten are right on rendered homes.
 _STEEPNESS = 1.2
 _CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
-# Pairs that are right and wrong: what is thought before the folder is seen.
-_PRIOR_RIGHT, _PRIOR_WRONG = 30.0, 0.1
+# What is thought before the folder is seen: so many of so many pairs are wrong.
+_PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _ACCEPTED = 0.95  # least probability
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
 _SPEAKS_AGAINST = -1.0  # a ratio
-_MANY_ALIKE = 0.8  # share of the parts; a refusal does not rest on points then
 _MOST_STEPS = 300
 
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
@@ -88,9 +88,10 @@ def judge_places(
 ) -> tuple[PlaceVerdict, ...]:
     """Which accepted pairs the surroundings speak against.
 
-    All panoramas are put together first, as far as nothing contradicts: that tells how many pairs
-    are wrong. Then only those are put together that are right with a probability of 0.95, given how
-    many are wrong; and again, with what these say about the folder.
+    All panoramas are put together first, as far as nothing contradicts. That tells how many pairs
+    are wrong, too few of them: wrong ones may have been joined. So only those are put together that
+    are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
+    others. With the geometric mean of both the same is done once more, which is the verdict.
     In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
     pair needs some for it.
     """
@@ -106,8 +107,8 @@ def judge_places(
     groups = court.groups(_least_ratio(share_wrong))
     probabilities = _probabilities(groups.ratios, share_wrong)
     return tuple(
-        _verdict(court.heard(row, groups.joined), float(ratio), float(probability))
-        for row, (ratio, probability) in enumerate(zip(groups.ratios, probabilities, strict=True))
+        court.verdict(row, groups, float(probability))
+        for row, probability in enumerate(probabilities)
     )
 
 
@@ -152,12 +153,14 @@ class _Court:
     ) -> None:
         self._pairs = pairs
         self._evidence = evidence
-        self._logs = [tuple(_logs(s, rates, _SHARES) for s in each.sides) for each in evidence]
+        self._logs = [tuple(_logs(s, rates) for s in each.sides) for each in evidence]
+        self._testimonies = [
+            Testimony(each.siblings, _asked(each) - {row}) for row, each in enumerate(evidence)
+        ]
 
     def groups(self, least_ratio: float) -> Groups:
         """Panoramas that pairs put together, if so much speaks for them."""
-        siblings = [each.siblings for each in self._evidence]
-        return put_together(self._pairs, siblings, self.ratio, least_ratio)
+        return put_together(self._pairs, self._testimonies, self.ratio, least_ratio)
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
@@ -184,6 +187,32 @@ class _Court:
         one_sided = heard.ratio > 0.0 and min(num_places) < FEWEST_PARTS
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
+    def verdict(self, row: int, groups: Groups, probability: float) -> PlaceVerdict:
+        """What is said about a pair in the end."""
+        points = self._points_heard(row, groups.joined)
+        share = points.num_alike / points.num_places if points.num_places else np.nan
+        refused = "" if probability >= _ACCEPTED else self._refusal(row, groups, points)
+        return PlaceVerdict(probability, share, points.num_places, refused)
+
+    def _refusal(self, row: int, groups: Groups, points: _Heard) -> str:
+        """Why a pair is not accepted; what stands before the comma is what summaries count."""
+        told = groups.ratios[row]
+        if np.isneginf(told):
+            return f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise"
+        if told < self.ratio(row, groups.joined):
+            return f"{COPY}, for too little speaks for pairs that say the same"
+        if points.ratio < 0.0:
+            return (
+                f"{ANOTHER_PLACE}, for only {int(points.num_alike)} of {points.num_places} parts "
+                "of the views that both cameras must see look the same"
+            )
+        if surfaces_ratio(self._evidence[row].surfaces, groups.joined) < 0.0:
+            return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
+        return (
+            f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "
+            "see says otherwise"
+        )
+
     def rates(self, trusted: Mask) -> Array:
         """Share of the visible points that trusted pairs find, by class of the view change."""
         counts, found = np.full(len(_RATES), _RATE_WEIGHT), _RATES * _RATE_WEIGHT
@@ -208,10 +237,20 @@ def _must_be_seen(sightings: Sightings, trusted: Mask) -> Mask:
     return seen
 
 
-def _logs(sightings: Sightings, rates: Array, shares: Array) -> Array:
+def _asked(evidence: Evidence) -> set[int]:
+    """Pairs that know something that was looked for, or hides it."""
+    asked = {OWN}
+    for side in evidence.sides:
+        asked.update(np.unique(side.witnesses).tolist(), side.sources.tolist())
+    for view in evidence.surfaces:
+        asked.update(np.unique(view.witnesses).tolist(), view.sources.tolist())
+    return asked - {OWN}
+
+
+def _logs(sightings: Sightings, rates: Array) -> Array:
     """Log-likelihood (N, K) of each sighting if such shares of the surfaces are the same."""
     right = rates[sightings.changes][:, None]
-    found = shares * right + (1 - shares) * _CHANCE
+    found = _SHARES * right + (1 - _SHARES) * _CHANCE
     logs: Array = np.log(np.where(sightings.found[:, None], found, 1 - found))
     return logs
 
@@ -226,10 +265,10 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 def _share_wrong(ratios: Array) -> float:
     """Share of the pairs of a folder that are wrong, by the ratios of all (EM)."""
-    share = _PRIOR_WRONG / _PRIOR_RIGHT
+    share = _PRIOR_WRONG / _PRIOR_PAIRS
     for _ in range(_MOST_STEPS):
         wrong = float(np.sum(1 - _probabilities(ratios, share, _CLEARLY)))
-        updated = (wrong + _PRIOR_WRONG) / (len(ratios) + _PRIOR_RIGHT)
+        updated = (wrong + _PRIOR_WRONG) / (len(ratios) + _PRIOR_PAIRS)
         if abs(updated - share) < 1e-6:
             break
         share = updated
@@ -251,28 +290,3 @@ def _probabilities(
 
 def _log_odds(probability: float) -> float:
     return float(np.log(probability / (1 - probability)))
-
-
-def _verdict(heard: _Heard, ratio: float, probability: float) -> PlaceVerdict:
-    share = heard.num_alike / heard.num_places if heard.num_places else np.nan
-    refused = ""
-    if probability < _ACCEPTED:
-        refused = _refusal(heard, ratio)
-    return PlaceVerdict(probability, share, heard.num_places, refused)
-
-
-def _refusal(heard: _Heard, ratio: float) -> str:
-    """Why a pair is not accepted; what stands before the comma is what summaries count."""
-    if np.isneginf(ratio):
-        return f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise"
-    if heard.ratio >= 0.0:
-        return (
-            f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "
-            "see says otherwise"
-        )
-    if heard.num_alike >= _MANY_ALIKE * heard.num_places:
-        return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
-    return (
-        f"{ANOTHER_PLACE}, for only {int(heard.num_alike)} of {heard.num_places} parts of the "
-        "views that both cameras must see look the same"
-    )

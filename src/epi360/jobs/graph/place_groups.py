@@ -5,13 +5,13 @@ A pair of two copies of a room has matched what both have, so what it knows is f
 and it witnesses for all other pairs that take them for one room. What pairs within one copy know
 is not. So panoramas are put together to groups, as in agglomerative clustering, and whether two
 groups belong together is decided by what pairs within each of them know. All pairs that say the
-same about two groups are right or wrong together, and are weighed together; those that say
-something else contradict them.
+same about two groups are right or wrong together, and are weighed together. What turns a panorama
+otherwise than its group does contradicts it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +29,22 @@ GroupPair = tuple[int, int]
 _CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
 _LEAST_OF_ONE = -4.0
-# Pairs contradict a group if they turn a camera by more than this, and more than is not known.
-_AGREES_DEG, _LEAST_SIGMA_DEG, _NUM_SIGMAS = 5.0, 0.5, 3.0
+# A pair contradicts its group if it turns a camera otherwise by more than so many degrees and
+# sigmas of all rotations on the way.
+_AGREES_DEG, _NUM_SIGMAS = 5.0, 3.0
+_LEAST_SIGMA_DEG = 0.5  # of a rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Testimony:
+    """What is known about a pair besides its pose.
+
+    ``siblings`` are pairs that say the same if a third one is right; ``witnesses`` are the pairs of
+    which its ratio depends on whether they are believed.
+    """
+
+    siblings: Sequence[Sibling]
+    witnesses: Set[int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +62,7 @@ class Groups:
 
 @dataclass(frozen=True, eq=False)
 class _Claim:
-    """Pairs that say the same about two groups, and how the second is turned in the first.
+    """Pairs that say the same about two groups, and the surest of them.
 
     ``hearsay`` is what all pairs say together, right and wrong ones; it decides between claims of
     which nothing is known.
@@ -57,22 +71,20 @@ class _Claim:
     rows: Sequence[int]
     ratio: float
     hearsay: float
-    turn: Array
-    variance: float
+    surest: int
 
 
 def put_together(
     pairs: Sequence[PosedPair],
-    siblings: Sequence[Sequence[Sibling]],
+    testimonies: Sequence[Testimony],
     ratio_of: Callable[[int, Mask], float],
     least_ratio: float,
 ) -> Groups:
     """Join groups by the claim that most speaks for, until nothing speaks enough for any.
 
-    ``siblings`` are the pairs that say the same as each if a third one is right. ``ratio_of`` gives
-    a pair's log-likelihood ratio by what the joined pairs of a mask know.
+    ``ratio_of`` gives a pair's log-likelihood ratio by what the pairs of a mask know.
     """
-    assembly = _Assembly(pairs, siblings, ratio_of, least_ratio)
+    assembly = _Assembly(pairs, testimonies, ratio_of, least_ratio)
     while assembly.join_surest():
         pass
     return assembly.result()
@@ -84,35 +96,36 @@ class _Assembly:
     def __init__(
         self,
         pairs: Sequence[PosedPair],
-        siblings: Sequence[Sequence[Sibling]],
+        testimonies: Sequence[Testimony],
         ratio_of: Callable[[int, Mask], float],
         least_ratio: float,
     ) -> None:
-        self._pairs, self._siblings = pairs, siblings
+        self._pairs, self._testimonies = pairs, testimonies
         self._ratio_of, self._least = ratio_of, least_ratio
         self._joined = np.zeros(len(pairs), dtype=bool)
         self._said = np.full(len(pairs), np.nan)
-        self._ratios = np.full(len(pairs), np.nan)  # NaN: joined pairs have changed since
+        self._ratios = np.full(len(pairs), np.nan)  # NaN: a witness has been joined since
         everyone = np.ones(len(pairs), dtype=bool)
         self._hearsay = [ratio_of(row, everyone) for row in range(len(pairs))]
+        self._asked_by: list[set[int]] = [set() for _ in pairs]
+        for row, testimony in enumerate(testimonies):
+            for witness in testimony.witnesses:
+                self._asked_by[witness].add(row)
         images = sorted({image for pair in pairs for image in pair.images})
         self._group_of = {image: image for image in images}
         self._members = {image: [image] for image in images}
         self._turns: dict[int, Array] = {image: np.eye(3) for image in images}  # from the group
-        self._variances = dict.fromkeys(images, 0.0)
-        self._rows_at: dict[int, list[int]] = {image: [] for image in images}
+        self._tree: dict[int, list[tuple[int, int]]] = {image: [] for image in images}
+        self._undecided: list[int] = []  # of pairs within groups
         self._between: dict[GroupPair, list[int]] = {}
-        for row, pair in enumerate(pairs):
-            for image in pair.images:
-                self._rows_at[image].append(row)
+        for row in range(len(pairs)):
             self._between.setdefault(self._groups_of(row), []).append(row)
-        self._inside: list[int] = self._between.pop((-1, -1), [])
         self._claims = {groups: self._claims_of(groups) for groups in self._between}
 
     def join_surest(self) -> bool:
         """Join the two groups that most speaks for; False if that is too little."""
-        heard = ((claim, groups) for groups, told in self._claims.items() for claim in told)
-        surest = max(heard, key=lambda each: (each[0].ratio, each[0].hearsay), default=None)
+        claims = ((claim, groups) for groups, told in self._claims.items() for claim in told)
+        surest = max(claims, key=lambda each: (each[0].ratio, each[0].hearsay), default=None)
         if surest is None or surest[0].ratio < self._least:
             return False
         self._join(*surest)
@@ -124,23 +137,27 @@ class _Assembly:
             for claim in claims:
                 for row in claim.rows:
                     self._said[row] = min(claim.ratio, self._ratio(row))
+        for row in np.flatnonzero(self._joined).tolist():
+            if self._ratio(row) < _LEAST_OF_ONE:  # by those that have been joined later
+                self._said[row] = self._ratio(row)
         return Groups(self._joined, self._said)
 
     def _join(self, claim: _Claim, groups: GroupPair) -> None:
         first, second = groups
+        turn = self._turn(claim.surest)
         for image in self._members[second]:
             self._group_of[image] = first
-            self._turns[image] = self._turns[image] @ claim.turn
-            self._variances[image] += claim.variance
+            self._turns[image] = self._turns[image] @ turn
         self._members[first] += self._members.pop(second)
+        image1, image2 = self._pairs[claim.surest].images
+        self._tree[image1].append((image2, claim.surest))
+        self._tree[image2].append((image1, claim.surest))
         self._said[list(claim.rows)] = claim.ratio
         sound = [row for row in claim.rows if self._ratio(row) >= _LEAST_OF_ONE]
-        inside = self._between.pop(groups)
         del self._claims[groups]
-        self._inside += [row for row in inside if row not in set(claim.rows)]
-        stale = {self._groups_of(row) for row in self._let_in(sound)}
-        stale |= self._renamed(second)
-        stale |= self._settle_inside()
+        claimed = set(claim.rows)
+        self._undecided += [row for row in self._between.pop(groups) if row not in claimed]
+        stale = self._believe(sound) | self._renamed(second) | self._settle_within()
         for each in stale & self._between.keys():
             self._claims[each] = self._claims_of(each)
 
@@ -154,38 +171,35 @@ class _Assembly:
             self._between.setdefault(self._groups_of(row), []).append(row)
         return {self._groups_of(row) for row in rows}
 
-    def _settle_inside(self) -> set[GroupPair]:
-        """Let in what agrees with its group and is sure enough; return where that is heard."""
+    def _settle_within(self) -> set[GroupPair]:
+        """Believe what agrees with its group and is sure enough; return where that is heard."""
         changed: set[GroupPair] = set()
         while True:
-            sure = []
-            for row in [
-                row for row in self._inside if np.isnan(self._ratios[row] + self._said[row])
-            ]:
-                if self._contradicts(row):
-                    self._inside.remove(row)
+            sure = set()
+            for row in self._undecided:
+                if np.isnan(self._said[row]) and self._contradicts(row):
                     self._said[row] = -np.inf
-                    continue
-                self._said[row] = self._ratio(row)
-                if self._said[row] >= self._least:
-                    sure.append(row)
+                elif np.isnan(self._said[row] + self._ratios[row]):
+                    self._said[row] = self._ratio(row)
+                if self._said[row] >= self._least and np.isfinite(self._said[row]):
+                    sure.add(row)
+            decided = sure | {row for row in self._undecided if np.isneginf(self._said[row])}
+            self._undecided = [row for row in self._undecided if row not in decided]
             if not sure:
                 return changed
-            self._inside = [row for row in self._inside if row not in set(sure)]
-            changed |= {self._groups_of(row) for row in self._let_in(sure)}
+            changed |= self._believe(sorted(sure))
 
-    def _let_in(self, rows: Sequence[int]) -> set[int]:
-        """From now on these pairs are heard; return all that they are heard about."""
+    def _believe(self, rows: Sequence[int]) -> set[GroupPair]:
+        """From now on these pairs are heard; return between which groups that changes something."""
         self._joined[rows] = True
-        images = {image for row in rows for image in self._pairs[row].images}
-        heard = {row for image in images for row in self._rows_at[image]}
-        self._ratios[list(heard)] = np.nan
-        return heard
+        asking = {row for witness in rows for row in self._asked_by[witness]}
+        self._ratios[list(asking)] = np.nan
+        return {self._groups_of(row) for row in asking}
 
     def _groups_of(self, row: int) -> GroupPair:
-        """Both groups of a pair, in order; (-1, -1) if it lies within one."""
+        """Both groups of a pair, in order."""
         first, second = (self._group_of[image] for image in self._pairs[row].images)
-        return (min(first, second), max(first, second)) if first != second else (-1, -1)
+        return min(first, second), max(first, second)
 
     def _ratio(self, row: int) -> float:
         if np.isnan(self._ratios[row]):
@@ -198,14 +212,31 @@ class _Assembly:
         turn = self._turns[second].T @ self._pairs[row].cam2_from_cam1.rotation @ self._turns[first]
         return turn if self._group_of[first] <= self._group_of[second] else turn.T
 
-    def _variance(self, row: int) -> float:
-        """Variance of that rotation, in square degrees."""
-        sigma = max(self._pairs[row].rotation_sigma_deg, _LEAST_SIGMA_DEG)
-        return sigma**2 + sum(self._variances[image] for image in self._pairs[row].images)
-
     def _contradicts(self, row: int) -> bool:
-        limit = _AGREES_DEG + _NUM_SIGMAS * self._variance(row) ** 0.5
+        """Whether a pair turns its panoramas otherwise than those between them do."""
+        way = self._way(*self._pairs[row].images)
+        variance = sum(self._sigma_deg(each) ** 2 for each in (row, *way))
+        limit = _AGREES_DEG + _NUM_SIGMAS * variance**0.5
         return bool(rotation_error_deg(self._turn(row), np.eye(3)) > limit)
+
+    def _sigma_deg(self, row: int) -> float:
+        return max(self._pairs[row].rotation_sigma_deg, _LEAST_SIGMA_DEG)
+
+    def _way(self, start: int, end: int) -> list[int]:
+        """Pairs that lead from one panorama of a group to another."""
+        came_by: dict[int, tuple[int, int]] = {start: (start, -1)}
+        waiting = [start]
+        while end not in came_by:
+            image = waiting.pop(0)
+            for other, row in self._tree[image]:
+                if other not in came_by:
+                    came_by[other] = image, row
+                    waiting.append(other)
+        way = []
+        while end != start:
+            end, row = came_by[end]
+            way.append(row)
+        return way
 
     def _claims_of(self, groups: GroupPair) -> list[_Claim]:
         """Pairs between two groups, sorted by what they say."""
@@ -213,17 +244,15 @@ class _Assembly:
         claims = []
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
-            surest = same[int(np.argmax(ratios))]
             hearsay = _together([self._hearsay[row] for row in same])
-            turn, variance = self._turn(surest), self._variance(surest)
-            claims.append(_Claim(same, _together(ratios), hearsay, turn, variance))
+            claims.append(_Claim(same, _together(ratios), hearsay, same[int(np.argmax(ratios))]))
         return claims
 
     def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:
         """Pairs of rows that say the same, as joined pairs tell."""
         among = set(rows)
         for row in rows:
-            for sibling in self._siblings[row]:
+            for sibling in self._testimonies[row].siblings:
                 if sibling.pair in among and self._joined[sibling.via]:
                     yield row, sibling.pair
 
