@@ -9,7 +9,7 @@ import contextlib
 import os
 import struct
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import IO, Any
@@ -27,8 +27,19 @@ LARGEST_XMP = 2**20  # a JPEG holds 64 kB of it, the longest seen in panoramas i
 _WIDTH, _HEIGHT, _ORIENTATION, _XMP, _GPS = 256, 257, 274, 700, 34853  # tags of TIFF and Exif
 _LATITUDE, _LONGITUDE = (1, 2, "NS"), (3, 4, "EW")  # tags of the hemisphere and of the angle
 _PNG_METADATA = (b"IHDR", b"tRNS", b"eXIf", b"iTXt")
-IGNORING_WARNINGS = Lock()  # of two threads, the second to stop would not restore what was there
+_IGNORING_WARNINGS = Lock()
 _TRANSPOSED = (5, 6, 7, 8)  # orientations that exchange width and height
+
+
+@contextlib.contextmanager
+def ignoring_warnings() -> Iterator[None]:
+    """Ignore what Pillow warns of damaged metadata.
+
+    One thread at a time: of two, the second to stop would not restore what was there.
+    """
+    with _IGNORING_WARNINGS, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 @dataclass(frozen=True)
@@ -59,8 +70,7 @@ def parse_image_header(file: IO[bytes]) -> ImageHeader:
     start = file.read(8)
     file.seek(0)
     try:
-        with IGNORING_WARNINGS, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged metadata
+        with ignoring_warnings():
             if start.startswith(JPEG_SIGNATURE):
                 return _jpeg_header(JpegImageFile(file))
             if start == PNG_SIGNATURE:

@@ -5,7 +5,6 @@ Each strip or tile must lie in the file and have as much data as its pixels need
 """
 
 import io
-import warnings
 import zlib
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL.TiffImagePlugin import ImageFileDirectory_v2, TiffImageFile
 
-from epi360.features.image_headers import IGNORING_WARNINGS
+from epi360.features.image_headers import ignoring_warnings
 from epi360.features.jpeg_files import check_jpeg, read_jpeg_header
 
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _COLORS = 256, 257, 258, 259, 262
@@ -47,8 +46,7 @@ class _Chunk(NamedTuple):
 def check_tiff(data: bytes) -> None:
     """Raise ``ValueError`` for a TIFF file that is cut or damaged."""
     try:
-        with IGNORING_WARNINGS, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged metadata
+        with ignoring_warnings():
             tags = _first_directory(data)
     except Exception:  # what damaged headers make Pillow raise is not documented
         tags = {}
@@ -144,8 +142,7 @@ def _is_unpacked(chunk: _Chunk) -> bool:
 
 def _is_decompressed(data: bytes) -> bool:
     try:
-        with IGNORING_WARNINGS, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of damaged metadata
+        with ignoring_warnings():
             TiffImageFile(io.BytesIO(data)).load()
     except OSError as error:
         return "decoder error" not in str(error)

@@ -126,9 +126,8 @@ def _second_look(search: MapSearch, found: Found) -> SecondLook:
     result, world = found.result, search.world
     numbers, counts = np.unique(found.matches.views[result.inlier_mask], return_counts=True)
     agreeing = [int(k) for k in numbers[np.argsort(-counts, kind="stable")]]
-    left_out = {k for k, image in enumerate(world.model.images) if image.name in search.without}
-    left_out.update(agreeing)
-    around = [k for k in world.covisible(agreeing[0]) if k not in left_out][:_NUM_AROUND]
+    known = search.left_out.union(agreeing)
+    around = [k for k in world.covisible(agreeing[0]) if k not in known][:_NUM_AROUND]
     views = [(k, world.view(k)) for k in [*agreeing[:FIRST_VIEWS], *around]]
     return look_again(views, search.new, result.cam_from_world, search.radius_rad(result))
 

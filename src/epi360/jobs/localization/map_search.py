@@ -50,10 +50,11 @@ class MapSearch:
         without: Collection[str],
         options: LocalizationOptions,
     ) -> None:
-        self.world, self.new, self.options, self.without = world, new, options, without
-        names = [image.name for image in world.model.images]
+        self.world, self.new, self.options = world, new, options
+        images = world.model.images
+        self.left_out = frozenset(k for k, image in enumerate(images) if image.name in without)
         similar = world.similar_views(new.features)
-        self.ranked = [k for k in similar if names[k] not in without][: options.max_views]
+        self.ranked = [k for k in similar if k not in self.left_out][: options.max_views]
         self._parts: dict[int, MapMatches] = {}
 
     @property
@@ -92,7 +93,7 @@ class MapSearch:
             return Found(result, matches)
         inliers = matches.chosen(result.inlier_mask)
         pose, radius = result.cam_from_world, self.radius_rad(result)
-        around = surroundings_at(self.world, inliers, pose, self.new, radius, self.without)
+        around = surroundings_at(self.world, inliers, pose, self.new, radius, self.left_out)
         return Found(result, matches, around, self.options.known_place or around.confirm)
 
     def first_look(self) -> list[Found]:

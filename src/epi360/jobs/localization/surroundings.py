@@ -9,7 +9,7 @@ like in the new image. `epi360.jobs.graph.place_evidence` asks the same of pairs
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,10 +65,10 @@ def surroundings_at(
     pose: Pose,
     new: NewImage,
     radius_rad: float,
-    without: Collection[str],
+    left_out: Set[int],
 ) -> Surroundings:
     """Ask the images of the map around a pose for the points that must be visible from there."""
-    views = [world.view(number) for number in _witnesses(world, inliers, pose, without)]
+    views = [world.view(number) for number in _witnesses(world, inliers, pose, left_out)]
     seen = [_moved(pose, view.points[view.rows]) for view in views]
     clouds = [_cloud(each) for each in (*seen, _moved(pose, inliers.points))]
     best = Surroundings()
@@ -80,7 +80,7 @@ def surroundings_at(
 
 
 def _witnesses(
-    world: LocalizationMap, inliers: MapMatches, pose: Pose, without: Collection[str]
+    world: LocalizationMap, inliers: MapMatches, pose: Pose, left_out: Set[int]
 ) -> list[int]:
     """Images that see enough of the points that agree with a pose, the nearest ones."""
     # Points of features that were found anew are known to the images that were matched only.
@@ -88,8 +88,8 @@ def _witnesses(
         world.num_seen(inliers.ids),
         np.bincount(inliers.views, minlength=len(world.model.images)),
     )
-    is_asked = np.array([image.name not in without for image in world.model.images], dtype=bool)
-    (able,) = np.nonzero((counts >= _FEWEST_SHARED) & is_asked)
+    counts[list(left_out)] = 0
+    (able,) = np.nonzero(counts >= _FEWEST_SHARED)
     centers = world.centers[able]
     away = np.linalg.norm(centers - pose.inverse().translation, axis=1)
     return [int(k) for k in able[np.argsort(away, kind="stable")][:_MOST_WITNESSES]]
