@@ -29,6 +29,8 @@ GroupPair = tuple[int, int]
 _CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
 _LEAST_OF_ONE = -4.0
+# What all pairs say about a claim, right and wrong ones, counts too: this share of it, limited.
+_HEARSAY_SHARE, _MOST_HEARSAY = 0.3, 6.0
 # A pair contradicts its group if it turns a camera otherwise by more than so many degrees and
 # sigmas of all rotations on the way.
 _AGREES_DEG, _NUM_SIGMAS = 5.0, 3.0
@@ -62,15 +64,10 @@ class Groups:
 
 @dataclass(frozen=True, eq=False)
 class _Claim:
-    """Pairs that say the same about two groups, and the surest of them.
-
-    ``hearsay`` is what all pairs say together, right and wrong ones; it decides between claims of
-    which nothing is known.
-    """
+    """Pairs that say the same about two groups, and the surest of them."""
 
     rows: Sequence[int]
     ratio: float
-    hearsay: float
     surest: int
 
 
@@ -125,7 +122,7 @@ class _Assembly:
     def join_surest(self) -> bool:
         """Join the two groups that most speaks for; False if that is too little."""
         claims = ((claim, groups) for groups, told in self._claims.items() for claim in told)
-        surest = max(claims, key=lambda each: (each[0].ratio, each[0].hearsay), default=None)
+        surest = max(claims, key=lambda each: each[0].ratio, default=None)
         if surest is None or surest[0].ratio < self._least:
             return False
         self._join(*surest)
@@ -137,10 +134,19 @@ class _Assembly:
             for claim in claims:
                 for row in claim.rows:
                     self._said[row] = min(claim.ratio, self._ratio(row))
-        for row in np.flatnonzero(self._joined).tolist():
-            if self._ratio(row) < _LEAST_OF_ONE:  # by those that have been joined later
-                self._said[row] = self._ratio(row)
+        joined = np.flatnonzero(self._joined).tolist()
+        poor = {row for row in joined if self._ratio(row) < _LEAST_OF_ONE}
+        for row in (*self._undecided, *sorted(poor)):  # by those that have been joined later
+            implied = [self._said[pair] for pair in self._implying(row) if pair not in poor]
+            self._said[row] = max([self._ratio(row), *implied])
         return Groups(self._joined, self._said)
+
+    def _implying(self, row: int) -> list[int]:
+        """Joined pairs that say the same as one within a group."""
+        siblings = self._testimonies[row].siblings
+        return [
+            each.pair for each in siblings if self._joined[each.pair] and self._joined[each.via]
+        ]
 
     def _join(self, claim: _Claim, groups: GroupPair) -> None:
         first, second = groups
@@ -245,7 +251,8 @@ class _Assembly:
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
             hearsay = _together([self._hearsay[row] for row in same])
-            claims.append(_Claim(same, _together(ratios), hearsay, same[int(np.argmax(ratios))]))
+            ratio = _together(ratios) + _HEARSAY_SHARE * min(hearsay, _MOST_HEARSAY)
+            claims.append(_Claim(same, ratio, same[int(np.argmax(ratios))]))
         return claims
 
     def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:
