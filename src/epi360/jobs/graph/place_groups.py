@@ -7,6 +7,9 @@ is not. So panoramas are put together to groups, as in agglomerative clustering,
 groups belong together is decided by what pairs within each of them know. All pairs that say the
 same about two groups are right or wrong together, and are weighed together. What turns a panorama
 otherwise than its group does contradicts it.
+
+What all pairs of the folder know, right and wrong ones, counts a little: it is hearsay, but where
+no group knows anything yet it tells where to begin.
 """
 
 from __future__ import annotations
@@ -79,7 +82,8 @@ def put_together(
 ) -> Groups:
     """Join groups by the claim that most speaks for, until nothing speaks enough for any.
 
-    ``ratio_of`` gives a pair's log-likelihood ratio by what the pairs of a mask know.
+    ``ratio_of`` gives a pair's log-likelihood ratio by what the pairs of a mask know: those that
+    have been joined so far or, once at the beginning, all.
     """
     assembly = _Assembly(pairs, testimonies, ratio_of, least_ratio)
     while assembly.join_surest():
@@ -136,7 +140,8 @@ class _Assembly:
                     self._said[row] = min(claim.ratio, self._ratio(row))
         joined = np.flatnonzero(self._joined).tolist()
         poor = {row for row in joined if self._ratio(row) < _LEAST_OF_ONE}
-        for row in (*self._undecided, *sorted(poor)):  # by those that have been joined later
+        # These are heard again, for more has been joined since; or joined pairs imply them.
+        for row in (*self._undecided, *sorted(poor)):
             implied = [self._said[pair] for pair in self._implying(row) if pair not in poor]
             self._said[row] = max([self._ratio(row), *implied])
         return Groups(self._joined, self._said)
