@@ -27,9 +27,19 @@ def pair_of(images, degrees=0.0, *, sigma_deg=0.1):
     return PosedPair(images, pose, (NOBODY,) * 2, (np.empty((0, 3)),) * 2, 0.1, sigma_deg, 0.1)
 
 
+def told_of(siblings, witnesses, ratio_of):
+    """Hearsay is what pairs say if all are believed."""
+    everyone = np.ones(len(siblings), dtype=bool)
+    return [
+        place_groups.Testimony(links, asked, ratio_of(row, everyone))
+        for row, (links, asked) in enumerate(zip(siblings, witnesses, strict=True))
+    ]
+
+
 def groups_of(pairs, ratios, least, siblings=None):
     """Pairs whose ratios depend on nobody."""
-    told = [place_groups.Testimony(each, set()) for each in siblings or [()] * len(pairs)]
+    links = siblings or [()] * len(pairs)
+    told = told_of(links, [set()] * len(pairs), lambda row, _: ratios[row])
     return place_groups.put_together(pairs, told, lambda row, _: ratios[row], least)
 
 
@@ -114,7 +124,8 @@ def test_rooms_that_are_copies_stay_apart_though_their_pairs_witness_for_each_ot
     pairs, is_right, ratio_of = copies()
     everyone = np.ones(len(pairs), dtype=bool)
     assert min(ratio_of(row, everyone) for row in np.flatnonzero(~is_right)) > 1.0
-    told = [place_groups.Testimony((), set(range(len(pairs))) - {row}) for row in range(len(pairs))]
+    others = [set(range(len(pairs))) - {row} for row in range(len(pairs))]
+    told = told_of([()] * len(pairs), others, ratio_of)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.joined.tolist() == is_right.tolist()
     assert groups.ratios[~is_right].max() < 0.0
@@ -123,11 +134,11 @@ def test_rooms_that_are_copies_stay_apart_though_their_pairs_witness_for_each_ot
 def test_what_is_joined_is_heard_again_when_more_is_known():
     """The first of two pairs looks good alone, until the other knows better."""
     pairs = [pair_of((0, 1)), pair_of((1, 2))]
-    told = [place_groups.Testimony((), {1}), place_groups.Testimony((), {0})]
 
     def ratio_of(row, joined):
         return 5.0 if row == 1 else -20.0 if joined[1] else 9.0
 
+    told = told_of([()] * 2, [{1}, {0}], ratio_of)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.ratios.tolist() == [-20.0, 5.0 * HEARD]
 
@@ -136,11 +147,11 @@ def test_what_is_joined_is_heard_again_when_more_is_known():
 def test_a_pair_that_looks_poor_at_last_is_accepted_only_if_joined_ones_imply_it(is_implied):
     pairs = [pair_of(images) for images in ((0, 1), (1, 2), (0, 2))]
     links = [(), (Sibling(2, via=0),), (Sibling(1, via=0),)] if is_implied else [()] * 3
-    told = [place_groups.Testimony(each, {1}) for each in links]
 
     def ratio_of(row, joined):
         return (5.0, 4.5, -9.0 if joined[1] else 4.0)[row]
 
+    told = told_of(links, [{1}] * 3, ratio_of)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.ratios[2] == (groups.ratios[1] if is_implied else -9.0)
     assert groups.ratios[1] > 4.0
@@ -150,11 +161,11 @@ def test_a_pair_that_looks_poor_at_last_is_accepted_only_if_joined_ones_imply_it
 def test_what_becomes_known_is_heard_at_once(witness):
     """The first pair joins two groups, the second lies within; the third hears one of them."""
     pairs = [pair_of(images) for images in ((0, 1), (0, 1), (0, 2))]
-    told = [place_groups.Testimony((), each) for each in (set(), set(), {witness})]
 
     def ratio_of(row, joined):
         return (5.0, 4.0, 3.0 * joined[witness])[row]
 
+    told = told_of([()] * 3, [set(), set(), {witness}], ratio_of)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.joined.all()
     np.testing.assert_allclose(groups.ratios, [5.0 * HEARD, 4.0, 3.0 * HEARD])
@@ -162,13 +173,13 @@ def test_what_becomes_known_is_heard_at_once(witness):
 
 def test_where_nothing_is_known_hearsay_decides():
     pairs = [pair_of((0, 1), 90), pair_of((0, 2)), pair_of((1, 2))]
-    told = [place_groups.Testimony((), {0, 1, 2} - {row}) for row in range(3)]
 
     def ratio_of(row, joined):
         if row == 0:
             return -3.0 * joined[1:].sum()
         return 2.0 * joined[3 - row] - joined[0]
 
+    told = told_of([()] * 3, [{1, 2}, {0, 2}, {0, 1}], ratio_of)
     groups = place_groups.put_together(pairs, told, ratio_of, 0.0)
     assert groups.joined.tolist() == [False, True, True]
     assert groups.ratios[0] == -np.inf

@@ -46,6 +46,7 @@ _LEAST_SHOWN, _MOST_SHOWN = np.log([320.0, 0.01, 0.01]), np.log([5000.0, 0.3, 0.
 # Photographed tours grow less than rendered ones, and are right: this speaks for a pair only.
 _MOST_OVER_OTHERS, _MOST_OVER_COPIES = 8.0, 5.0
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
+_LARGEST_CHANGES_DEG = (45.0, 20.0)
 _NUM_NEAR = 7  # cells that say how far the other camera sees in a direction
 
 
@@ -61,12 +62,13 @@ class OwnEvidence:
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
-        """Of a right pair much of both views grows, and little differs within that."""
-        shares = []
-        for largest_deg in (45.0, 20.0):
-            counts = [_expected(pair, side, views, largest_deg) for side in (0, 1)]
-            differ, seen = np.sum(counts, axis=0)
-            shares.append((differ + 3) / (seen + 30))
+        """Weigh how much of both views grows, and how little of it differs."""
+        expected = [_expected(pair, side, views) for side in (0, 1)]
+        differs, changes_deg = (np.concatenate(each) for each in zip(*expected, strict=True))
+        shares = [
+            (np.count_nonzero(differs & kept) + 3) / (np.count_nonzero(kept) + 30)
+            for kept in (changes_deg < largest_deg for largest_deg in _LARGEST_CHANGES_DEG)
+        ]
         most = max(int(np.count_nonzero(view.found)) for view in views)
         shown = np.clip(np.log([most + 20, *shares]), _LEAST_SHOWN, _MOST_SHOWN)
         right = np.logaddexp(
@@ -90,13 +92,13 @@ def _log_density(values: Array, mean: Array, covariance: Array) -> float:
 
 
 def _expected(
-    pair: PosedPair, side: int, views: Sequence[SharedSurfaces], largest_deg: float
-) -> tuple[int, int]:
-    """Cells that differ where those around say that they are, and all of which this is known."""
+    pair: PosedPair, side: int, views: Sequence[SharedSurfaces]
+) -> tuple[NDArray[np.bool_], Array]:
+    """Whether cells differ, where those around say what must be seen there, and view changes."""
     here, there = views[side], views[1 - side]
     (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
     seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
     near = grid().nearest(seen.directions, _NUM_NEAR)
     nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
-    kept = (nearest >= _CLEARLY_HIDDEN * seen.ranges) & (seen.changes_deg < largest_deg)
-    return int(np.sum(here.expected_likeness[cells[kept]] < _DIFFERS)), int(kept.sum())
+    kept = nearest >= _CLEARLY_HIDDEN * seen.ranges
+    return here.expected_likeness[cells[kept]] < _DIFFERS, seen.changes_deg[kept]

@@ -8,9 +8,9 @@ motion?") count points that a third view must see; here `place_evidence` also kn
 nothing hides, and compares pictures, so that a point counts which no detector finds again.
 
 Whole surfaces are asked for too (`surface_evidence`), and what a pair shows by itself
-(`own_evidence`). Three
-explanations of each accepted pair are compared: the pose is right; it is that of a copy of the
-place, which shares most of its surfaces; it is that of another place with a similar thing.
+(`own_evidence`). Three explanations of each accepted pair are compared: the pose is right; it is
+that of a copy of the place, which shares most of its surfaces; it is that of another place with a
+similar thing.
 
 Panoramas are put together by this, surest first (`place_groups`), so that a pair is judged by what
 is known before it is believed. How many pairs are wrong the folder says itself: where many are,
@@ -118,8 +118,8 @@ def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> boo
     Before anything else is known, no pair is surer than others. So all are heard about each, those
     too that may be wrong.
     """
-    court, everyone = _Court(pairs, points, _RATES), np.ones(len(pairs), dtype=bool)
-    return any(court.ratio(row, everyone) < _SPEAKS_AGAINST for row in range(len(pairs)))
+    testimonies = _Court(pairs, points, _RATES).testimonies
+    return any(testimony.hearsay < _SPEAKS_AGAINST for testimony in testimonies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +154,15 @@ class _Court:
         self._pairs = pairs
         self._evidence = evidence
         self._logs = [tuple(_logs(s, rates) for s in each.sides) for each in evidence]
-        self._testimonies = [
-            Testimony(each.siblings, _asked(each) - {row}) for row, each in enumerate(evidence)
+        everyone = np.ones(len(pairs), dtype=bool)
+        self.testimonies = [
+            Testimony(each.siblings, _asked(each) - {row}, self.ratio(row, everyone))
+            for row, each in enumerate(evidence)
         ]
 
     def groups(self, least_ratio: float) -> Groups:
         """Panoramas that pairs put together, if so much speaks for them."""
-        return put_together(self._pairs, self._testimonies, self.ratio, least_ratio)
+        return put_together(self._pairs, self.testimonies, self.ratio, least_ratio)
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""

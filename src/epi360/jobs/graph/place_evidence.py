@@ -26,6 +26,7 @@ from epi360.jobs.graph.shared_points import (
     cloud_of,
     place_sigmas_deg,
     scale_between,
+    some_of,
 )
 from epi360.jobs.graph.surface_evidence import (
     OWN,
@@ -198,7 +199,7 @@ class Surroundings:
         seen = cloud.points @ pose.rotation.T + pose.translation
         sigmas = place_sigmas_deg(pair, side, seen, cloud.log_sigmas)
         (good,) = np.nonzero(sigmas < PLACE_SIGMA_DEG)
-        return _some(good, most)
+        return some_of(good, most)
 
 
 def _looked_for(
@@ -248,12 +249,6 @@ def log_beyond(seen: Array, cloud: Cloud) -> Array:
     middle = np.maximum(num_known - 1, 0) // 2
     beyond: Array = np.log(ranges) - distances[np.arange(len(seen)), middle]
     return beyond
-
-
-def _some(rows: Indices, most: int) -> Indices:
-    """As many rows, spread over all."""
-    some: Indices = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
-    return some
 
 
 def _normals(points: Array, rows: Indices) -> Array:

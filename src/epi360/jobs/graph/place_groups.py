@@ -45,11 +45,13 @@ class Testimony:
     """What is known about a pair besides its pose.
 
     ``siblings`` are pairs that say the same if a third one is right; ``witnesses`` are the pairs of
-    which its ratio depends on whether they are believed.
+    which its ratio depends on whether they are believed; ``hearsay`` is its ratio by what all pairs
+    know, right and wrong ones.
     """
 
     siblings: Sequence[Sibling]
     witnesses: Set[int]
+    hearsay: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +84,8 @@ def put_together(
 ) -> Groups:
     """Join groups by the claim that most speaks for, until nothing speaks enough for any.
 
-    ``ratio_of`` gives a pair's log-likelihood ratio by what the pairs of a mask know: those that
-    have been joined so far or, once at the beginning, all.
+    ``ratio_of`` gives a pair's log-likelihood ratio by what the pairs of a mask know, those that
+    have been joined so far.
     """
     assembly = _Assembly(pairs, testimonies, ratio_of, least_ratio)
     while assembly.join_surest():
@@ -106,8 +108,6 @@ class _Assembly:
         self._joined = np.zeros(len(pairs), dtype=bool)
         self._said = np.full(len(pairs), np.nan)
         self._ratios = np.full(len(pairs), np.nan)  # NaN: a witness has been joined since
-        everyone = np.ones(len(pairs), dtype=bool)
-        self._hearsay = [ratio_of(row, everyone) for row in range(len(pairs))]
         self._asked_by: list[set[int]] = [set() for _ in pairs]
         for row, testimony in enumerate(testimonies):
             for witness in testimony.witnesses:
@@ -166,8 +166,11 @@ class _Assembly:
         self._said[list(claim.rows)] = claim.ratio
         sound = [row for row in claim.rows if self._ratio(row) >= _LEAST_OF_ONE]
         del self._claims[groups]
-        claimed = set(claim.rows)
-        self._undecided += [row for row in self._between.pop(groups) if row not in claimed]
+        for row in sorted(set(self._between.pop(groups)).difference(claim.rows)):
+            if self._contradicts(row):
+                self._said[row] = -np.inf
+            else:
+                self._undecided.append(row)
         stale = self._believe(sound) | self._renamed(second) | self._settle_within()
         for each in stale & self._between.keys():
             self._claims[each] = self._claims_of(each)
@@ -183,22 +186,13 @@ class _Assembly:
         return {self._groups_of(row) for row in rows}
 
     def _settle_within(self) -> set[GroupPair]:
-        """Believe what agrees with its group and is sure enough; return where that is heard."""
+        """Believe what is sure enough of what agrees with its group; return where that is heard."""
         changed: set[GroupPair] = set()
-        while True:
-            sure = set()
-            for row in self._undecided:
-                if np.isnan(self._said[row]) and self._contradicts(row):
-                    self._said[row] = -np.inf
-                elif np.isnan(self._said[row] + self._ratios[row]):
-                    self._said[row] = self._ratio(row)
-                if self._said[row] >= self._least and np.isfinite(self._said[row]):
-                    sure.add(row)
-            decided = sure | {row for row in self._undecided if np.isneginf(self._said[row])}
-            self._undecided = [row for row in self._undecided if row not in decided]
-            if not sure:
-                return changed
-            changed |= self._believe(sorted(sure))
+        while sure := [row for row in self._undecided if self._ratio(row) >= self._least]:
+            self._said[sure] = self._ratios[sure]
+            self._undecided = [row for row in self._undecided if self._ratio(row) < self._least]
+            changed |= self._believe(sure)
+        return changed
 
     def _believe(self, rows: Sequence[int]) -> set[GroupPair]:
         """From now on these pairs are heard; return between which groups that changes something."""
@@ -250,12 +244,12 @@ class _Assembly:
         return way
 
     def _claims_of(self, groups: GroupPair) -> list[_Claim]:
-        """Pairs between two groups, sorted by what they say."""
+        """What pairs say about two groups; those that say the same are one claim."""
         rows = self._between[groups]
         claims = []
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
-            hearsay = _together([self._hearsay[row] for row in same])
+            hearsay = _together([self._testimonies[row].hearsay for row in same])
             ratio = _together(ratios) + _HEARSAY_SHARE * min(hearsay, _MOST_HEARSAY)
             claims.append(_Claim(same, ratio, same[int(np.argmax(ratios))]))
         return claims

@@ -124,3 +124,9 @@ def place_sigmas_deg(pair: PosedPair, side: int, seen: Array, log_sigmas: Array)
     across = np.linalg.norm(np.cross(seen, baseline), axis=1) / ranges**2
     sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
     return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))
+
+
+def some_of(rows: Indices, most: int) -> Indices:
+    """As many rows, spread over all."""
+    some: Indices = rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(int)]
+    return some

@@ -29,6 +29,7 @@ from epi360.jobs.graph.shared_points import (
     PosedPair,
     place_sigmas_deg,
     scale_of,
+    some_of,
 )
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
@@ -39,7 +40,7 @@ Mask = NDArray[np.bool_]
 
 OWN = -1  # the pair itself, as a source of depths
 PARTS = SphereCells(183)  # of a view, of 15 degrees: what lies in one is one witness
-FEWEST_PARTS = 4  # of either view, before anything speaks for a pair
+FEWEST_PARTS = 4  # of either view, before surfaces say anything, and points anything for a pair
 HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
 _MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
 _MOST_OF_ONE = 500  # of one witness
@@ -164,7 +165,7 @@ class _Witness:
         sigmas = place_sigmas_deg(pair, side, seen.points, log_sigmas)
         kept = (sigmas < PLACE_SIGMA_DEG) & (seen.changes_deg < _LARGEST_CHANGE_DEG)
         (good,) = np.nonzero(kept)
-        good = good[np.linspace(0, len(good) - 1, min(len(good), most)).astype(int)]
+        good = some_of(good, most)
         return cells[good], depths[good], self.view.normals[rows[good]]
 
 

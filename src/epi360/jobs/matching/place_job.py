@@ -60,11 +60,19 @@ def _judged(
     job: MatchJob, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
     """Verdicts by points; where these leave a doubt, by surfaces too, which cost much more."""
-    if not leave_a_doubt(known.pairs, points):
-        return judge_places(known.pairs, points)
+    evidence = points
+    if leave_a_doubt(known.pairs, points):
+        evidence = _with_surfaces(job, known, points)
+    return judge_places(known.pairs, evidence)
+
+
+def _with_surfaces(
+    job: MatchJob, known: Surroundings, points: Sequence[Evidence]
+) -> Sequence[Evidence]:
+    """What surfaces say besides points; points alone if a picture is gone."""
     grown = _of_each(job, known.grown, range(len(points)))
     if len(grown) < len(points):
-        return judge_places(known.pairs, points)
+        return points
     views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
     witnesses = SurfaceWitnesses.of(known.pairs, views)
 
@@ -72,9 +80,7 @@ def _judged(
         return known.with_surfaces(row, points[row], witnesses, grown[row][1])
 
     found = _of_each(job, look, range(len(points)))
-    if len(found) < len(points):
-        return judge_places(known.pairs, points)
-    return judge_places(known.pairs, [found[row] for row in range(len(points))])
+    return points if len(found) < len(points) else [found[row] for row in range(len(points))]
 
 
 def _of_each(job: MatchJob, look: Callable[[int], Found], rows: Sequence[int]) -> dict[int, Found]:
