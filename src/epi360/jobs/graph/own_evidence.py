@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pair shows by itself: how much of both views grows together, and what differs in it.
+"""What a pair shows by itself: the shape of what grows in both views, and what differs in it.
 
-Of a right pair most of both views grows (`features.shared_surfaces`); of another place with the
-same door little does, and what grows has holes: cells that must be there, by those around them, and
-look different. A copy of the room grows as much, and has holes where its owners put other things.
+Of a right pair, surfaces (`features.shared_surfaces`) grow until something hides them or they are
+bare: few of the cells lie at edges, and few are holes, cells that must be there, by those around
+them, and look different. A copy of the room grows as far, and has holes where its owners put other
+things. Of another place with the same door little grows, and it frays out.
+
+Seven numbers say so, see `shown_by`. Their densities over right pairs of one room, right pairs
+through a door, pairs of copies and pairs of other rooms are normal; `benchmarks/own_evidence.py`
+fits them to rendered homes and writes ``own_evidence.json``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,35 +27,20 @@ from epi360.features.shared_surfaces import LEAST_CONTRAST, SeenCells, SharedSur
 from epi360.jobs.graph.shared_points import PosedPair
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-# What a pair shows by itself: logarithms of the larger number of cells found in either view, and of
-# the share of cells that differ where they are expected, up to 45 and up to 20 degrees of view
-# change. Mean and covariance over right pairs of one room (183), right pairs through a door (97),
-# pairs of copies of a room (127) and of different rooms (414) of four rendered homes. Each variance
-# is larger by 0.01, for other homes are different.
-_OF_ROOMS = (
-    np.array([7.68, -2.66, -3.28]),
-    np.array([[0.117, -0.100, -0.161], [-0.100, 0.181, 0.233], [-0.161, 0.233, 0.474]]),
-)
-_OF_DOORS = (
-    np.array([6.74, -1.94, -2.00]),
-    np.array([[0.155, -0.074, -0.107], [-0.074, 0.138, 0.112], [-0.107, 0.112, 0.254]]),
-)
-_OF_COPIES = (
-    np.array([7.38, -1.92, -2.00]),
-    np.array([[0.129, -0.043, -0.033], [-0.043, 0.048, 0.038], [-0.033, 0.038, 0.098]]),
-)
-_OF_OTHERS = (
-    np.array([6.03, -1.56, -1.61]),
-    np.array([[0.359, -0.049, -0.013], [-0.049, 0.069, 0.046], [-0.013, 0.046, 0.111]]),
-)
+DENSITIES = "own_evidence.json"  # beside this file
+ROOM, DOOR, COPY, OTHER = "one room", "through a door", "copy", "other room"
+SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
 _SHARE_OF_ROOMS = 0.65  # of the right pairs
-# Beyond what pairs of these homes show, densities of unlike width say the opposite.
-_LEAST_SHOWN, _MOST_SHOWN = np.log([320.0, 0.01, 0.01]), np.log([5000.0, 0.3, 0.3])
-# Photographed tours grow less than rendered ones, and are right: this speaks for a pair only.
-_MOST_OVER_OTHERS, _MOST_OVER_COPIES = 8.0, 5.0
+# In photographed homes less grows than in rendered ones, so this never speaks for another place.
+_LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -2.0, 8.0
+
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
-_LARGEST_CHANGES_DEG = (45.0, 20.0)
+_ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
+_FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
+_TURNED_DEG, _MUCH_TURNED_DEG = 20.0, 45.0
 _NUM_NEAR = 7  # cells that say how far the other camera sees in a direction
 
 
@@ -54,7 +48,8 @@ _NUM_NEAR = 7  # cells that say how far the other camera sees in a direction
 class OwnEvidence:
     """Log-likelihood ratios of a pose by what the pair shows by itself.
 
-    Over that of another place with a similar thing, and over that of a copy of the place.
+    Over that of another place with a similar thing, and over that of a copy of the place. Both must
+    speak for a pair: where nothing grows, it is no copy either.
     """
 
     over_others: float = 0.0
@@ -62,43 +57,153 @@ class OwnEvidence:
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
-        """Weigh how much of both views grows, and how little of it differs."""
-        expected = [_expected(pair, side, views) for side in (0, 1)]
-        differs, changes_deg = (np.concatenate(each) for each in zip(*expected, strict=True))
-        shares = [
-            (np.count_nonzero(differs & kept) + 3) / (np.count_nonzero(kept) + 30)
-            for kept in (changes_deg < largest_deg for largest_deg in _LARGEST_CHANGES_DEG)
-        ]
-        most = max(int(np.count_nonzero(view.found)) for view in views)
-        shown = np.clip(np.log([most + 20, *shares]), _LEAST_SHOWN, _MOST_SHOWN)
-        right = np.logaddexp(
-            np.log(_SHARE_OF_ROOMS) + _log_density(shown, *_OF_ROOMS),
-            np.log(1 - _SHARE_OF_ROOMS) + _log_density(shown, *_OF_DOORS),
-        )
-        over_others = right - _log_density(shown, *_OF_OTHERS)
-        over_copies = right - _log_density(shown, *_OF_COPIES)
+        """Weigh what has grown from both sides of a pair."""
+        over_others, over_copies = _FITTED.ratios(shown_by(pair, views))
         return cls(
-            float(np.clip(over_others, 0.0, _MOST_OVER_OTHERS)),
-            float(np.clip(over_copies, 0.0, _MOST_OVER_COPIES)),
+            float(np.clip(over_others, _LEAST_OVER_OTHERS, _MOST)),
+            float(np.clip(over_copies, _LEAST_OVER_COPIES, _MOST)),
         )
 
 
-def _log_density(values: Array, mean: Array, covariance: Array) -> float:
-    """Logarithm of a normal density, but for a constant that all have in common."""
-    centred = values - mean
-    return float(
-        -(centred @ np.linalg.solve(covariance, centred) + np.linalg.slogdet(covariance)[1]) / 2
+@dataclass(frozen=True, eq=False)
+class NormalDensity:
+    """Mean (7,) and covariance (7, 7) of what pairs of one case show."""
+
+    mean: Array
+    covariance: Array
+
+    def log_of(self, shown: Array) -> float:
+        """Logarithm of the density, but for a constant that all cases have in common."""
+        centred = shown - self.mean
+        spread = centred @ np.linalg.solve(self.covariance, centred)
+        return float(-(spread + np.linalg.slogdet(self.covariance)[1]) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Densities:
+    """Density of each case.
+
+    ``least`` and ``most`` (7,) limit what is shown: beyond what pairs have shown, densities of
+    unlike width would say the opposite.
+    """
+
+    least: Array
+    most: Array
+    cases: Mapping[str, NormalDensity]
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> Densities:
+        """Take the values of the file."""
+        cases = {
+            case: NormalDensity(np.array(each["mean"]), np.array(each["covariance"]))
+            for case, each in record["cases"].items()
+        }
+        return cls(np.array(record["least"]), np.array(record["most"]), cases)
+
+    def ratios(self, shown: Array) -> tuple[float, float]:
+        """Log-likelihood ratios of right pairs over those of other rooms, and over copies."""
+        limited = np.clip(shown, self.least, self.most)
+        logs = {case: density.log_of(limited) for case, density in self.cases.items()}
+        rooms = np.log(_SHARE_OF_ROOMS) + logs[ROOM]
+        right = float(np.logaddexp(rooms, np.log(1 - _SHARE_OF_ROOMS) + logs[DOOR]))
+        return right - logs[OTHER], right - logs[COPY]
+
+
+_RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(DENSITIES).read_text("utf-8"))
+_FITTED = Densities.of_record(_RECORD)
+
+
+def shown_by(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> Array:
+    """Logarithms (7,) of shares and numbers of textured cells that both views must show.
+
+    In the order of `SHOWN`: the share at the edge of a surface; the number that is seen from
+    directions more than 45 degrees apart, and that of much contrast; the share that the other view
+    shows bare; and the shares that differ, of those of little contrast, of those inside of surfaces
+    that are seen from nearly one direction, and of those that the other view shows textured. Cells
+    that are seen from directions more than 45 degrees apart do not count in the last three.
+    """
+    sides = (_Expected.of(pair, side, views) for side in (0, 1))
+    cells = _Expected(*(np.concatenate(each) for each in zip(*sides, strict=True)))
+    turned, much_turned = (cells.turned_deg >= limit for limit in (_TURNED_DEG, _MUCH_TURNED_DEG))
+    bare = cells.other_contrasts < LEAST_CONTRAST
+    return np.array(
+        [
+            _log_share(cells.at_edge),
+            _log_number(much_turned),
+            _log_number(cells.contrasts > _STRONG),
+            _log_share(bare),
+            _log_share(cells.differs[~much_turned & (cells.contrasts < _FAINT)]),
+            _log_share(cells.differs[~turned & ~cells.at_edge]),
+            _log_share(cells.differs[~much_turned & ~bare]),
+        ]
     )
 
 
-def _expected(
-    pair: PosedPair, side: int, views: Sequence[SharedSurfaces]
-) -> tuple[NDArray[np.bool_], Array]:
-    """Whether cells differ, where those around say what must be seen there, and view changes."""
-    here, there = views[side], views[1 - side]
-    (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
-    seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
-    near = grid().nearest(seen.directions, _NUM_NEAR)
-    nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
-    kept = nearest >= _CLEARLY_HIDDEN * seen.ranges
-    return here.expected_likeness[cells[kept]] < _DIFFERS, seen.changes_deg[kept]
+class _Expected(NamedTuple):
+    """Textured cells (N,) that both views must show, by the cells around them.
+
+    ``contrasts`` and ``other_contrasts`` are those of both views, ``turned_deg`` angles between
+    both rays.
+    """
+
+    contrasts: NDArray[np.floating]
+    other_contrasts: NDArray[np.floating]
+    differs: Mask
+    at_edge: Mask
+    turned_deg: Array
+
+    @classmethod
+    def of(cls, pair: PosedPair, side: int, views: Sequence[SharedSurfaces]) -> _Expected:
+        """Cells of one side of a pair that nothing hides from the other."""
+        here, there = views[side], views[1 - side]
+        (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
+        seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
+        near = grid().nearest(seen.directions, _NUM_NEAR)
+        nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
+        kept = nearest >= _CLEARLY_HIDDEN * seen.ranges
+        cells = cells[kept]
+        return cls(
+            here.contrasts[cells],
+            there.contrasts[near[kept, 0]],
+            here.expected_likeness[cells] < _DIFFERS,
+            _at_edge(here, cells),
+            seen.changes_deg[kept],
+        )
+
+
+def _at_edge(view: SharedSurfaces, cells: Indices) -> Mask:
+    """Whether the found cells of one surface around each cell leave half a turn free."""
+    around = grid().around[cells]
+    with np.errstate(divide="ignore"):
+        apart = np.abs(np.log(view.depths[around] / view.expected_depths[cells, None]))
+    same = apart < _ONE_SURFACE  # infinite where nothing was found
+    azimuths = _azimuths()[cells]
+    first = np.where(same, azimuths, np.pi).min(axis=1, keepdims=True)
+    turns = np.sort(np.where(same, azimuths, first), axis=1)
+    free = np.append(np.diff(turns, axis=1), turns[:, :1] + 2 * np.pi - turns[:, -1:], axis=1)
+    edge: Mask = free.max(axis=1) >= np.pi
+    return edge
+
+
+@cache
+def _azimuths() -> Array:
+    """Directions (N, 24), as angles about each cell, in which those around it lie."""
+    centres = grid().directions.astype(np.float64)
+    to_others = centres[grid().around] - centres[:, None]
+    is_steep = np.abs(centres[:, 1:2]) > 0.9
+    axes = np.cross(np.where(is_steep, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]), centres)
+    across = np.cross(centres, axes)
+    angles: Array = np.arctan2(
+        np.sum(to_others * across[:, None], axis=2), np.sum(to_others * axes[:, None], axis=2)
+    )
+    return angles
+
+
+def _log_share(which: Mask) -> float:
+    """Logarithm of a share; that of few cells is drawn to a tenth."""
+    return float(np.log((np.count_nonzero(which) + 3) / (len(which) + 30)))
+
+
+def _log_number(which: Mask) -> float:
+    """Logarithm of a number; small ones do not differ much."""
+    return float(np.log(np.count_nonzero(which) + 20))

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Fits what a pair shows by itself to rendered homes, and says how well it tells copies.
+
+``python benchmarks/own_evidence.py --seeds 0,30,40,60 --out DIR`` renders four homes from each seed
+on, level and tilted, matches all pairs of each, and prints how well densities that are fitted to
+the homes of the other seeds tell right pairs from copies and from other rooms. With ``--write`` the
+densities that are fitted to all of them become those of the package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import _one_thread  # noqa: F401 - before NumPy
+import numpy as np
+from _summary import text_table
+from _trust_records import RIGHT_DEG, WRONG_DEG, errors_of
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from epi360.features import read_image
+from epi360.features.warped_patches import Panorama
+from epi360.interop import MatchGraph
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.graph import own_evidence
+from epi360.jobs.graph.own_evidence import (
+    COPY,
+    DOOR,
+    OTHER,
+    ROOM,
+    SHOWN,
+    Densities,
+    NormalDensity,
+)
+from epi360.jobs.graph.place_evidence import grow_both
+from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.threads import num_cores, on_threads
+from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
+from epi360_scenes.tours import Tour, render_tour
+
+Array = NDArray[np.float64]
+
+# Each variance is larger by so much, for other homes are different.
+VARIANCE_OF_HOMES = 0.01
+LEAST_SHARE, MOST_SHARE = 0.01, 0.99  # of the pairs that are beyond the limits of the numbers
+CASES = (ROOM, DOOR, COPY, OTHER)
+FEWEST_PAIRS = 50  # of each case, for a density of seven numbers
+FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass
+
+
+class Shown(NamedTuple):
+    """What one pair shows: the seed of its homes, its case, its seven numbers."""
+
+    seed: int
+    case: str
+    numbers: Array
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    options = _parse_options()
+    shown = [each for seed in options.seeds for each in _shown_in_homes(seed, options)]
+    counts = {case: sum(each.case == case for each in shown) for case in CASES}
+    if min(counts.values()) < FEWEST_PAIRS:
+        print(f"each case must have {FEWEST_PAIRS} pairs, there are {counts}: take more homes")
+        return 1
+    if len(options.seeds) > 1:
+        print(text_table(_rows(shown)))
+    if options.write:
+        path = Path(own_evidence.__file__).with_name(own_evidence.DENSITIES)
+        write_file(path, _as_json(_record(shown, options)).encode())
+        print(f"Written: {path}")
+    return 0
+
+
+def _parse_options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=_numbers, default=[0], help="first seed of each few homes")
+    parser.add_argument("--homes", type=int, default=4, help="homes of each of the seeds")
+    parser.add_argument("--width", type=int, default=1024, help="of the panoramas, in pixels")
+    parser.add_argument("--out", type=Path, default=Path("own_evidence"), help="keeps homes")
+    parser.add_argument("--write", action="store_true", help="become those of the package")
+    return parser.parse_args()
+
+
+def _numbers(text: str) -> list[int]:
+    return [int(each) for each in text.split(",")]
+
+
+def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
+    for is_level, home in itertools.product((True, False), range(options.homes)):
+        name = f"{'level' if is_level else 'tilted'}_{home}_{options.width}"
+        out = options.out / str(seed)
+        tour = render_tour(
+            out / "tours" / name, seed + home, is_level=is_level, width=options.width
+        )
+        found = [Shown(seed, *each) for each in _shown_in_tour(tour, out / "match" / name, seed)]
+        print(f"seed {seed}, {name}: {len(found)} pairs", flush=True)
+        yield from found
+
+
+def _shown_in_tour(tour: Tour, output: Path, seed: int) -> list[tuple[str, Array]]:
+    """Cases and numbers of the pairs that are accepted by themselves, and right or wrong."""
+    match_images(find_images(tour.folder), output, MatchOptions(pairs="exhaustive", seed=seed))
+    posed = list(_accepted(load_matches(output, by_others=False)))
+    panoramas = {
+        one.name: Panorama.of(read_image(tour.folder / one.name)) for one in tour.panoramas
+    }
+
+    def look(row: int) -> tuple[str, Array] | None:
+        names, pair = posed[row]
+        case = _case(tour, names, pair.cam2_from_cam1)
+        if case is None:
+            return None
+        grown = grow_both(pair, [panoramas[name] for name in names])
+        return case, own_evidence.shown_by(pair, grown)
+
+    found = dict(on_threads(look, range(len(posed)), num_cores()))
+    return [each for row in sorted(found) if (each := found[row]) is not None]
+
+
+def _accepted(graph: MatchGraph) -> Iterator[tuple[tuple[str, str], PosedPair]]:
+    """Pairs of a folder that have a pose, with the names of their images."""
+    bearings = {
+        name: graph.cameras[image.camera].bearings_from_pixels(image.keypoints)
+        for name, image in graph.images.items()
+        if image.camera is not None
+    }
+    numbers = {name: number for number, name in enumerate(graph.images)}
+    for pair in graph.pairs:
+        if pair.geometry is not None and pair.geometry.status == "ok":
+            names, (rows1, rows2) = (pair.image1, pair.image2), pair.geometry.inliers.T
+            yield (
+                names,
+                PosedPair(
+                    images=(numbers[pair.image1], numbers[pair.image2]),
+                    cam2_from_cam1=pair.geometry.cam2_from_cam1,
+                    keypoints=(rows1, rows2),
+                    bearings=(bearings[pair.image1][rows1], bearings[pair.image2][rows2]),
+                    noise_deg=0.0,
+                    rotation_sigma_deg=0.0,
+                    translation_sigma_deg=0.0,
+                ),
+            )
+
+
+def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
+    """Which case a pair is; None between right and wrong."""
+    error = max(errors_of(pose, tour.cam2_from_cam1(*names)))
+    name1, name2 = sorted(names, key=[one.name for one in tour.panoramas].index)
+    relation = tour.relation(name1, name2)
+    if error < RIGHT_DEG:
+        return ROOM if relation == "one room" else DOOR
+    if error < WRONG_DEG:
+        return None
+    return COPY if relation in ("twins", "mirrored") else OTHER
+
+
+def _rows(shown: Sequence[Shown]) -> list[list[str]]:
+    """How well densities of the other seeds' homes tell right pairs from wrong ones."""
+    rows = [
+        ["right", "wrong", "pairs", "area under ROC", f"kept at {FALSE_SHARE:.0%} of the wrong"]
+    ]
+    ratios = {case: _held_out(shown, case) for case in CASES}
+    for column, wrong in enumerate((OTHER, COPY)):
+        against = ratios[wrong][:, column]
+        for right in (ROOM, DOOR):
+            speaks = ratios[right][:, column]
+            counts = f"{len(speaks)}, {len(against)}"
+            kept = np.mean(speaks > np.quantile(against, 1 - FALSE_SHARE))
+            rows.append([right, wrong, counts, f"{_area(speaks, against):.3f}", f"{kept:.0%}"])
+    return rows
+
+
+def _held_out(shown: Sequence[Shown], case: str) -> Array:
+    """Log-likelihood ratios (N, 2) over other rooms and over copies, of the pairs of a case."""
+    ratios = []
+    for seed in sorted({each.seed for each in shown}):
+        fitted = _densities([each for each in shown if each.seed != seed])
+        here = (each for each in shown if each.seed == seed and each.case == case)
+        ratios += [fitted.ratios(each.numbers) for each in here]
+    return np.array(ratios).reshape(-1, 2)
+
+
+def _densities(shown: Sequence[Shown]) -> Densities:
+    every = np.array([each.numbers for each in shown])
+    least, most = np.quantile(every, (LEAST_SHARE, MOST_SHARE), axis=0)
+    cases = {}
+    for case in CASES:
+        numbers = np.array([each.numbers for each in shown if each.case == case])
+        covariance = np.cov(numbers.T) + VARIANCE_OF_HOMES * np.eye(numbers.shape[1])
+        cases[case] = NormalDensity(numbers.mean(axis=0), covariance)
+    return Densities(least, most, cases)
+
+
+def _area(right: Array, wrong: Array) -> float:
+    """Chance that a right pair gets more than a wrong one."""
+    ranks = rankdata(np.concatenate([right, wrong]))[: len(right)]
+    below = ranks.sum() - len(right) * (len(right) + 1) / 2
+    return float(below / (len(right) * len(wrong)))
+
+
+def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, Any]:
+    """What the package reads."""
+    fitted = _densities(shown)
+    seeds = ",".join(map(str, options.seeds))
+    return {
+        "made_by": f"python benchmarks/own_evidence.py --homes {options.homes} --seeds {seeds} "
+        f"--width {options.width} --write",
+        "shown": list(SHOWN),
+        "least": _rounded(fitted.least),
+        "most": _rounded(fitted.most),
+        "cases": {
+            case: {
+                "num_pairs": sum(each.case == case for each in shown),
+                "mean": _rounded(density.mean),
+                "covariance": [_rounded(row) for row in density.covariance],
+            }
+            for case, density in fitted.cases.items()
+        },
+    }
+
+
+def _as_json(record: dict[str, Any]) -> str:
+    """JSON with each list of numbers on one line."""
+    text = json.dumps(record, indent=1)
+    return re.sub(r"\[[^][]*\]", lambda found: " ".join(found[0].split()), text) + "\n"
+
+
+def _rounded(values: Array) -> list[float]:
+    return [round(float(value), 4) for value in values]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
