@@ -202,7 +202,8 @@ def test_a_pair_is_confirmed_by_triangles_that_all_close():
     verdicts = graph("ab bc cd da ac")
     pairs = [tuple(name) for name in verdicts]
     listed = list(verdicts.values())
-    assert closing(pairs, listed, [0, 1, 2, 3], {4: listed[4]}) == {4}
-    assert closing(pairs, listed, [0, 2], {4: listed[4]}) == set()  # in no triangle
+    found = closing(pairs, listed, [0, 1, 2, 3], {4: listed[4]})
+    assert {row: loop.num_triangles for row, loop in found.items()} == {4: 2}
+    assert closing(pairs, listed, [0, 2], {4: listed[4]}) == {}  # in no triangle
     away = replace(listed[4], cam2_from_cam1=listed[4].cam2_from_cam1.inverse())
-    assert closing(pairs, listed, [0, 1, 2, 3], {4: away}) == set()
+    assert closing(pairs, listed, [0, 1, 2, 3], {4: away}) == {}

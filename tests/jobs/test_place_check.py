@@ -196,6 +196,22 @@ def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
     assert told[0] < told[1] - 0.1 and told[1] + 0.1 < told[2]
 
 
+def doubted(share):
+    """Evidence on a further pair, by pairs of both of its panoramas."""
+    rng = np.random.default_rng(5)
+    return Evidence((sightings(rng, [0, 1], share), sightings(rng, [3, 4], share)))
+
+
+def test_doubted_poses_are_judged_by_what_the_others_know():
+    pairs = list(combinations(range(4), 2))
+    found = evidence_on(pairs, [1.0] * len(pairs))
+    told = [doubted(1.0), doubted(0.6), Evidence((nothing(), nothing()))]
+    verdicts = judge_places([posed(pair) for pair in pairs], found, told)
+    assert verdicts[: len(pairs)] == judged(pairs, found)  # what they know says nothing of others
+    assert [bool(verdict.refused) for verdict in verdicts[len(pairs) :]] == [False, True, True]
+    assert verdicts[-1].probability == pytest.approx(0.5)  # half of them are wrong
+
+
 TRUSTED = np.ones(4, dtype=bool)
 
 

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the surroundings say goes into the verdicts of a folder, together with its triangles."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.place_check import PLACE_CONFIRMED, PlaceVerdict
-from epi360.jobs.matching import match_folder
-from epi360.jobs.matching.match_folder import PairVerdict
-from epi360.poses import Pose
+from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.matching.pair_verdicts import PairVerdict, checked
+from epi360.poses import Pose, rotation_from_vector
 
 PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3)}
 
@@ -37,7 +37,7 @@ def test_triangles_confirm_a_pair_that_is_refused_in_doubt(probability, is_accep
     verdicts = verdicts_of(combinations("abcd", 2))
     places = [PlaceVerdict(probability, 0.8, 30, "shows another place, for some reason")]
     places += [PlaceVerdict()] * (len(verdicts) - 1)
-    judged = match_folder._checked(verdicts, places, is_level=False)
+    judged = checked(verdicts, places, is_level=False)
     assert judged[0].accepted == is_accepted
     assert (PLACE_CONFIRMED in judged[0].warnings) == is_accepted
     assert all(verdict.accepted for verdict in judged[1:])
@@ -50,7 +50,7 @@ def test_the_probability_is_that_of_the_matches_and_of_the_surroundings():
         PlaceVerdict(0.995),
         PlaceVerdict(),
     ]
-    judged = match_folder._checked(verdicts, places, is_level=False)
+    judged = checked(verdicts, places, is_level=False)
     told = [verdict.probability for verdict in judged]
     assert told == pytest.approx([0.99 * 0.2, 0.99 * 0.995, 0.99])
 
@@ -59,7 +59,7 @@ def test_a_pair_in_no_triangle_stays_refused():
     verdicts = verdicts_of(["ab", "bc", "cd"])
     places = [PlaceVerdict(0.6, 0.8, 30, "may show a copy of the place, as others do")]
     places += [PlaceVerdict()] * 2
-    judged = match_folder._checked(verdicts, places, is_level=False)
+    judged = checked(verdicts, places, is_level=False)
     assert [verdict.accepted for verdict in judged] == [False, True, True]
     assert judged[0].refused.startswith("may show a copy of the place")
 
@@ -70,6 +70,70 @@ def test_refused_pairs_do_not_speak_against_right_ones():
     verdicts[0] = PairVerdict(**{**vars(verdicts[0]), "cam2_from_cam1": wrong})
     places = [PlaceVerdict(0.0, 0.3, 30, "shows another place, for some reason")]
     places += [PlaceVerdict()] * 5
-    judged = match_folder._checked(tuple(verdicts), places, is_level=False)
+    judged = checked(tuple(verdicts), places, is_level=False)
     assert all(verdict.num_contradicted == 0 for verdict in judged)
     assert [verdict.accepted for verdict in judged] == [False, *[True] * 5]
+
+
+def doubted(verdict):
+    """The same pair, if its inliers lay close together."""
+    values = {
+        "status": "concentrated_inliers",
+        "doubted": verdict.cam2_from_cam1,
+        "cam2_from_cam1": Pose.nan(),
+        "rotation_sigma_deg": np.nan,
+        "translation_sigma_deg": np.nan,
+    }
+    return replace(verdict, **values)
+
+
+def test_surroundings_that_look_the_same_clear_a_doubted_pose():
+    verdicts = list(verdicts_of(["ab", "bc", "cd"]))
+    pose = verdicts[1].cam2_from_cam1
+    verdicts[1] = doubted(verdicts[1])
+    judged = checked(verdicts, [PlaceVerdict(0.99)] * 3, is_level=False)
+    assert judged[1].accepted and judged[1].confirmed
+    assert PLACE_AGREES in judged[1].warnings
+    np.testing.assert_array_equal(judged[1].cam2_from_cam1.matrix(), pose.matrix())
+    assert judged[1].probability == pytest.approx(0.99 * 0.99)
+    assert judged[1].by_others
+    assert np.isnan(judged[1].rotation_sigma_deg)  # a doubted pose has none
+
+
+@pytest.mark.parametrize("is_level", [False, True])
+def test_triangles_contradict_a_doubted_pose_that_is_wrong(is_level):
+    verdicts = list(verdicts_of(combinations("abcd", 2)))
+    turned = Pose(rotation_from_vector([0.0, 0.8, 0.0]), verdicts[0].cam2_from_cam1.translation)
+    verdicts[0] = doubted(replace(verdicts[0], cam2_from_cam1=turned))
+    judged = checked(verdicts, [PlaceVerdict(0.96)] * 6, is_level=is_level)
+    assert judged[0].status == "concentrated_inliers"
+    assert not judged[0].accepted and not judged[0].confirmed
+    assert all(verdict.accepted for verdict in judged[1:])
+
+
+def test_triangles_do_not_confirm_what_the_surroundings_clearly_refuse():
+    verdicts = list(verdicts_of(combinations("abcd", 2)))
+    verdicts[0] = doubted(verdicts[0])
+    for probability, is_accepted in ((0.001, False), (0.5, True)):
+        place = PlaceVerdict(probability, refused="shows another place")
+        judged = checked(verdicts, [place, *[PlaceVerdict(0.99)] * 5], is_level=True)
+        assert judged[0].accepted == is_accepted
+        assert not judged[0].by_others
+
+
+def test_a_doubted_pose_that_joins_two_groups_alone_stays_doubted():
+    verdicts = list(verdicts_of(["ab", "bc", "cd"]))
+    verdicts[1] = doubted(replace(verdicts[1], probability=0.7))
+    judged = checked(verdicts, [PlaceVerdict(0.99)] * 3, is_level=False)
+    assert judged[1].status == "concentrated_inliers" and not judged[1].confirmed
+
+
+@pytest.mark.parametrize("place", [None, PlaceVerdict(0.4, refused="may show a copy")])
+def test_a_doubted_pose_stays_refused_without_them(place):
+    verdicts = list(verdicts_of(combinations("abcd", 2)))
+    verdicts[0] = doubted(verdicts[0])
+    judged = checked(verdicts, [place, *[PlaceVerdict()] * 5], is_level=False)
+    assert judged[0].status == "concentrated_inliers"
+    assert not judged[0].confirmed
+    assert judged[0].refused == ""  # its status says why
+    assert judged[0].probability == pytest.approx(0.99 * (0.4 if place else 1.0))

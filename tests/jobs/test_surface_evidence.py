@@ -83,6 +83,19 @@ def test_right_pairs_speak_for_each_other(row):
     assert surfaces_ratio(evidence.surfaces, np.ones(3, dtype=bool)) == 1.0  # as much as it may
 
 
+def test_only_the_first_pairs_are_asked():
+    known, grown, witnesses = right_room()
+    pairs = known.pairs
+    heard = Surroundings.of(pairs, known.panorama_of, num_heard=2)
+    some = SurfaceWitnesses.of(pairs, witnesses.views, num_heard=2)
+    for row in range(3):
+        evidence = heard.with_surfaces(row, heard.of_points(row), some, grown[row][1])
+        for sightings in (*evidence.sides, *evidence.surfaces):
+            assert set(sightings.witnesses) <= {0, 1} - {row}
+            assert set(sightings.sources) <= {OWN, 0, 1}
+        assert all(sibling.pair < 2 and sibling.via < 2 for sibling in evidence.siblings)
+
+
 def test_nobody_is_asked_who_is_not_believed():
     known, grown, witnesses = right_room()
     evidence = known.with_surfaces(0, known.of_points(0), witnesses, grown[0][1])

@@ -272,7 +272,7 @@ def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
 
 def _describe(run: MapRun, images: ImageSet) -> str:
     """Lines for people: what registered, what did not and why, and how long it took."""
-    from epi360.report.match_table import describe_level
+    from epi360.report.match_table import describe_level, describe_others
 
     num_registered = len(run.models[0].reconstruction.images) if run.models else 0
     lines = [f"registered   {num_registered} of {run.num_images} images"]
@@ -301,7 +301,8 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     lines += [f"not used     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
-    return "\n".join([*lines, *describe_level(run.matched), *run.remarks])
+    lines += [*describe_level(run.matched), *describe_others(run.matched), *run.remarks]
+    return "\n".join(lines)
 
 
 def _describe_track(track: dict[str, Any], num_images: int) -> list[str]:

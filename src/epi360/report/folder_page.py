@@ -16,12 +16,14 @@ from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.features import read_image
 from epi360.interop import MatchedPair, MatchGraph, Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict, load_matches
 from epi360.poses import Pose
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (
     REJECTIONS,
     describe_level,
+    describe_others,
     groups_sentence,
     rejection,
     verdict_reason,
@@ -162,7 +164,7 @@ def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) ->
     sentences += [f"Not used: {name}: {why}." for name, why in not_used[:_NAMED]]
     if len(not_used) > _NAMED:
         sentences.append(f"Not used: {len(not_used) - _NAMED} more.")
-    return sentences + describe_level(run)
+    return sentences + describe_level(run) + describe_others(run)
 
 
 def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:
@@ -194,7 +196,7 @@ def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:
             f"It forms {verdict.num_triangles} triangles with other pairs, and "
             f"{verdict.num_contradicted or 'none'} of them contradict it."
         )
-    if verdict.prior:
+    if verdict.prior and verdict.prior != IMPLIED_PRIOR:  # its warning says that
         sentences.append(f"What was known beforehand: {verdict.prior}.")
     return sentences + [f"{text[0].upper()}{text[1:]}." for text in verdict.warnings]
 

@@ -37,8 +37,9 @@ _GROUPS_NAMED = 6
 def pairs_csv(run: MatchRun) -> bytes:
     """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
-    ``probability`` and those of the explanations are by the matches of the pair alone, ``prior`` is
-    what was known beforehand: "upright", or in a level folder "level" or "level, one height".
+    Those of the explanations are by the matches of the pair alone, ``probability`` is also by what
+    other pairs know. ``prior`` is what was known beforehand: "upright", in a level folder "level" or
+    "level, one height", or "implied" by two other pairs.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -89,7 +90,7 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
     if len(groups_of(run.images, accepted)) > 1:
         rows.append(("Groups", groups_sentence(run.images, accepted)))
     lines = [wrapped(label, value) for label, value in rows]
-    return "\n".join([*lines, *describe_level(run)])
+    return "\n".join([*lines, *describe_level(run), *describe_others(run)])
 
 
 def describe_level(run: MatchRun) -> list[str]:
@@ -104,6 +105,14 @@ def describe_level(run: MatchRun) -> list[str]:
     gained = "1 more pair was" if run.num_gained == 1 else f"{run.num_gained} more pairs were"
     line = f"The panoramas are level ({known}): {gained} accepted with that"
     return [line + (f", {run.num_lost} not any more." if run.num_lost else ".")]
+
+
+def describe_others(run: MatchRun) -> list[str]:
+    """A line that says what pairs say about others; none where that brought nothing."""
+    if not run.num_by_others:
+        return []
+    more = "1 more pair was" if run.num_by_others == 1 else f"{run.num_by_others} more pairs were"
+    return [f"{more} accepted because of what other pairs know of the place."]
 
 
 def groups_of(names: Sequence[str], accepted: Sequence[PairVerdict]) -> list[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,6 +29,9 @@ OPEN_TRIANGLES = "most triangles with other pairs do not close: this pair or one
 FLOOR_ONLY = "all inliers lie on the floor, and printed floors repeat from room to room"
 CONFIRMED = "the inliers alone leave a doubt; the pose is accepted because triangles close with it"
 LONE_LINK, LONE_FLOOR = "joins two groups alone", "lies on the floor only"
+
+
+SomeVerdict = TypeVar("SomeVerdict", bound=Verdict)
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,18 @@ def check_graph(
 def awaits_confirmation(verdict: Verdict) -> bool:
     """Whether a pose that is not believed is so probable that other pairs may confirm it."""
     is_known = bool(np.isfinite(verdict.doubted.translation).all())
-    return is_known and verdict.probability >= _DOUBTED_PROBABILITY
+    return is_known and verdict.status != "ok" and verdict.probability >= _DOUBTED_PROBABILITY
+
+
+def believed(verdict: SomeVerdict) -> SomeVerdict:
+    """The verdict if its doubted pose were accepted."""
+    return replace(
+        verdict,
+        status="ok",
+        cam2_from_cam1=verdict.doubted,
+        rotation_sigma_deg=_DOUBTED_ROTATION_DEG,
+        translation_sigma_deg=_DOUBTED_DIRECTION_DEG,
+    )
 
 
 def _confirmed(
@@ -106,14 +121,7 @@ def _confirmed(
     for row, verdict in enumerate(verdicts):
         if not awaits_confirmation(verdict):
             continue
-        believed = replace(
-            verdict,
-            status="ok",
-            cam2_from_cam1=verdict.doubted,
-            rotation_sigma_deg=_DOUBTED_ROTATION_DEG,
-            translation_sigma_deg=_DOUBTED_DIRECTION_DEG,
-        )
-        loop = triangles.of(pairs[row], believed)
+        loop = triangles.of(pairs[row], believed(verdict))
         needed = 1 if verdict.probability >= _LINK_PROBABILITY else 2
         if loop.num_triangles >= needed and not loop.num_contradicted:
             found[row] = loop
@@ -124,15 +132,17 @@ def closing(
     pairs: Sequence[tuple[str, str]],
     verdicts: Sequence[Verdict],
     accepted: Sequence[int],
-    believed: Mapping[int, Verdict],
-) -> set[int]:
+    tried: Mapping[int, Verdict],
+) -> dict[int, LoopVerdict]:
     """Rows of the pairs of which a triangle with accepted pairs closes, and none is open.
 
-    ``believed`` are the verdicts to try, by row.
+    ``tried`` are their verdicts, by row.
     """
     triangles = _Triangles(pairs, verdicts, accepted)
-    loops = {row: triangles.of(pairs[row], verdict) for row, verdict in believed.items()}
-    return {row for row, loop in loops.items() if loop.num_triangles and not loop.num_contradicted}
+    loops = {row: triangles.of(pairs[row], verdict) for row, verdict in tried.items()}
+    return {
+        row: loop for row, loop in loops.items() if loop.num_triangles and not loop.num_contradicted
+    }
 
 
 class _Triangles:

@@ -51,11 +51,13 @@ _CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _ACCEPTED = 0.95  # least probability
+_DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
 _SPEAKS_AGAINST = -1.0  # a ratio
 _MOST_STEPS = 300
 
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
+PLACE_AGREES = "the inliers alone leave a doubt; the pose is accepted for its surroundings"
 ANOTHER_PLACE, COPY = "shows another place", "may show a copy of the place"
 
 
@@ -84,9 +86,12 @@ class PlaceVerdict:
 
 
 def judge_places(
-    pairs: Sequence[PosedPair], evidence: Sequence[Evidence]
+    pairs: Sequence[PosedPair], evidence: Sequence[Evidence], doubted: Sequence[Evidence] = ()
 ) -> tuple[PlaceVerdict, ...]:
     """Which accepted pairs the surroundings speak against.
+
+    ``doubted`` is evidence on further pairs, whose poses are not accepted yet: they come last, and
+    what they know says nothing about others.
 
     All panoramas are put together first, as far as nothing contradicts. That tells how many pairs
     are wrong, too few of them: wrong ones may have been joined. So only those are put together that
@@ -97,18 +102,23 @@ def judge_places(
     """
     if len(pairs) == 0:
         return ()
-    court = _Court(pairs, evidence, _RATES)
+    every = (*evidence, *doubted)
+    court = _Court(pairs, every, _RATES)
     groups = court.groups(-np.inf)
     share_wrong = _share_wrong(groups.ratios)
     if groups.ratios.min() < _least_ratio(share_wrong):
         groups = court.groups(_least_ratio(share_wrong))
         share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios)))
-    court = _Court(pairs, evidence, court.rates(groups.joined))
+    court = _Court(pairs, every, court.rates(groups.joined))
     groups = court.groups(_least_ratio(share_wrong))
-    probabilities = _probabilities(groups.ratios, share_wrong)
+    told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
+    ratios = np.append(groups.ratios, told)
+    shares = np.repeat([share_wrong, max(share_wrong, _DOUBTED_WRONG)], [len(pairs), len(doubted)])
     return tuple(
-        court.verdict(row, groups, float(probability))
-        for row, probability in enumerate(probabilities)
+        court.verdict(row, groups.joined, ratio, probability)
+        for row, (ratio, probability) in enumerate(
+            zip(ratios.tolist(), _probabilities(ratios, shares).tolist(), strict=True)
+        )
     )
 
 
@@ -146,7 +156,7 @@ class _Heard:
 
 
 class _Court:
-    """Evidence on all pairs."""
+    """Evidence on all pairs, and then on others that are not asked."""
 
     def __init__(
         self, pairs: Sequence[PosedPair], evidence: Sequence[Evidence], rates: Array
@@ -157,7 +167,7 @@ class _Court:
         everyone = np.ones(len(pairs), dtype=bool)
         self.testimonies = [
             Testimony(each.siblings, _asked(each) - {row}, self.ratio(row, everyone))
-            for row, each in enumerate(evidence)
+            for row, each in enumerate(evidence[: len(pairs)])
         ]
 
     def groups(self, least_ratio: float) -> Groups:
@@ -189,26 +199,25 @@ class _Court:
         one_sided = heard.ratio > 0.0 and min(num_places) < FEWEST_PARTS
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
-    def verdict(self, row: int, groups: Groups, probability: float) -> PlaceVerdict:
-        """What is said about a pair in the end."""
-        points = self._points_heard(row, groups.joined)
+    def verdict(self, row: int, joined: Mask, told: float, probability: float) -> PlaceVerdict:
+        """What is said about a pair in the end; ``told`` is its ratio."""
+        points = self._points_heard(row, joined)
         share = points.num_alike / points.num_places if points.num_places else np.nan
-        refused = "" if probability >= _ACCEPTED else self._refusal(row, groups, points)
+        refused = "" if probability >= _ACCEPTED else self._refusal(row, joined, told, points)
         return PlaceVerdict(probability, share, points.num_places, refused)
 
-    def _refusal(self, row: int, groups: Groups, points: _Heard) -> str:
+    def _refusal(self, row: int, joined: Mask, told: float, points: _Heard) -> str:
         """Why a pair is not accepted; what stands before the comma is what summaries count."""
-        told = groups.ratios[row]
         if np.isneginf(told):
             return f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise"
-        if told < self.ratio(row, groups.joined):
+        if told < self.ratio(row, joined):
             return f"{COPY}, for too little speaks for pairs that say the same"
         if points.ratio < 0.0:
             return (
                 f"{ANOTHER_PLACE}, for only {int(points.num_alike)} of {points.num_places} parts "
                 "of the views that both cameras must see look the same"
             )
-        if surfaces_ratio(self._evidence[row].surfaces, groups.joined) < 0.0:
+        if surfaces_ratio(self._evidence[row].surfaces, joined) < 0.0:
             return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
         return (
             f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "
@@ -283,10 +292,10 @@ def _least_ratio(share_wrong: float) -> float:
 
 
 def _probabilities(
-    ratios: Array, share_wrong: float, limits: tuple[float, float] = (-30.0, 30.0)
+    ratios: Array, share_wrong: float | Array, limits: tuple[float, float] = (-30.0, 30.0)
 ) -> Array:
     """Probability of each pose; 0 of those that contradict the groups."""
-    odds = _STEEPNESS * np.clip(ratios, *limits) + _log_odds(1 - share_wrong)
+    odds = _STEEPNESS * np.clip(ratios, *limits) + np.log(1 / np.asarray(share_wrong) - 1)
     return np.asarray(np.where(np.isneginf(ratios), 0.0, 1 / (1 + np.exp(-odds))))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from epi360.features.shared_surfaces import LEAST_CONTRAST, grow_surfaces
+from epi360.features.shared_surfaces import LEAST_CONTRAST, SharedSurfaces, grow_surfaces
 from epi360.features.warped_patches import Panorama, likeness
 from epi360.jobs.graph.own_evidence import OwnEvidence
 from epi360.jobs.graph.shared_points import (
@@ -97,10 +97,11 @@ class Evidence:
 class Surroundings:
     """All pairs of a folder with what they know about the views of its panoramas.
 
-    ``panorama_of`` gives the picture of a number.
+    ``panorama_of`` gives the picture of a number. Only the first ``num_heard`` pairs are asked.
     """
 
     pairs: Sequence[PosedPair]
+    num_heard: int
     clouds: Mapping[tuple[int, int], Cloud]  # by pair and side
     at: Mapping[int, Sequence[tuple[int, int]]]  # pairs and sides of each panorama
     panorama_of: Callable[[int], Panorama]
@@ -110,31 +111,26 @@ class Surroundings:
         cls,
         pairs: Sequence[PosedPair],
         panorama_of: Callable[[int], Panorama],
+        num_heard: int | None = None,
     ) -> Surroundings:
-        """Triangulate all pairs; those with most points come first at each panorama."""
+        """Triangulate the pairs; those with most points come first at each panorama.
+
+        All are asked if it is not said how many.
+        """
         clouds = {
             (row, side): cloud_of(pair, side, _LEAST_PARALLAX_DEG)
-            for row, pair in enumerate(pairs)
+            for row, pair in enumerate(pairs[:num_heard])
             for side in (0, 1)
         }
         at: dict[int, list[tuple[int, int]]] = {}
         for row, side in sorted(clouds, key=lambda key: (-len(clouds[key].points), key)):
             at.setdefault(pairs[row].images[side], []).append((row, side))
-        return cls(pairs, clouds, at, panorama_of)
+        return cls(pairs, len(pairs[:num_heard]), clouds, at, panorama_of)
 
     def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], OwnEvidence]:
         """What the surfaces that a pair shares say about its views, and about itself."""
         pair = self.pairs[row]
-        panoramas = [self.panorama_of(image) for image in pair.images]
-        first, second = (
-            grow_surfaces(
-                panoramas[side],
-                panoramas[1 - side],
-                pair.other_from(side),
-                cloud_of(pair, side, 0.0).points,
-            )
-            for side in (0, 1)
-        )
+        first, second = grow_both(pair, [self.panorama_of(image) for image in pair.images])
         views = (
             KnownView.of(first, pair.other_from(0)),
             KnownView.of(second, pair.other_from(1)),
@@ -161,7 +157,7 @@ class Surroundings:
         """Points of other pairs at one camera of a pair, in the pair's units, and its own."""
         own = cloud_of(self.pairs[row], side, _LEAST_OWN_PARALLAX_DEG)
         known = {}
-        for other, other_side in self.at[self.pairs[row].images[side]]:
+        for other, other_side in self.at.get(self.pairs[row].images[side], ()):
             cloud = self.clouds[other, other_side]
             if other == row or len(cloud.points) < _FEWEST_POINTS:
                 continue
@@ -200,6 +196,22 @@ class Surroundings:
         sigmas = place_sigmas_deg(pair, side, seen, cloud.log_sigmas)
         (good,) = np.nonzero(sigmas < PLACE_SIGMA_DEG)
         return some_of(good, most)
+
+
+def grow_both(
+    pair: PosedPair, panoramas: Sequence[Panorama]
+) -> tuple[SharedSurfaces, SharedSurfaces]:
+    """Surfaces of each of both panoramas that the other one shows too."""
+    first, second = (
+        grow_surfaces(
+            panoramas[side],
+            panoramas[1 - side],
+            pair.other_from(side),
+            cloud_of(pair, side, 0.0).points,
+        )
+        for side in (0, 1)
+    )
+    return first, second
 
 
 def _looked_for(

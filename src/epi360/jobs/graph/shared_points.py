@@ -26,7 +26,7 @@ PLACE_SIGMA_DEG = 0.5  # what is looked for in another view has a place that is 
 
 @dataclass(frozen=True, eq=False)
 class PosedPair:
-    """A pair that is accepted by itself.
+    """A pair that is accepted, or whose doubted pose is looked at.
 
     ``images`` are numbers, ``keypoints`` the key points of the inliers in both, ``bearings`` where
     these look. Units are the translation's length.

@@ -189,7 +189,10 @@ def _agrees(pose: Pose, expected: Pose) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceWitnesses:
-    """All pairs of a folder with what they know about the views of its panoramas."""
+    """All pairs of a folder with what they know about the views of its panoramas.
+
+    Only some of the pairs are asked.
+    """
 
     pairs: Sequence[PosedPair]
     views: Mapping[tuple[int, int], KnownView]  # by pair and side
@@ -198,14 +201,18 @@ class SurfaceWitnesses:
 
     @classmethod
     def of(
-        cls, pairs: Sequence[PosedPair], views: Mapping[tuple[int, int], KnownView]
+        cls,
+        pairs: Sequence[PosedPair],
+        views: Mapping[tuple[int, int], KnownView],
+        num_heard: int | None = None,
     ) -> SurfaceWitnesses:
-        """Pairs that know most come first at each panorama."""
+        """Pairs that know most come first at each panorama; only the first so many are asked."""
+        heard = [key for key in views if key[0] < len(pairs[:num_heard])]
         at: dict[int, list[tuple[int, int]]] = {}
-        for row, side in sorted(views, key=lambda key: (-len(views[key].cells), key)):
+        for row, side in sorted(heard, key=lambda key: (-len(views[key].cells), key)):
             at.setdefault(pairs[row].images[side], []).append((row, side))
         rows_of: dict[frozenset[int], list[int]] = {}
-        for row, pair in enumerate(pairs):
+        for row, pair in enumerate(pairs[:num_heard]):
             rows_of.setdefault(frozenset(pair.images), []).append(row)
         return cls(pairs, views, at, rows_of)
 
@@ -275,7 +282,7 @@ class SurfaceWitnesses:
         """Pairs that know the view of a side, in one scale with this pair."""
         own = self.views[row, side].as_map()
         found: list[_Witness] = []
-        for other, other_side in self.at[self.pairs[row].images[side]]:
+        for other, other_side in self.at.get(self.pairs[row].images[side], ()):
             if other == row or len(found) == MOST_WITNESSES:
                 continue
             view = self.views[other, other_side]

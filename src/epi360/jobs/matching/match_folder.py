@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,16 @@ from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
-from epi360.jobs.graph.graph_check import check_graph, closing
+from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
-from epi360.jobs.graph.place_check import PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.graph.place_check import PlaceVerdict
+from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
+from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.match_result import load_matches, write_index
 from epi360.jobs.matching.more_pairs import more_pairs
+from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, with_implied
 from epi360.jobs.matching.pair_work import MatchInputs, PairWork
 from epi360.jobs.matching.place_job import check_places
 from epi360.jobs.pairs.pair_selection import (
@@ -38,7 +41,16 @@ from epi360.jobs.pairs.pair_selection import (
     select_pairs,
     ways_of,
 )
-from epi360.jobs.records.match_store import DIGESTS, FEATURES, Keys, Verdict, open_output
+from epi360.jobs.records.match_store import (
+    DIGESTS,
+    FEATURES,
+    IMPLIED_PAIRS,
+    Keys,
+    Verdict,
+    VerifiedPair,
+    open_output,
+    write_part,
+)
 from epi360.jobs.threads import num_cores
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
@@ -87,29 +99,6 @@ class MatchOptions:
         return {"overlap": self.overlap, "neighbors": self.neighbors}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PairVerdict(Verdict):
-    """What became of a pair of images.
-
-    The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
-    `PlaceVerdict`.
-    """
-
-    image1: str
-    image2: str
-    num_triangles: int = 0
-    num_contradicted: int = 0
-    contradicted: bool = False
-    contradicted_by: tuple[tuple[str, str], ...] = ()
-    refused: str = ""
-    confirmed: bool = False
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the pose may be used."""
-        return super().accepted and not self.contradicted and not self.refused
-
-
 @dataclass(frozen=True, eq=False)
 class MatchRun:
     """What a run of `match_images` found."""
@@ -123,6 +112,9 @@ class MatchRun:
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level
+    # Pairs whose matches leave a doubt, and that are accepted because their surroundings look the
+    # same or two other pairs imply their pose.
+    num_by_others: int = 0
 
 
 def match_images(
@@ -153,8 +145,10 @@ def match_images(
     warning, unless it leaves no hope: a pose less probable than 0.05. If the poses say that the
     folder is level, see `find_level`, pairs without a pose, and those whose pose is tilted, are
     estimated again with that known, and then from all key points. An image that cannot be read
-    costs its pairs, not the run. In the end the surroundings of accepted pairs are compared, see
-    `judge_places`, and the pairs are held against each other, see `check_graph`.
+    costs its pairs, not the run. In the end the surroundings of accepted and doubted pairs are
+    compared, see `judge_places`, and the pairs are held against each other, see `check_graph`. A
+    pair of panoramas that is not accepted gets the pose that two accepted ones imply, if its own
+    matches agree, see `find_implied`.
 
     The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
     default one that is started on this machine). There, each image and each part of the pairs is a
@@ -205,11 +199,27 @@ def _match(
     is_level = level is not None or options.upright_deg is not None
     named = tuple(_named(pair, job, settled) for pair in pairs)
     # Neighbours in a sequence, nearly all of which match, are of one place.
-    places = [] if is_sequence else _places(pairs, job, settled, level)
-    verdicts = _checked(named, places or [PlaceVerdict()] * len(pairs), is_level)
+    places = [None] * len(pairs) if is_sequence else _places(pairs, job, settled, level)
+    verdicts = checked(named, places, is_level=is_level)
+    implied = {} if is_sequence else _implied(pairs, job, settled, level, verdicts)
+    keys = [job.keys_of(pair) if job.is_readable(pair) else None for pair in pairs]
+    verdicts = with_implied(verdicts, keys, implied)
+    kept = {
+        each: implied[each].verified
+        for each, verdict in zip(keys, verdicts, strict=True)
+        if each is not None and verdict.prior == IMPLIED_PRIOR
+    }
     matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
-    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed]
-    write_index(job.output, images, job.readable_keys(), matched, level, confirmed)
+    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed and v.accepted]
+    write_index(
+        job.output,
+        images,
+        job.readable_keys(),
+        matched,
+        level,
+        confirmed,
+        _write_implied(job, kept),
+    )
     return MatchRun(
         folder=job.output,
         how=how,
@@ -218,8 +228,10 @@ def _match(
         unreadable=job.unreadable,
         num_found=num_found,
         level=level,
-        num_gained=_num_accepted_more(settled, finished) + len(confirmed),
+        num_gained=_num_accepted_more(settled, finished)
+        + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
         num_lost=_num_accepted_more(finished, settled),
+        num_by_others=sum(verdict.by_others for verdict in verdicts),
     )
 
 
@@ -314,59 +326,31 @@ def _places(
     job: MatchJob,
     settled: Mapping[Keys, Verdict],
     level: Level | None,
-) -> list[PlaceVerdict]:
-    """What the surroundings say about each pair."""
+) -> list[PlaceVerdict | None]:
+    """What the surroundings say about each pair; None where they were not looked at."""
     wanted = {job.keys_of(pair): pair for pair in pairs if job.is_readable(pair)}
     found = check_places(job, wanted, settled, level)
-    nothing = PlaceVerdict()
-    return [
-        found.get(job.keys_of(pair), nothing) if job.is_readable(pair) else nothing
-        for pair in pairs
-    ]
+    return [found.get(job.keys_of(pair)) if job.is_readable(pair) else None for pair in pairs]
 
 
-def _checked(
-    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
-) -> tuple[PairVerdict, ...]:
-    """Verdicts with what the surroundings and the other pairs say."""
-    judged = _judged(verdicts, places, is_level)
-    return tuple(
-        replace(v, probability=v.probability * (p.probability if v.refused else p.if_accepted))
-        for v, p in zip(judged, places, strict=True)
-    )
+def _implied(
+    pairs: Sequence[Pair],
+    job: MatchJob,
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
+    verdicts: Sequence[PairVerdict],
+) -> dict[Keys, ImpliedPair]:
+    """Pairs of panoramas that have no pose of their own, and that others give one."""
+    wanted, accepted = {}, set()
+    for pair, verdict in zip(pairs, verdicts, strict=True):
+        if job.is_readable(pair) and job.sees_all_around(pair):
+            wanted[job.keys_of(pair)] = pair
+            if verdict.accepted:
+                accepted.add(job.keys_of(pair))
+    return find_implied(job, wanted, settled, level, accepted)
 
 
-def _judged(
-    verdicts: tuple[PairVerdict, ...], places: Sequence[PlaceVerdict], is_level: bool
-) -> tuple[PairVerdict, ...]:
-    refused = [replace(v, refused=p.refused) for v, p in zip(verdicts, places, strict=True)]
-    judged = _with_graph(refused, is_level)
-    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
-    accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
-    doubted = {row: verdicts[row] for row, place in enumerate(places) if place.leaves_a_doubt}
-    confirmed = closing(names, judged, accepted, doubted)
-    if not confirmed:
-        return judged
-    cleared = [
-        replace(verdicts[row], warnings=(*verdicts[row].warnings, PLACE_CONFIRMED))
-        if row in confirmed
-        else verdict
-        for row, verdict in enumerate(refused)
-    ]
-    return _with_graph(cleared, is_level)
-
-
-def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
-    """Verdicts with what the other pairs say."""
-    names = [(verdict.image1, verdict.image2) for verdict in verdicts]
-    judged = []
-    for verdict, found in zip(
-        verdicts, check_graph(names, verdicts, is_level=is_level), strict=True
-    ):
-        warnings = (*verdict.warnings, *found.doubts(verdict))
-        refused = verdict.refused or found.refused
-        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
-        if found.confirmed:
-            each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
-        judged.append(each)
-    return tuple(judged)
+def _write_implied(job: MatchJob, implied: Mapping[Keys, VerifiedPair]) -> str:
+    """Keep these pairs in a file, whose name is returned; empty if there are none."""
+    verified = [implied[keys] for keys in sorted(implied)]
+    return write_part(job.output, verified, IMPLIED_PAIRS) if verified else ""

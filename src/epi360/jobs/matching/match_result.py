@@ -24,6 +24,7 @@ from epi360.jobs.records.match_store import (
     CAMERAS,
     FEATURES,
     IMAGES,
+    IMPLIED_PAIRS,
     PAIRS,
     Keys,
     Verdict,
@@ -48,12 +49,14 @@ def write_index(
     pairs: Iterable[tuple[str, str]],
     level: Level | None = None,
     confirmed: Sequence[tuple[str, str]] = (),
+    implied: str = "",
 ) -> None:
     """Say which images and pairs are the result: a run is complete.
 
     ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
     the images of each finished pair, in order. In a level folder, some pairs also have a verdict
-    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right.
+    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right. ``implied`` is
+    the part of those that other pairs give a pose.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
@@ -72,13 +75,16 @@ def write_index(
         index["level"] = vars(level)
     if confirmed:
         index["confirmed"] = [list(pair) for pair in confirmed]
+    if implied:
+        index["implied"] = implied
     write_record(folder / IMAGES, index)
 
 
-def load_matches(folder: str | PathLike[str] | RemotePath) -> MatchGraph:
+def load_matches(folder: str | PathLike[str] | RemotePath, *, by_others: bool = True) -> MatchGraph:
     """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
-    Every pair has a geometry: look at its status.
+    Every pair has a geometry: look at its status. Some pairs have a pose that other pairs confirm
+    or imply; if ``by_others`` is false, these have what is found from their own matches.
 
     Raises
     ------
@@ -87,7 +93,7 @@ def load_matches(folder: str | PathLike[str] | RemotePath) -> MatchGraph:
     ValueError
         If a file is damaged.
     """
-    return _load(path_of(folder), None)
+    return _load(path_of(folder), None, by_others=by_others)
 
 
 def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
@@ -114,7 +120,7 @@ def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
     return _load(path_of(folder), colors), colors
 
 
-def _load(folder: AnyPath, colors: Colors | None) -> MatchGraph:
+def _load(folder: AnyPath, colors: Colors | None, *, by_others: bool = True) -> MatchGraph:
     """Graph of a folder; its colours are added to those given."""
     if not (folder / IMAGES).is_file():
         raise FileNotFoundError(
@@ -129,7 +135,9 @@ def _load(folder: AnyPath, colors: Colors | None) -> MatchGraph:
         rig = {name: Pose.from_matrix(matrix) for name, matrix in index["cam_from_rig"].items()}
         listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
         level = Level(**index["level"]) if "level" in index else None
-        confirmed = {(name1, name2) for name1, name2 in index.get("confirmed", ())}
+        others = index if by_others else {}
+        confirmed = {(name1, name2) for name1, name2 in others.get("confirmed", ())}
+        implied = str(others.get("implied", ""))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
     images = StoredImages()
@@ -139,7 +147,10 @@ def _load(folder: AnyPath, colors: Colors | None) -> MatchGraph:
         if colors is not None:
             colors[name] = arrays[COLORS]
     store = StoredPairs()
-    places = _places(folder, store, {keys_of_pair for _, keys_of_pair in wanted}, level)
+    needed = {keys_of_pair for _, keys_of_pair in wanted}
+    places = _places(folder, store, needed, level)
+    if implied:
+        places.update(_implied_places(folder, store, needed, implied))
     for names, keys_of_pair in wanted:
         if keys_of_pair not in places:
             raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
@@ -165,16 +176,32 @@ def _places(
     return places
 
 
+def _implied_places(
+    folder: AnyPath, store: StoredPairs, needed: Set[Keys], name: str
+) -> dict[Keys, tuple[int, int]]:
+    """Part and rows of the pairs that other pairs give a pose."""
+    arrays = read_arrays(inside(folder / IMPLIED_PAIRS, name))
+    if arrays is None:
+        raise ValueError(f"{folder / IMPLIED_PAIRS / name} is missing or damaged; {_AGAIN}")
+    return {keys: place for keys, place, _ in _rows_of(arrays, store, needed)}
+
+
 def _rows(
     folder: AnyPath, store: StoredPairs, needed: Set[Keys], sub_folder: str
 ) -> Iterator[tuple[Keys, tuple[int, int], Arrays]]:
     """Needed pairs of a sub-folder: keys, number of the part with row, arrays of the part."""
     for arrays in part_arrays(folder, sub_folder):
-        keys = [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
-        rows = [row for row, each in enumerate(keys) if each in needed]
-        if rows:
-            number = store.add_part(arrays)
-            yield from ((keys[row], (number, row), arrays) for row in rows)
+        yield from _rows_of(arrays, store, needed)
+
+
+def _rows_of(
+    arrays: Arrays, store: StoredPairs, needed: Set[Keys]
+) -> Iterator[tuple[Keys, tuple[int, int], Arrays]]:
+    keys = [(str(key1), str(key2)) for key1, key2 in arrays["keys"]]
+    rows = [row for row, each in enumerate(keys) if each in needed]
+    if rows:
+        number = store.add_part(arrays)
+        yield from ((keys[row], (number, row), arrays) for row in rows)
 
 
 _AGAIN = "run epi360 match with this --output again, it redoes what is missing"

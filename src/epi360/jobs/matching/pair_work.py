@@ -193,7 +193,7 @@ class PairWork:
                 "gravity_sigma_deg": self.inputs.upright_deg,
             }
         prior = "" if self.inputs.upright_deg is None else "upright"
-        return self._estimated(matched, prior, **gravity)
+        return self.estimated(matched, prior, **gravity)
 
     def _verified_with_prior(
         self, finished: Mapping[Pair, VerifiedPair], level: Level
@@ -203,7 +203,7 @@ class PairWork:
         with threadpool_limits(1, user_api="blas"):
             found = dict(on_threads(self._placed, items, self.num_threads))
         matched = [(item[0], each) for item in items if (each := found[item]) is not None]
-        results = self._estimated(
+        results = self.estimated(
             matched,
             level.prior,
             gravity1=DOWN,
@@ -213,10 +213,10 @@ class PairWork:
         )
         return [pair for images, pair in results.items() if self.is_readable(images)]
 
-    def _estimated(
-        self, matched: Sequence[tuple[Pair, _Matched]], prior: str, **known: Any
+    def estimated(
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str, **known: Any
     ) -> dict[Pair, VerifiedPair]:
-        """Verify matches, with what is known of the poses beforehand."""
+        """Verify matches, with what is known of the poses beforehand, also in words."""
         results = estimate_relative_poses(
             [(each.bearings1, each.bearings2) for _, each in matched],
             max_noise_deg=[MAX_NOISE_PX * self._pixel_deg(pair) for pair, _ in matched],
@@ -230,7 +230,7 @@ class PairWork:
             for (pair, each), result in zip(matched, results, strict=True)
         }
 
-    def _matched(self, pair: Pair, *, strong: bool) -> _Matched | None:
+    def _matched(self, pair: Pair, *, strong: bool) -> Matched | None:
         """Match two images; None where one turns out to be unreadable."""
         sides = [self._features_or_none(index) for index in pair]
         if sides[0] is None or sides[1] is None:
@@ -241,7 +241,7 @@ class PairWork:
             self._first_looks[pair] = seen
         return self._matched_at(pair, features1, features2, seen.matches())
 
-    def _placed(self, finished: tuple[Pair, VerifiedPair]) -> _Matched | None:
+    def _placed(self, finished: tuple[Pair, VerifiedPair]) -> Matched | None:
         """Matches of a finished pair; None where an image turns out to be unreadable."""
         pair, verified = finished
         sides = [self._features_or_none(index) for index in pair]
@@ -262,10 +262,10 @@ class PairWork:
         features1: Features,
         features2: Features,
         matches: NDArray[np.int64],
-    ) -> _Matched:
+    ) -> Matched:
         keypoints1 = features1.keypoints[matches[:, 0]]
         keypoints2 = features2.keypoints[matches[:, 1]]
-        return _Matched(
+        return Matched(
             matches,
             self.inputs.cameras[pair[0]].bearings_from_pixels(keypoints1),
             self.inputs.cameras[pair[1]].bearings_from_pixels(keypoints2),
@@ -275,7 +275,7 @@ class PairWork:
         return smallest_pixel_deg((self.inputs.cameras[pair[0]], self.inputs.cameras[pair[1]]))
 
     def _verified_pair(
-        self, pair: Pair, matched: _Matched, result: RelativePoseResult, prior: str
+        self, pair: Pair, matched: Matched, result: RelativePoseResult, prior: str
     ) -> VerifiedPair:
         result = noise_in_pixels(result, self._pixel_deg(pair))
         variances = np.diag(result.covariance)
@@ -342,7 +342,7 @@ def _doubted_pose(result: RelativePoseResult) -> Pose:
 
 
 @dataclass(frozen=True, eq=False)
-class _Matched:
+class Matched:
     """Matches of two images and where both look."""
 
     matches: NDArray[np.int64]

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""`judge_places` on the accepted pairs of a folder, from its pictures and kept matches."""
+"""`judge_places` on the accepted and doubted pairs of a folder, from its pictures and matches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import TypeVar
 
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
+from epi360.jobs.graph.graph_check import awaits_confirmation, believed
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
@@ -20,7 +21,7 @@ from epi360.jobs.records.match_store import PAIRS, Keys, Verdict, VerifiedPair, 
 from epi360.jobs.threads import on_threads
 
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
-_FEWEST_PAIRS, _MOST_PAIRS = 3, 10_000
+FEWEST_PAIRS, MOST_PAIRS = 3, 10_000
 _PANORAMAS_IN_MEMORY = 128  # of 2 MB
 
 Found = TypeVar("Found")
@@ -29,7 +30,7 @@ Found = TypeVar("Found")
 def check_places(
     job: MatchJob, wanted: Mapping[Keys, Pair], settled: Mapping[Keys, Verdict], level: Level | None
 ) -> dict[Keys, PlaceVerdict]:
-    """What the surroundings say about accepted pairs of full panoramas.
+    """What the surroundings say about pairs of full panoramas: accepted ones, and doubted ones.
 
     ``wanted`` has two readable images for each pair of keys, ``settled`` the verdicts that count.
     Nothing is said where a picture cannot be read any more.
@@ -37,20 +38,31 @@ def check_places(
     usable = {
         keys: pair
         for keys, pair in wanted.items()
-        if settled[keys].accepted and job.sees_all_around(pair) and keys[0] != keys[1]
+        if job.sees_all_around(pair) and keys[0] != keys[1]
     }
-    if not _FEWEST_PAIRS <= len(usable) <= _MOST_PAIRS:
+    accepted = {keys for keys in usable if settled[keys].accepted}
+    if not FEWEST_PAIRS <= len(accepted) <= MOST_PAIRS:
         return {}
-    posed = dict(_posed(job, usable, settled, level))
-    keys = sorted(posed, key=lambda each: posed[each].images)
+    doubted = {keys for keys in usable if awaits_confirmation(settled[keys])}
+    asked = accepted | doubted if len(accepted | doubted) <= MOST_PAIRS else accepted
+    posed = {
+        each.keys: posed_pair(job, usable[each.keys], each)
+        for each in settled_pairs(job, asked, settled, level)
+    }
     panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job))
-    known = Surroundings.of([posed[each] for each in keys], panorama_of)
+
+    def around(keys: Sequence[Keys]) -> Surroundings:
+        num_heard = sum(each in accepted for each in keys)
+        return Surroundings.of([posed[each] for each in keys], panorama_of, num_heard)
+
+    keys = sorted(posed, key=lambda each: (each in doubted, posed[each].images))
+    known = around(keys)
     by_row = _of_each(job, known.of_points, range(len(keys)))
     if len(by_row) < len(keys):  # a picture is gone
         keys = [keys[row] for row in sorted(by_row)]
-        known = Surroundings.of([posed[each] for each in keys], panorama_of)
+        known = around(keys)
         by_row = _of_each(job, known.of_points, range(len(keys)))
-    if len(by_row) < len(keys):
+    if len(by_row) < len(keys) or known.num_heard < FEWEST_PAIRS:
         return {}
     points = [by_row[row] for row in range(len(keys))]
     return dict(zip(keys, _judged(job, known, points), strict=True))
@@ -60,10 +72,11 @@ def _judged(
     job: MatchJob, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
     """Verdicts by points; where these leave a doubt, by surfaces too, which cost much more."""
-    evidence = points
-    if leave_a_doubt(known.pairs, points):
+    num_heard, evidence = known.num_heard, points
+    heard = known.pairs[:num_heard]
+    if leave_a_doubt(heard, points[:num_heard]):
         evidence = _with_surfaces(job, known, points)
-    return judge_places(known.pairs, evidence)
+    return judge_places(heard, evidence[:num_heard], evidence[num_heard:])
 
 
 def _with_surfaces(
@@ -74,7 +87,7 @@ def _with_surfaces(
     if len(grown) < len(points):
         return points
     views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
-    witnesses = SurfaceWitnesses.of(known.pairs, views)
+    witnesses = SurfaceWitnesses.of(known.pairs, views, known.num_heard)
 
     def look(row: int) -> Evidence:
         return known.with_surfaces(row, points[row], witnesses, grown[row][1])
@@ -105,33 +118,34 @@ def _panorama(job: MatchJob, index: int) -> Panorama:
     return Panorama.of(read_image(job.images[index].path))
 
 
-def _posed(
+def settled_pairs(
     job: MatchJob,
-    usable: Mapping[Keys, Pair],
+    wanted: Container[Keys],
     settled: Mapping[Keys, Verdict],
     level: Level | None,
-) -> Iterator[tuple[Keys, PosedPair]]:
-    """Poses and inliers of the pairs, from the parts that hold the verdicts that count."""
+) -> Iterator[VerifiedPair]:
+    """Wanted pairs with their matches, from the parts that hold the verdicts that count."""
     stores = {PAIRS: ""} if level is None else {PAIRS: "", level.store: level.prior}
     for store, prior in stores.items():
         for verified in read_parts(job.output, store):
-            pair = usable.get(verified.keys)
-            if pair is None:
+            if verified.keys not in wanted:
                 continue
             has_prior = level is not None and settled[verified.keys].prior == level.prior
             if has_prior == bool(prior):
-                yield verified.keys, _posed_pair(job, pair, verified)
+                yield verified
 
 
-def _posed_pair(job: MatchJob, pair: Pair, verified: VerifiedPair) -> PosedPair:
+def posed_pair(job: MatchJob, pair: Pair, verified: VerifiedPair) -> PosedPair:
+    """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
     first, second = verified.matches[verified.inlier_mask].T
     bearings1, bearings2 = (job.bearings_of(index) for index in pair)
+    verdict = verified.verdict if verified.verdict.accepted else believed(verified.verdict)
     return PosedPair(
         pair,
-        verified.verdict.cam2_from_cam1,
+        verdict.cam2_from_cam1,
         (first, second),
         (bearings1[first], bearings2[second]),
-        verified.verdict.noise_deg,
-        verified.verdict.rotation_sigma_deg,
-        verified.verdict.translation_sigma_deg,
+        verdict.noise_deg,
+        verdict.rotation_sigma_deg,
+        verdict.translation_sigma_deg,
     )

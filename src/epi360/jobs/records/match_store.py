@@ -11,6 +11,8 @@
     Some verified pairs, known by the keys of their images. Parts appear whole or not at all.
 ``level-HASH/part-HASH.npz``
     Pairs of a level folder that were estimated again with a prior; the first hash is the prior's.
+``implied/part-HASH.npz``
+    Pairs that other pairs give a pose; the index names the file that counts.
 ``images.json``, ``cameras.json``
     Images and pairs of the last complete run.
 """
@@ -40,6 +42,7 @@ FORMAT = 2
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
 FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
 LEVEL_PAIRS = "level-"  # and the fingerprint of the prior
+IMPLIED_PAIRS = "implied"
 Keys = tuple[str, str]
 
 
@@ -89,7 +92,7 @@ def open_output(folder: AnyPath, options: Mapping[str, Any], *, restart: bool) -
     found = _marker(folder)
     if restart and found is not None and found != wanted:
         (folder / IMAGES).unlink(missing_ok=True)
-        for pairs in (folder / PAIRS, *folder.glob(f"{LEVEL_PAIRS}*")):
+        for pairs in (folder / PAIRS, folder / IMPLIED_PAIRS, *folder.glob(f"{LEVEL_PAIRS}*")):
             if pairs.is_dir():
                 remove_folder(str(pairs))
     elif found is not None:

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verdicts on the pairs of a folder: their own, what the surroundings say, what other pairs say."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from epi360.jobs.graph.graph_check import believed, check_graph, closing
+from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.matching.implied_job import PRIOR, ImpliedPair
+from epi360.jobs.records.match_store import Keys, Verdict
+from epi360.poses import Pose
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PairVerdict(Verdict):
+    """What became of a pair of images.
+
+    The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
+    `PlaceVerdict`.
+    """
+
+    image1: str
+    image2: str
+    num_triangles: int = 0
+    num_contradicted: int = 0
+    contradicted: bool = False
+    contradicted_by: tuple[tuple[str, str], ...] = ()
+    refused: str = ""
+    confirmed: bool = False
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the pose may be used."""
+        return super().accepted and not self.contradicted and not self.refused
+
+    @property
+    def by_others(self) -> bool:
+        """Whether it is accepted because of what other pairs know of the place."""
+        return self.accepted and (self.prior == PRIOR or PLACE_AGREES in self.warnings)
+
+
+def checked(
+    verdicts: Sequence[PairVerdict], places: Sequence[PlaceVerdict | None], *, is_level: bool
+) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the surroundings and the other pairs say.
+
+    ``places`` has None for pairs whose surroundings were not looked at.
+    """
+    judged = _judged(verdicts, places, is_level)
+    return tuple(map(_told, verdicts, judged, places))
+
+
+def with_implied(
+    verdicts: Sequence[PairVerdict],
+    keys: Sequence[Keys | None],
+    implied: Mapping[Keys, ImpliedPair],
+) -> tuple[PairVerdict, ...]:
+    """Verdicts of which some have the pose that others imply, if no other triangle is open.
+
+    Such a pose is right if both pairs are that imply it. ``keys`` are those of each pair, None
+    where an image cannot be read.
+    """
+    accepted = [row for row, verdict in enumerate(verdicts) if verdict.accepted]
+    chances = {keys[row]: verdicts[row].probability for row in accepted}
+    told = {}
+    for row, each in enumerate(keys):
+        if each is not None and each in implied and not verdicts[row].accepted:
+            own = implied[each].verified.verdict
+            chance = own.probability * float(np.prod([chances[by] for by in implied[each].by]))
+            values = {
+                **vars(own),
+                "probability": chance,
+                "image1": verdicts[row].image1,
+                "image2": verdicts[row].image2,
+            }
+            told[row] = PairVerdict(**values)
+    tried = {row: each if _has_sigmas(each) else believed(each) for row, each in told.items()}
+    closed = closing(_names(verdicts), verdicts, accepted, tried)
+    return tuple(
+        replace(told[row], num_triangles=closed[row].num_triangles) if row in closed else verdict
+        for row, verdict in enumerate(verdicts)
+    )
+
+
+def _has_sigmas(verdict: Verdict) -> bool:
+    return bool(np.isfinite([verdict.rotation_sigma_deg, verdict.translation_sigma_deg]).all())
+
+
+def _names(verdicts: Sequence[PairVerdict]) -> list[tuple[str, str]]:
+    return [(verdict.image1, verdict.image2) for verdict in verdicts]
+
+
+def _judged(
+    verdicts: Sequence[PairVerdict], places: Sequence[PlaceVerdict | None], is_level: bool
+) -> tuple[PairVerdict, ...]:
+    heard = list(map(_with_place, verdicts, places))
+    judged = _with_graph(heard, is_level)
+    accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
+    doubted = {
+        row: verdicts[row]
+        for row, place in enumerate(places)
+        if place is not None and place.leaves_a_doubt and verdicts[row].accepted
+    }
+    confirmed = closing(_names(verdicts), judged, accepted, doubted)
+    for row in confirmed:
+        warnings = (*verdicts[row].warnings, PLACE_CONFIRMED)
+        heard[row] = replace(verdicts[row], warnings=warnings)
+    return _with_graph(heard, is_level) if confirmed else judged
+
+
+def _with_place(verdict: PairVerdict, place: PlaceVerdict | None) -> PairVerdict:
+    """The verdict with what the surroundings say: they refuse a pose, or clear a doubted one."""
+    if place is None:
+        return verdict
+    if verdict.accepted:
+        return replace(verdict, refused=place.refused)
+    if not place.refused:
+        return replace(believed(verdict), warnings=(*verdict.warnings, PLACE_AGREES))
+    return verdict if place.leaves_a_doubt else replace(verdict, doubted=Pose.nan())
+
+
+def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the other pairs say."""
+    judged = []
+    for verdict, found in zip(
+        verdicts, check_graph(_names(verdicts), verdicts, is_level=is_level), strict=True
+    ):
+        warnings = (*verdict.warnings, *found.doubts(verdict))
+        refused = verdict.refused or found.refused
+        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
+        if found.confirmed:
+            each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
+        judged.append(each)
+    return tuple(judged)
+
+
+def _told(own: PairVerdict, judged: PairVerdict, place: PlaceVerdict | None) -> PairVerdict:
+    """The verdict with its probability, and without what was only assumed of a doubted pose."""
+    if place is None:
+        return judged
+    if PLACE_AGREES in judged.warnings:
+        judged = replace(judged, confirmed=True) if judged.accepted else own
+    chance = place.if_accepted if judged.accepted else place.probability
+    return replace(
+        judged,
+        probability=own.probability * chance,
+        doubted=own.doubted,
+        rotation_sigma_deg=own.rotation_sigma_deg,
+        translation_sigma_deg=own.translation_sigma_deg,
+    )
