@@ -37,9 +37,9 @@ _GROUPS_NAMED = 6
 def pairs_csv(run: MatchRun) -> bytes:
     """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
-    Those of the explanations are by the matches of the pair alone, ``probability`` is also by what
-    other pairs know. ``prior`` is what was known beforehand: "upright", in a level folder "level" or
-    "level, one height", or "implied" by two other pairs.
+    ``probability`` is by the matches of the pair and by what other pairs know, those of the
+    explanations are by its matches alone. ``prior`` is what was known beforehand: "upright", in a
+    level folder "level" or "level, one height", or "implied" by two other pairs.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
