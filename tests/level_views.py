@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Panoramas of a rendered room from a tripod, level or tilted, rendered once."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,6 +9,7 @@ from rendered_views import write_png
 
 from epi360.cameras import Equirectangular
 from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching.pair_work import PairWork
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 
@@ -34,6 +36,23 @@ def write_tour(folder, is_level=True):
     for name, picture in zip(NAMES, pictures(is_level), strict=True):
         write_png(folder / name, picture)
     return find_images(folder)
+
+
+def judge_otherwise(monkeypatch, changed):
+    """From now on pairs are what ``changed(verified, pair, prior)`` makes of them."""
+    judge = PairWork._verified_pair
+
+    def judge_and_change(job, pair, matched, result, prior):
+        return changed(judge(job, pair, matched, result, prior), pair, prior)
+
+    monkeypatch.setattr(PairWork, "_verified_pair", judge_and_change)
+
+
+def doubted(verified):
+    """A pair whose pose is not accepted, since its inliers lie close together."""
+    pose, status = verified.verdict.cam2_from_cam1, "concentrated_inliers"
+    verdict = replace(verified.verdict, status=status, doubted=pose, cam2_from_cam1=Pose.nan())
+    return replace(verified, verdict=verdict)
 
 
 def truth(index1, index2, is_level=True):

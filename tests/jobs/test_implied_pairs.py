@@ -7,13 +7,12 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from level_views import NAMES, truth, write_tour
+from level_views import NAMES, doubted, judge_otherwise, truth, write_tour
 
 from epi360.jobs.matching import match_folder, place_job
 from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair
 from epi360.jobs.matching.match_folder import load_matches, match_images
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_implied
-from epi360.jobs.matching.pair_work import PairWork
 from epi360.jobs.records.match_store import Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
@@ -30,18 +29,17 @@ def tour(tmp_path_factory):
 @pytest.fixture
 def lost(monkeypatch):
     """The own look at one pair finds nothing; returns what changes the look at implied poses."""
-    judge, changes = PairWork._verified_pair, {}
+    changes = {}
 
-    def judge_badly(job, pair, matched, result, prior):
-        verified = judge(job, pair, matched, result, prior)
+    def changed(verified, pair, prior):
         if pair != LOST:
             return verified
         if prior == "implied":
             return replace(verified, verdict=replace(verified.verdict, **changes))
-        verdict = Verdict(status="too_few_inliers", num_matches=result.num_matches)
-        return replace(verified, verdict=verdict, inlier_mask=np.zeros_like(result.inlier_mask))
+        verdict = Verdict(status="too_few_inliers", num_matches=verified.verdict.num_matches)
+        return replace(verified, verdict=verdict, inlier_mask=np.zeros_like(verified.inlier_mask))
 
-    monkeypatch.setattr(PairWork, "_verified_pair", judge_badly)
+    judge_otherwise(monkeypatch, changed)
     return changes
 
 
@@ -142,26 +140,17 @@ def test_a_pair_that_is_refused_with_the_implied_pose_stays_refused(tour, tmp_pa
 
 
 def test_a_picture_that_is_gone_leaves_doubted_pairs_alone(tour, tmp_path, monkeypatch):
-    judge, panorama = PairWork._verified_pair, place_job._panorama
+    panorama = place_job._panorama
 
-    def judge_doubtfully(job, pair, matched, result, prior):
-        verified = judge(job, pair, matched, result, prior)
-        if 0 in pair:
-            return verified
-        doubted = replace(
-            verified.verdict,
-            status="concentrated_inliers",
-            doubted=result.cam2_from_cam1,
-            cam2_from_cam1=Pose.nan(),
-        )
-        return replace(verified, verdict=doubted)
+    def without_first(verified, pair, prior):
+        return verified if 0 in pair else doubted(verified)
 
     def lost(job, index):
         if index == 0:
             raise OSError("gone")
         return panorama(job, index)
 
-    monkeypatch.setattr(PairWork, "_verified_pair", judge_doubtfully)
+    judge_otherwise(monkeypatch, without_first)
     monkeypatch.setattr(place_job, "_panorama", lost)
     run = match_images(tour, tmp_path)
     assert [v.accepted for v in run.verdicts if NAMES[0] in (v.image1, v.image2)] == [True] * 3

@@ -7,7 +7,15 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from level_views import CAMERA, NAMES, truth, world_from_cam, write_tour
+from level_views import (
+    CAMERA,
+    NAMES,
+    doubted,
+    judge_otherwise,
+    truth,
+    world_from_cam,
+    write_tour,
+)
 
 from epi360.cameras import KannalaBrandt
 from epi360.cameras.upright import elevation_deg, tilt_deg
@@ -18,7 +26,6 @@ from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching import match_folder, match_job, pair_work
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
-from epi360.jobs.matching.pair_work import PairWork
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.match_table import describe_match, pairs_csv
@@ -104,21 +111,19 @@ def tour(tmp_path_factory):
 @pytest.fixture
 def bad_first_look(monkeypatch):
     """The first phase loses a pair and tilts another."""
-    judge = PairWork._verified_pair
 
-    def judge_badly(job, pair, matched, result, prior):
-        verified = judge(job, pair, matched, result, prior)
+    def changed(verified, pair, prior):
         if prior or pair not in (LOST, TILTED):
             return verified
         if pair == LOST:
-            verdict = Verdict(status="too_few_inliers", num_matches=result.num_matches)
+            verdict = Verdict(status="too_few_inliers", num_matches=verified.verdict.num_matches)
         else:
-            pose = result.cam2_from_cam1
+            pose = verified.verdict.cam2_from_cam1
             tilted = Pose(rotation_from_vector([0.0, 0.0, 0.2]) @ pose.rotation, pose.translation)
             verdict = replace(verified.verdict, cam2_from_cam1=tilted, probability=0.9)
         return replace(verified, verdict=verdict)
 
-    monkeypatch.setattr(PairWork, "_verified_pair", judge_badly)
+    judge_otherwise(monkeypatch, changed)
     monkeypatch.setattr("epi360.jobs.graph.level_folder._FEWEST_POSES", 4)  # of the six pairs
 
 
@@ -197,21 +202,10 @@ def test_a_run_that_is_stopped_in_the_second_phase_goes_on_to_the_same_bytes(
 def test_a_doubted_pose_that_the_others_confirm_is_the_pose_of_the_pair(
     tour, tmp_path, bad_first_look, monkeypatch
 ):
-    judge = PairWork._verified_pair
+    def changed(verified, pair, prior):
+        return doubted(verified) if prior and pair == LOST else verified
 
-    def judge_doubtfully(job, pair, matched, result, prior):
-        verified = judge(job, pair, matched, result, prior)
-        if not prior or pair != LOST:
-            return verified
-        doubted = replace(
-            verified.verdict,
-            status="concentrated_inliers",
-            doubted=result.cam2_from_cam1,
-            cam2_from_cam1=Pose.nan(),
-        )
-        return replace(verified, verdict=doubted)
-
-    monkeypatch.setattr(PairWork, "_verified_pair", judge_doubtfully)
+    judge_otherwise(monkeypatch, changed)
     run = match_images(tour, tmp_path)
     (found,) = [verdict for verdict in run.verdicts if verdict.confirmed]
     assert (found.image1, found.image2) == tuple(NAMES[index] for index in LOST)

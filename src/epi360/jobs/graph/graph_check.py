@@ -30,7 +30,6 @@ FLOOR_ONLY = "all inliers lie on the floor, and printed floors repeat from room 
 CONFIRMED = "the inliers alone leave a doubt; the pose is accepted because triangles close with it"
 LONE_LINK, LONE_FLOOR = "joins two groups alone", "lies on the floor only"
 
-
 SomeVerdict = TypeVar("SomeVerdict", bound=Verdict)
 
 

@@ -53,27 +53,27 @@ class _Candidate:
 
 def find_implied(
     job: MatchJob,
-    wanted: Mapping[Keys, Pair],
+    panoramas: Mapping[Keys, Pair],
     settled: Mapping[Keys, Verdict],
     level: Level | None,
     accepted: Set[Keys],
 ) -> dict[Keys, ImpliedPair]:
     """Pairs that are not accepted, and whose matches agree with the pose that two others imply.
 
-    ``wanted`` has two readable images for each pair of keys, ``settled`` the verdicts that count;
+    ``panoramas`` has two readable ones for each pair of keys, ``settled`` the verdicts that count;
     ``accepted`` are those whose own pose is accepted. A pair whose own pose is the implied one is
     left out: it has been refused for something else.
     """
     if not 2 <= len(accepted) <= MOST_PAIRS:
         return {}
     posed = {
-        each.keys: posed_pair(job, wanted[each.keys], each)
+        each.keys: posed_pair(job, panoramas[each.keys], each)
         for each in settled_pairs(job, accepted, settled, level)
     }
-    sure = sorted(posed, key=lambda keys: wanted[keys])
+    sure = sorted(posed, key=lambda keys: panoramas[keys])
     known = ImpliedPoses([posed[keys] for keys in sure])
-    others = {keys for keys in wanted if keys not in accepted and keys[0] != keys[1]}
-    candidates = _candidates(job, wanted, settled_pairs(job, others, settled, level), known)
+    others = {keys for keys in panoramas if keys not in accepted and keys[0] != keys[1]}
+    candidates = _candidates(job, panoramas, settled_pairs(job, others, settled, level), known)
     found = {}
     while some := list(islice(candidates, _PAIRS_AT_ONCE)):
         results = job.work.estimated([(pair, each.matched) for pair, each in some], PRIOR)
@@ -86,13 +86,13 @@ def find_implied(
 
 def _candidates(
     job: MatchJob,
-    wanted: Mapping[Keys, Pair],
+    panoramas: Mapping[Keys, Pair],
     others: Iterable[VerifiedPair],
     known: ImpliedPoses,
 ) -> Iterator[tuple[Pair, _Candidate]]:
     """Pairs with enough matches that may belong to an implied pose."""
     for verified in others:
-        pair = wanted[verified.keys]
+        pair = panoramas[verified.keys]
         ways = known.ways(*pair)
         if ways and not any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
             candidate = _nearest(job, pair, verified, ways)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -19,7 +19,6 @@ from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
-from epi360.jobs.graph.place_check import PlaceVerdict
 from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
@@ -47,7 +46,6 @@ from epi360.jobs.records.match_store import (
     IMPLIED_PAIRS,
     Keys,
     Verdict,
-    VerifiedPair,
     open_output,
     write_part,
 )
@@ -112,9 +110,11 @@ class MatchRun:
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level
-    # Pairs whose matches leave a doubt, and that are accepted because their surroundings look the
-    # same or two other pairs imply their pose.
-    num_by_others: int = 0
+
+    @property
+    def num_by_others(self) -> int:
+        """Pairs that are accepted because of what other pairs know of the place."""
+        return sum(verdict.by_others for verdict in self.verdicts)
 
 
 def match_images(
@@ -170,9 +170,54 @@ def match_images(
         return _match(images, MatchJob(work, opened, progress), options, first_pairs)
 
 
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Pairs that were chosen, with their verdicts by their own matches."""
+
+    how: str
+    pairs: Sequence[Pair]
+    finished: Mapping[Keys, Verdict]
+    num_found: int
+    is_sequence: bool  # neighbours, nearly all of which match
+
+
 def _match(
     images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
 ) -> MatchRun:
+    chosen = _chosen(images, job, options, first_pairs)
+    pairs, finished = chosen.pairs, chosen.finished
+    level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
+    settled = finished if level is None else _with_level(level, pairs, job, finished)
+    is_level = level is not None or options.upright_deg is not None
+    keys = [job.keys_of(pair) if job.is_readable(pair) else None for pair in pairs]
+    named = [_named(job, *each, settled) for each in zip(pairs, keys, strict=True)]
+    # Neighbours in a sequence are of one place.
+    panoramas = {} if chosen.is_sequence else job.full_panoramas(pairs)
+    places = check_places(job, panoramas, settled, level)
+    told = [None if each is None else places.get(each) for each in keys]
+    verdicts = checked(named, told, is_level=is_level)
+    accepted = {each for each, v in zip(keys, verdicts, strict=True) if each and v.accepted}
+    implied = find_implied(job, panoramas, settled, level, accepted & panoramas.keys())
+    verdicts = with_implied(verdicts, keys, implied)
+    _write_index(images, job, level, zip(keys, verdicts, strict=True), implied)
+    return MatchRun(
+        folder=job.output,
+        how=chosen.how,
+        images=tuple(image.name for image in images.images),
+        verdicts=verdicts,
+        unreadable=job.unreadable,
+        num_found=chosen.num_found,
+        level=level,
+        num_gained=_num_accepted_more(settled, finished)
+        + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
+        num_lost=_num_accepted_more(finished, settled),
+    )
+
+
+def _chosen(
+    images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
+) -> _Chosen:
+    """Those of a sequence if these suffice, otherwise what the options say."""
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = _verified(few, job) if few else ({}, 0)
@@ -194,45 +239,29 @@ def _match(
         num_found += num_there - num_seen
     chosen_among = () if is_sequence else images.images
     how += said_unused(chosen_among, options.pairs, options.partners)
-    level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
-    settled = finished if level is None else _with_level(level, pairs, job, finished)
-    is_level = level is not None or options.upright_deg is not None
-    named = tuple(_named(pair, job, settled) for pair in pairs)
-    # Neighbours in a sequence, nearly all of which match, are of one place.
-    places = [None] * len(pairs) if is_sequence else _places(pairs, job, settled, level)
-    verdicts = checked(named, places, is_level=is_level)
-    implied = {} if is_sequence else _implied(pairs, job, settled, level, verdicts)
-    keys = [job.keys_of(pair) if job.is_readable(pair) else None for pair in pairs]
-    verdicts = with_implied(verdicts, keys, implied)
-    kept = {
-        each: implied[each].verified
-        for each, verdict in zip(keys, verdicts, strict=True)
-        if each is not None and verdict.prior == IMPLIED_PRIOR
-    }
-    matched = [(v.image1, v.image2) for v in verdicts if v.status != "unreadable_image"]
-    confirmed = [(v.image1, v.image2) for v in verdicts if v.confirmed and v.accepted]
-    write_index(
-        job.output,
-        images,
-        job.readable_keys(),
-        matched,
-        level,
-        confirmed,
-        _write_implied(job, kept),
-    )
-    return MatchRun(
-        folder=job.output,
-        how=how,
-        images=tuple(image.name for image in images.images),
-        verdicts=verdicts,
-        unreadable=job.unreadable,
-        num_found=num_found,
-        level=level,
-        num_gained=_num_accepted_more(settled, finished)
-        + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
-        num_lost=_num_accepted_more(finished, settled),
-        num_by_others=sum(verdict.by_others for verdict in verdicts),
-    )
+    return _Chosen(how, pairs, finished, num_found, is_sequence)
+
+
+def _write_index(
+    images: ImageSet,
+    job: MatchJob,
+    level: Level | None,
+    verdicts: Iterable[tuple[Keys | None, PairVerdict]],
+    implied: Mapping[Keys, ImpliedPair],
+) -> None:
+    """Keep what is the result, and the pairs that have the pose that others imply."""
+    matched, confirmed, by_others = [], [], set()
+    for keys, verdict in verdicts:
+        names = verdict.image1, verdict.image2
+        if keys is not None:
+            matched.append(names)
+        if verdict.confirmed and verdict.accepted:
+            confirmed.append(names)
+        if verdict.prior == IMPLIED_PRIOR:
+            by_others.add(keys)
+    kept = [implied[each].verified for each in sorted(implied.keys() & by_others)]
+    part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""
+    write_index(job.output, images, job.readable_keys(), matched, level, confirmed, part)
 
 
 def open_match_output(
@@ -313,44 +342,10 @@ def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, V
     return sum(verdict.accepted and not others[keys].accepted for keys, verdict in verdicts.items())
 
 
-def _named(pair: Pair, job: MatchJob, finished: Mapping[Keys, Verdict]) -> PairVerdict:
-    """Verdict on two images, by name."""
+def _named(
+    job: MatchJob, pair: Pair, keys: Keys | None, finished: Mapping[Keys, Verdict]
+) -> PairVerdict:
+    """Verdict on two images, by name; they have no keys where one is unreadable."""
     image1, image2 = (job.images[index].name for index in pair)
-    if not job.is_readable(pair):
-        return PairVerdict(status="unreadable_image", image1=image1, image2=image2)
-    return PairVerdict(**vars(finished[job.keys_of(pair)]), image1=image1, image2=image2)
-
-
-def _places(
-    pairs: Sequence[Pair],
-    job: MatchJob,
-    settled: Mapping[Keys, Verdict],
-    level: Level | None,
-) -> list[PlaceVerdict | None]:
-    """What the surroundings say about each pair; None where they were not looked at."""
-    wanted = {job.keys_of(pair): pair for pair in pairs if job.is_readable(pair)}
-    found = check_places(job, wanted, settled, level)
-    return [found.get(job.keys_of(pair)) if job.is_readable(pair) else None for pair in pairs]
-
-
-def _implied(
-    pairs: Sequence[Pair],
-    job: MatchJob,
-    settled: Mapping[Keys, Verdict],
-    level: Level | None,
-    verdicts: Sequence[PairVerdict],
-) -> dict[Keys, ImpliedPair]:
-    """Pairs of panoramas that have no pose of their own, and that others give one."""
-    wanted, accepted = {}, set()
-    for pair, verdict in zip(pairs, verdicts, strict=True):
-        if job.is_readable(pair) and job.sees_all_around(pair):
-            wanted[job.keys_of(pair)] = pair
-            if verdict.accepted:
-                accepted.add(job.keys_of(pair))
-    return find_implied(job, wanted, settled, level, accepted)
-
-
-def _write_implied(job: MatchJob, implied: Mapping[Keys, VerifiedPair]) -> str:
-    """Keep these pairs in a file, whose name is returned; empty if there are none."""
-    verified = [implied[keys] for keys in sorted(implied)]
-    return write_part(job.output, verified, IMPLIED_PAIRS) if verified else ""
+    verdict = Verdict(status="unreadable_image") if keys is None else finished[keys]
+    return PairVerdict.of((image1, image2), verdict)

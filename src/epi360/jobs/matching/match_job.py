@@ -87,9 +87,8 @@ class MatchJob:
 
         They are made from the matches that `verify` has left.
         """
-        usable = [pair for pair in pairs if self.is_readable(pair) and self.sees_all_around(pair)]
-        by_keys = {self.keys_of(pair): pair for pair in usable}
-        wanted = {keys: pair for keys, pair in by_keys.items() if level.asks_again(finished[keys])}
+        usable = self.full_panoramas(pairs)
+        wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
         again = {
             pair.keys: pair.verdict
             for pair in read_parts(self.output, level.store)
@@ -113,6 +112,11 @@ class MatchJob:
             if here := {each: left.pop(each) for each in keys if each in left}:
                 parts[name] = here
         return parts
+
+    def full_panoramas(self, pairs: Sequence[Pair]) -> dict[Keys, Pair]:
+        """Pairs of two readable full panoramas, one for each pair of keys."""
+        usable = (pair for pair in pairs if self.is_readable(pair) and self.sees_all_around(pair))
+        return {self.keys_of(pair): pair for pair in usable}
 
     def sees_all_around(self, pair: Pair) -> bool:
         """Whether both images are full panoramas."""

@@ -32,6 +32,11 @@ class PairVerdict(Verdict):
     refused: str = ""
     confirmed: bool = False
 
+    @classmethod
+    def of(cls, names: tuple[str, str], verdict: Verdict) -> PairVerdict:
+        """Verdict on two images, by name, before other pairs are heard."""
+        return cls(**vars(verdict), image1=names[0], image2=names[1])
+
     @property
     def accepted(self) -> bool:
         """Whether the pose may be used."""
@@ -64,6 +69,7 @@ def with_implied(
     Such a pose is right if both pairs are that imply it. ``keys`` are those of each pair, None
     where an image cannot be read.
     """
+    names = _names(verdicts)
     accepted = [row for row, verdict in enumerate(verdicts) if verdict.accepted]
     chances = {keys[row]: verdicts[row].probability for row in accepted}
     told = {}
@@ -71,15 +77,9 @@ def with_implied(
         if each is not None and each in implied and not verdicts[row].accepted:
             own = implied[each].verified.verdict
             chance = own.probability * float(np.prod([chances[by] for by in implied[each].by]))
-            values = {
-                **vars(own),
-                "probability": chance,
-                "image1": verdicts[row].image1,
-                "image2": verdicts[row].image2,
-            }
-            told[row] = PairVerdict(**values)
+            told[row] = PairVerdict.of(names[row], replace(own, probability=chance))
     tried = {row: each if _has_sigmas(each) else believed(each) for row, each in told.items()}
-    closed = closing(_names(verdicts), verdicts, accepted, tried)
+    closed = closing(names, verdicts, accepted, tried)
     return tuple(
         replace(told[row], num_triangles=closed[row].num_triangles) if row in closed else verdict
         for row, verdict in enumerate(verdicts)

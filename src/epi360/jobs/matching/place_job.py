@@ -28,18 +28,17 @@ Found = TypeVar("Found")
 
 
 def check_places(
-    job: MatchJob, wanted: Mapping[Keys, Pair], settled: Mapping[Keys, Verdict], level: Level | None
+    job: MatchJob,
+    panoramas: Mapping[Keys, Pair],
+    settled: Mapping[Keys, Verdict],
+    level: Level | None,
 ) -> dict[Keys, PlaceVerdict]:
     """What the surroundings say about pairs of full panoramas: accepted ones, and doubted ones.
 
-    ``wanted`` has two readable images for each pair of keys, ``settled`` the verdicts that count.
+    ``panoramas`` has two readable ones for each pair of keys, ``settled`` the verdicts that count.
     Nothing is said where a picture cannot be read any more.
     """
-    usable = {
-        keys: pair
-        for keys, pair in wanted.items()
-        if job.sees_all_around(pair) and keys[0] != keys[1]
-    }
+    usable = {keys: pair for keys, pair in panoramas.items() if keys[0] != keys[1]}
     accepted = {keys for keys in usable if settled[keys].accepted}
     if not FEWEST_PAIRS <= len(accepted) <= MOST_PAIRS:
         return {}
