@@ -2,9 +2,9 @@
 """Fits what a pair shows by itself to rendered homes, and says how well it tells copies.
 
 ``python benchmarks/own_evidence.py --seeds 0,30,40,60 --out DIR`` renders four homes from each seed
-on, level and tilted, matches all pairs of each, and prints how well densities that are fitted to
-the homes of the other seeds tell right pairs from copies and from other rooms. With ``--write`` the
-densities that are fitted to all of them become those of the package.
+on, level and tilted, matches all pairs of each, and prints how well weights that are fitted to the
+homes of the other seeds tell right pairs from copies and from other rooms. With ``--write`` the
+weights that are fitted to all of them become those of the package.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,8 @@ import numpy as np
 from _summary import text_table
 from _trust_records import RIGHT_DEG, WRONG_DEG, errors_of
 from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import expit
 from scipy.stats import rankdata
 
 from epi360.features import read_image
@@ -30,17 +33,9 @@ from epi360.features.warped_patches import Panorama
 from epi360.interop import MatchGraph
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph import own_evidence
-from epi360.jobs.graph.own_evidence import (
-    COPY,
-    DOOR,
-    OTHER,
-    ROOM,
-    SHOWN,
-    Densities,
-    NormalDensity,
-)
+from epi360.jobs.graph.own_evidence import SHOWN, Weights, terms
 from epi360.jobs.graph.place_evidence import grow_both
-from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.poses import Pose
@@ -49,16 +44,19 @@ from epi360_scenes.tours import Tour, render_tour
 
 Array = NDArray[np.float64]
 
-# Each variance is larger by so much, for other homes are different.
-VARIANCE_OF_HOMES = 0.01
 LEAST_SHARE, MOST_SHARE = 0.01, 0.99  # of the pairs that are beyond the limits of the numbers
-CASES = (ROOM, DOOR, COPY, OTHER)
-FEWEST_PAIRS = 50  # of each case, for a density of seven numbers
+CASES = ROOM, DOOR, COPY, OTHER = "one room", "through a door", "copy", "other room"
+RIGHT = {ROOM: 0.65, DOOR: 0.35}  # and their shares
+PENALTY = 3e-5  # of the squares of the weights; 1e-5 to 1e-4 tell pairs apart as well
+FEWEST_PAIRS = 100  # of each case, for 36 weights
 FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass
 
 
 class Shown(NamedTuple):
-    """What one pair shows: the seed of its homes, its case, its seven numbers."""
+    """What one pair shows: the seed of its homes, its case, its seven numbers.
+
+    A pair that lies on the floor alone has no numbers, for it has nothing to say.
+    """
 
     seed: int
     case: str
@@ -68,7 +66,10 @@ class Shown(NamedTuple):
 def main() -> int:
     """Run what the command line asks for."""
     options = _parse_options()
-    shown = [each for seed in options.seeds for each in _shown_in_homes(seed, options)]
+    every = [each for seed in options.seeds for each in _shown_in_homes(seed, options)]
+    shown = [each for each in every if len(each.numbers)]
+    on_floor = [each.case in RIGHT for each in every if not len(each.numbers)]
+    print(f"On the floor alone lie {len(on_floor)} pairs, {sum(on_floor)} of them right.")
     counts = {case: sum(each.case == case for each in shown) for case in CASES}
     if min(counts.values()) < FEWEST_PAIRS:
         print(f"each case must have {FEWEST_PAIRS} pairs, there are {counts}: take more homes")
@@ -76,7 +77,7 @@ def main() -> int:
     if len(options.seeds) > 1:
         print(text_table(_rows(shown)))
     if options.write:
-        path = Path(own_evidence.__file__).with_name(own_evidence.DENSITIES)
+        path = Path(own_evidence.__file__).with_name(own_evidence.WEIGHTS)
         write_file(path, _as_json(_record(shown, options)).encode())
         print(f"Written: {path}")
     return 0
@@ -121,6 +122,8 @@ def _shown_in_tour(tour: Tour, output: Path, seed: int) -> list[tuple[str, Array
         case = _case(tour, names, pair.cam2_from_cam1)
         if case is None:
             return None
+        if floor_share(*pair.bearings) > FLOOR_SHARE:
+            return case, np.empty(0)
         grown = grow_both(pair, [panoramas[name] for name in names])
         return case, own_evidence.shown_by(pair, grown)
 
@@ -166,7 +169,7 @@ def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
 
 
 def _rows(shown: Sequence[Shown]) -> list[list[str]]:
-    """How well densities of the other seeds' homes tell right pairs from wrong ones."""
+    """How well weights of the other seeds' homes tell right pairs from wrong ones."""
     rows = [
         ["right", "wrong", "pairs", "area under ROC", f"kept at {FALSE_SHARE:.0%} of the wrong"]
     ]
@@ -185,21 +188,46 @@ def _held_out(shown: Sequence[Shown], case: str) -> Array:
     """Log-likelihood ratios (N, 2) over other rooms and over copies, of the pairs of a case."""
     ratios = []
     for seed in sorted({each.seed for each in shown}):
-        fitted = _densities([each for each in shown if each.seed != seed])
+        fitted = _weights([each for each in shown if each.seed != seed])
         here = (each for each in shown if each.seed == seed and each.case == case)
         ratios += [fitted.ratios(each.numbers) for each in here]
     return np.array(ratios).reshape(-1, 2)
 
 
-def _densities(shown: Sequence[Shown]) -> Densities:
-    every = np.array([each.numbers for each in shown])
-    least, most = np.quantile(every, (LEAST_SHARE, MOST_SHARE), axis=0)
-    cases = {}
-    for case in CASES:
-        numbers = np.array([each.numbers for each in shown if each.case == case])
-        covariance = np.cov(numbers.T) + VARIANCE_OF_HOMES * np.eye(numbers.shape[1])
-        cases[case] = NormalDensity(numbers.mean(axis=0), covariance)
-    return Densities(least, most, cases)
+def _weights(shown: Sequence[Shown]) -> Weights:
+    """Logistic regression of right pairs against those of other rooms, and against copies."""
+    cases = np.array([each.case for each in shown])
+    numbers = np.array([each.numbers for each in shown])
+    least, most = np.quantile(numbers, (LEAST_SHARE, MOST_SHARE), axis=0)
+    limited = np.clip(numbers, least, most)
+    no = np.zeros(len(terms(least)))
+    scaling = Weights(least, most, limited.mean(axis=0), limited.std(axis=0), no, no)
+    told = terms(scaling.scaled(numbers))
+    return replace(
+        scaling,
+        over_others=_regressed(told, cases, OTHER),
+        over_copies=_regressed(told, cases, COPY),
+    )
+
+
+def _regressed(told: Array, cases: NDArray[np.str_], wrong: str) -> Array:
+    """Weights that make a log-likelihood ratio, so that right and wrong pairs count as much."""
+    shares = {**RIGHT, wrong: 1.0}
+    counted = np.isin(cases, list(shares))
+    told, cases = told[counted], cases[counted]
+    signs = np.where(cases == wrong, -1.0, 1.0)
+    importance = np.array([shares[case] / np.sum(cases == case) for case in cases]) / 2
+    penalties = np.where(np.arange(told.shape[1]) > 0, PENALTY, 0.0)
+
+    def loss(weights: Array) -> tuple[float, Array]:
+        margins = signs * (told @ weights)
+        slopes = told.T @ (-importance * signs * expit(-margins)) + penalties * weights
+        value = importance @ np.logaddexp(0.0, -margins) + penalties @ weights**2 / 2
+        return float(value), slopes
+
+    found = minimize(loss, np.zeros(told.shape[1]), jac=True, options={"maxiter": 10_000})
+    weights: Array = found.x
+    return weights
 
 
 def _area(right: Array, wrong: Array) -> float:
@@ -211,22 +239,13 @@ def _area(right: Array, wrong: Array) -> float:
 
 def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, Any]:
     """What the package reads."""
-    fitted = _densities(shown)
     seeds = ",".join(map(str, options.seeds))
     return {
         "made_by": f"python benchmarks/own_evidence.py --homes {options.homes} --seeds {seeds} "
         f"--width {options.width} --write",
+        "num_pairs": {case: sum(each.case == case for each in shown) for case in CASES},
         "shown": list(SHOWN),
-        "least": _rounded(fitted.least),
-        "most": _rounded(fitted.most),
-        "cases": {
-            case: {
-                "num_pairs": sum(each.case == case for each in shown),
-                "mean": _rounded(density.mean),
-                "covariance": [_rounded(row) for row in density.covariance],
-            }
-            for case, density in fitted.cases.items()
-        },
+        **{name: _rounded(values) for name, values in vars(_weights(shown)).items()},
     }
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pair shows by itself: hand-made surfaces, and the densities of rendered homes."""
+"""What a pair shows by itself: hand-made surfaces, and how what they show is weighed."""
 
 import json
 from dataclasses import replace
@@ -10,22 +10,17 @@ import pytest
 
 from epi360.features.shared_surfaces import NUM_CELLS, SharedSurfaces, grid
 from epi360.jobs.graph import own_evidence
-from epi360.jobs.graph.own_evidence import (
-    COPY,
-    DENSITIES,
-    DOOR,
-    OTHER,
-    ROOM,
-    SHOWN,
-    Densities,
-    OwnEvidence,
-    shown_by,
-)
+from epi360.jobs.graph.own_evidence import SHOWN, WEIGHTS, OwnEvidence, Weights, shown_by, terms
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.poses import Pose
 
-RECORD = json.loads(files(own_evidence.__package__).joinpath(DENSITIES).read_text("utf-8"))
-FITTED = Densities.of_record(RECORD)
+RECORD = json.loads(files(own_evidence.__package__).joinpath(WEIGHTS).read_text("utf-8"))
+FITTED = Weights.of_record(RECORD)
+# Means of thousands of pairs of rendered homes.
+ONE_ROOM = np.array([-2.14, 5.74, 7.34, -2.04, -2.74, -4.04, -2.72])
+DOOR = np.array([-1.53, 6.26, 6.46, -1.98, -1.95, -3.19, -2.07])
+COPY = np.array([-1.48, 4.60, 6.81, -2.38, -1.50, -2.67, -1.92])
+OTHER = np.array([-0.97, 3.82, 5.69, -2.01, -1.51, -2.75, -1.67])
 NOBODY = np.zeros(0, dtype=np.int64)
 PAIR = PosedPair(
     (0, 1),
@@ -111,22 +106,45 @@ def test_where_nothing_grows_nothing_speaks_for_the_pair():
     assert OwnEvidence.of(PAIR, views_of(np.zeros(NUM_CELLS, dtype=bool))).over_others == 0.0
 
 
-def test_the_file_holds_densities_of_many_pairs():
+def test_a_pair_on_the_floor_alone_has_nothing_to_say():
+    shown_there = views_of(CAP, contrasts=20.0)
+    down, up = np.array([0.0, 0.8, 0.6]), np.array([0.0, -0.6, 0.8])
+    for num_above, is_heard in ((0, False), (2, False), (4, True)):
+        bearings = np.array([down] * (100 - num_above) + [up] * num_above)
+        own = OwnEvidence.of(replace(PAIR, bearings=(bearings, bearings)), shown_there)
+        assert (own != OwnEvidence()) == is_heard
+    higher = np.array([up] * 50 + [down] * 50)  # both images must see it below
+    own = OwnEvidence.of(replace(PAIR, bearings=(bearings, higher)), shown_there)
+    assert own != OwnEvidence()
+
+
+def test_the_file_holds_weights_from_many_pairs():
     assert RECORD["shown"] == list(SHOWN)
-    assert set(FITTED.cases) == {ROOM, DOOR, COPY, OTHER}
-    assert min(case["num_pairs"] for case in RECORD["cases"].values()) > 400
-    for density in FITTED.cases.values():
-        np.testing.assert_array_equal(density.covariance, density.covariance.T)
-        assert np.linalg.eigvalsh(density.covariance).min() > 0.005
+    assert min(RECORD["num_pairs"].values()) > 400
     assert (FITTED.least < FITTED.most).all()
+    assert (FITTED.spread > 0.0).all()
+    for weights in (FITTED.over_others, FITTED.over_copies):
+        assert weights.shape == (36,)
 
 
-def test_pairs_are_most_like_their_own_case():
-    means = {case: density.mean for case, density in FITTED.cases.items()}
-    assert min(FITTED.ratios(means[ROOM])) > 4.0
-    assert min(FITTED.ratios(means[DOOR])) > 1.0
-    assert FITTED.ratios(means[COPY])[1] < -1.0
-    assert FITTED.ratios(means[OTHER])[0] < -3.0
+def test_terms_are_one_the_numbers_and_their_products():
+    np.testing.assert_array_equal(terms(np.array([2.0, 3.0])), [1, 2, 3, 4, 6, 9])
+    np.testing.assert_array_equal(terms(np.zeros((5, 7)))[:, 0], np.ones(5))
+
+
+def test_ratios_weigh_what_is_shown_in_units_of_the_spread():
+    no, only = np.zeros(36), np.zeros(36)
+    only[[0, 2]] = 0.5, 3.0
+    limits = np.full(7, 10.0)
+    weights = Weights(-limits, limits, np.full(7, 1.0), np.full(7, 2.0), no, only)
+    assert weights.ratios(np.array([0.0, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0])) == (0.0, 6.5)
+
+
+def test_typical_pairs_are_told_apart():
+    assert min(FITTED.ratios(ONE_ROOM)) > 4.0
+    assert min(FITTED.ratios(DOOR)) > 1.0
+    assert FITTED.ratios(COPY)[1] < -1.0
+    assert FITTED.ratios(OTHER)[0] < -3.0
 
 
 def test_beyond_what_pairs_have_shown_nothing_more_is_said():

@@ -10,13 +10,13 @@ from typing import TypeVar
 import numpy as np
 
 from epi360.jobs.graph.loop_check import LoopVerdict, check_loops
+from epi360.jobs.graph.shared_points import FLOOR_SHARE
 from epi360.jobs.records.match_store import Verdict
 
 # A pose that nothing else confirms is accepted if it is right with this probability.
 _LINK_PROBABILITY = 0.95
 # Printed floors repeat from room to room; of the other pairs that are as probable, few are wrong.
 _FLOOR_PROBABILITY = 0.999
-_FLOOR_SHARE = 0.97  # of the inliers below the horizon, in both images
 # Sigmas of a pose that rests on too few places to state its own: triangles close to 3 degrees in
 # rotation and 7 in direction.
 _DOUBTED_ROTATION_DEG, _DOUBTED_DIRECTION_DEG = 0.5, 1.5
@@ -218,7 +218,7 @@ class _Tree:
 
 
 def _lies_on_floor(verdict: Verdict) -> bool:
-    return verdict.floor_share > _FLOOR_SHARE
+    return verdict.floor_share > FLOOR_SHARE
 
 
 def _is_confirmed(loop: LoopVerdict) -> bool:

@@ -6,16 +6,16 @@ bare: few of the cells lie at edges, and few are holes, cells that must be there
 them, and look different. A copy of the room grows as far, and has holes where its owners put other
 things. Of another place with the same door little grows, and it frays out.
 
-Seven numbers say so, see `shown_by`. Their densities over right pairs of one room, right pairs
-through a door, pairs of copies and pairs of other rooms are normal; `benchmarks/own_evidence.py`
-fits them to rendered homes and writes ``own_evidence.json``.
+Seven numbers say so, see `shown_by`. Right pairs are told from pairs of copies, and from those of
+other rooms, by logistic regression on the numbers, their squares and products;
+`benchmarks/own_evidence.py` fits it to rendered homes and writes ``own_evidence.json``.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -24,16 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.features.shared_surfaces import LEAST_CONTRAST, SeenCells, SharedSurfaces, grid
-from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.shared_points import FLOOR_SHARE, PosedPair, floor_share
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-DENSITIES = "own_evidence.json"  # beside this file
-ROOM, DOOR, COPY, OTHER = "one room", "through a door", "copy", "other room"
+WEIGHTS = "own_evidence.json"  # beside this file
 SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
-_SHARE_OF_ROOMS = 0.65  # of the right pairs
 # In photographed homes less grows than in rendered ones, so this never speaks for another place.
 _LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -2.0, 8.0
 
@@ -49,7 +47,8 @@ class OwnEvidence:
     """Log-likelihood ratios of a pose by what the pair shows by itself.
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
-    speak for a pair: where nothing grows, it is no copy either.
+    speak for a pair: where nothing grows, it is no copy either. Printed floors repeat from room to
+    room, so a pair that lies on the floor alone has nothing to say.
     """
 
     over_others: float = 0.0
@@ -58,6 +57,8 @@ class OwnEvidence:
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
         """Weigh what has grown from both sides of a pair."""
+        if floor_share(*pair.bearings) > FLOOR_SHARE:
+            return cls()
         over_others, over_copies = _FITTED.ratios(shown_by(pair, views))
         return cls(
             float(np.clip(over_others, _LEAST_OVER_OTHERS, _MOST)),
@@ -66,51 +67,46 @@ class OwnEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class NormalDensity:
-    """Mean (7,) and covariance (7, 7) of what pairs of one case show."""
+class Weights:
+    """How much the seven numbers speak for right pairs, as quadratic functions of them.
 
-    mean: Array
-    covariance: Array
-
-    def log_of(self, shown: Array) -> float:
-        """Logarithm of the density, but for a constant that all cases have in common."""
-        centred = shown - self.mean
-        spread = centred @ np.linalg.solve(self.covariance, centred)
-        return float(-(spread + np.linalg.slogdet(self.covariance)[1]) / 2)
-
-
-@dataclass(frozen=True, eq=False)
-class Densities:
-    """Density of each case.
-
-    ``least`` and ``most`` (7,) limit what is shown: beyond what pairs have shown, densities of
-    unlike width would say the opposite.
+    ``least`` and ``most`` (7,) limit the numbers, for nothing is known beyond what pairs have
+    shown. `terms` of what is then in units of ``spread`` (7,) from ``centre`` (7,) are weighed by
+    ``over_others`` and ``over_copies`` (36,).
     """
 
     least: Array
     most: Array
-    cases: Mapping[str, NormalDensity]
+    centre: Array
+    spread: Array
+    over_others: Array
+    over_copies: Array
 
     @classmethod
-    def of_record(cls, record: Mapping[str, Any]) -> Densities:
+    def of_record(cls, record: Mapping[str, Any]) -> Weights:
         """Take the values of the file."""
-        cases = {
-            case: NormalDensity(np.array(each["mean"]), np.array(each["covariance"]))
-            for case, each in record["cases"].items()
-        }
-        return cls(np.array(record["least"]), np.array(record["most"]), cases)
+        return cls(**{each.name: np.array(record[each.name]) for each in fields(cls)})
+
+    def scaled(self, shown: Array) -> Array:
+        """What is shown (..., 7), limited and in units that terms are made of."""
+        scaled: Array = (np.clip(shown, self.least, self.most) - self.centre) / self.spread
+        return scaled
 
     def ratios(self, shown: Array) -> tuple[float, float]:
         """Log-likelihood ratios of right pairs over those of other rooms, and over copies."""
-        limited = np.clip(shown, self.least, self.most)
-        logs = {case: density.log_of(limited) for case, density in self.cases.items()}
-        rooms = np.log(_SHARE_OF_ROOMS) + logs[ROOM]
-        right = float(np.logaddexp(rooms, np.log(1 - _SHARE_OF_ROOMS) + logs[DOOR]))
-        return right - logs[OTHER], right - logs[COPY]
+        told = terms(self.scaled(shown))
+        return float(told @ self.over_others), float(told @ self.over_copies)
 
 
-_RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(DENSITIES).read_text("utf-8"))
-_FITTED = Densities.of_record(_RECORD)
+def terms(scaled: Array) -> Array:
+    """One, the numbers (..., 7), and their squares and products: (..., 36)."""
+    first, second = np.triu_indices(scaled.shape[-1])
+    one = np.ones((*scaled.shape[:-1], 1))
+    return np.concatenate([one, scaled, scaled[..., first] * scaled[..., second]], axis=-1)
+
+
+_RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(WEIGHTS).read_text("utf-8"))
+_FITTED = Weights.of_record(_RECORD)
 
 
 def shown_by(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> Array:

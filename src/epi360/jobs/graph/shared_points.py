@@ -21,6 +21,9 @@ _FEWEST_SHARED, _FEWEST_NEAR, _NEAR_DEG = 4, 8, 3.0
 _FEWEST_POINTS = 6
 _LARGEST_SCALE_SIGMA, _LEAST_SCALE_SIGMA = 0.15, 0.005
 MOST_WITNESSES = 12  # pairs that are asked at either end
+# Of the inliers, in both images; a pair of which so many lie below the horizon is on the floor.
+FLOOR_SHARE = 0.97
+_BELOW_HORIZON = np.sin(np.radians(5.0))  # y of what a level camera sees five degrees below it
 PLACE_SIGMA_DEG = 0.5  # what is looked for in another view has a place that is known to this
 
 
@@ -124,6 +127,14 @@ def place_sigmas_deg(pair: PosedPair, side: int, seen: Array, log_sigmas: Array)
     across = np.linalg.norm(np.cross(seen, baseline), axis=1) / ranges**2
     sigmas = np.hypot(np.degrees(across * log_sigmas), pair.rotation_sigma_deg)
     return np.asarray(np.hypot(sigmas, pair.translation_sigma_deg / ranges))
+
+
+def floor_share(bearings1: Array, bearings2: Array) -> float:
+    """Share of some matches that both images see well below the horizon; NaN without any."""
+    if len(bearings1) == 0:
+        return np.nan
+    heights = np.minimum(bearings1[:, 1], bearings2[:, 1])
+    return float(np.mean(heights > _BELOW_HORIZON))
 
 
 def some_of(rows: Indices, most: int) -> Indices:

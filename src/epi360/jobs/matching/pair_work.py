@@ -24,6 +24,7 @@ from epi360.features.matching import Look, look
 from epi360.jobs.folder.feature_cache import FeatureCache, UnreadableImageError
 from epi360.jobs.folder.image_set import SourceImage
 from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.graph.shared_points import floor_share
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair, read_part, write_part
 from epi360.jobs.threads import on_threads
@@ -35,7 +36,6 @@ from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
 _LOOKS_IN_MEMORY = 1000  # at pairs without hope, of 0.1 MB; a level folder asks for them again
-_BELOW_HORIZON = np.sin(np.radians(5.0))  # y of what a level camera sees five degrees below it
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,7 +351,4 @@ class Matched:
 
     def floor_share(self, inlier_mask: NDArray[np.bool_]) -> float:
         """Share of the inliers that both images see well below the horizon; NaN without any."""
-        if not inlier_mask.any():
-            return np.nan
-        heights = np.minimum(self.bearings1[inlier_mask, 1], self.bearings2[inlier_mask, 1])
-        return float(np.mean(heights > _BELOW_HORIZON))
+        return floor_share(self.bearings1[inlier_mask], self.bearings2[inlier_mask])
