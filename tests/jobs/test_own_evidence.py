@@ -4,6 +4,7 @@
 import json
 from dataclasses import replace
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -165,3 +166,29 @@ def test_no_more_is_believed_than_the_limits():
     assert min(own.over_others for own in found) == 0.0
     assert min(own.over_copies for own in found) == -2.0
     assert max(own.over_copies for own in found) == 8.0
+
+
+@pytest.fixture
+def fitting(monkeypatch):
+    """The benchmark that fits the weights; it holds its process to one thread."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        monkeypatch.setenv(variable, "1")
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    import own_evidence as fitting
+
+    return fitting
+
+
+def test_the_fit_gives_log_likelihood_ratios_whatever_the_numbers_of_pairs(fitting):
+    rng, shown = np.random.default_rng(5), []
+    moves = {"other room": (0, 4000), "copy": (1, 1500)}
+    for case, count in (("one room", 3000), ("through a door", 700)):
+        shown += [fitting.Shown(0, case, each) for each in rng.normal(size=(count, 7))]
+    for case, (number, count) in moves.items():
+        numbers = rng.normal(size=(count, 7))
+        numbers[:, number] -= 1.0
+        shown += [fitting.Shown(0, case, each) for each in numbers]
+    fitted = fitting._weights(shown)
+    for x in (np.zeros(7), np.eye(7)[0], -np.eye(7)[1], np.eye(7)[2]):
+        # Of normal densities of unit variance, one of which is moved by -1.
+        np.testing.assert_allclose(fitted.ratios(x), x[:2] + 0.5, atol=0.25)
