@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Fits what a pair shows by itself to rendered homes, and says how well it tells copies.
 
-``python benchmarks/own_evidence.py --seeds 0,30,40,60 --out DIR`` renders four homes from each seed
+``python benchmarks/own_evidence.py --seeds 0,30,40 --out DIR`` renders four homes from each seed
 on, level and tilted, matches all pairs of each, and prints how well weights that are fitted to the
 homes of the other seeds tell right pairs from copies and from other rooms. With ``--write`` the
 weights that are fitted to all of them become those of the package.
@@ -226,6 +226,8 @@ def _regressed(told: Array, cases: NDArray[np.str_], wrong: str) -> Array:
         return float(value), slopes
 
     found = minimize(loss, np.zeros(told.shape[1]), jac=True, options={"maxiter": 10_000})
+    if not found.success:
+        raise RuntimeError(f"the fit of pairs against {wrong} has not converged: {found.message}")
     weights: Array = found.x
     return weights
 
