@@ -173,25 +173,22 @@ def _rows(shown: Sequence[Shown]) -> list[list[str]]:
     rows = [
         ["right", "wrong", "pairs", "area under ROC", f"kept at {FALSE_SHARE:.0%} of the wrong"]
     ]
-    ratios = {case: _held_out(shown, case) for case in CASES}
+    ratios, cases = _held_out(shown), np.array([each.case for each in shown])
     for column, wrong in enumerate((OTHER, COPY)):
-        against = ratios[wrong][:, column]
+        against = ratios[cases == wrong, column]
         for right in (ROOM, DOOR):
-            speaks = ratios[right][:, column]
+            speaks = ratios[cases == right, column]
             counts = f"{len(speaks)}, {len(against)}"
             kept = np.mean(speaks > np.quantile(against, 1 - FALSE_SHARE))
             rows.append([right, wrong, counts, f"{_area(speaks, against):.3f}", f"{kept:.0%}"])
     return rows
 
 
-def _held_out(shown: Sequence[Shown], case: str) -> Array:
-    """Log-likelihood ratios (N, 2) over other rooms and over copies, of the pairs of a case."""
-    ratios = []
-    for seed in sorted({each.seed for each in shown}):
-        fitted = _weights([each for each in shown if each.seed != seed])
-        here = (each for each in shown if each.seed == seed and each.case == case)
-        ratios += [fitted.ratios(each.numbers) for each in here]
-    return np.array(ratios).reshape(-1, 2)
+def _held_out(shown: Sequence[Shown]) -> Array:
+    """Log-likelihood ratios (N, 2) over other rooms and over copies, by the other seeds' homes."""
+    seeds = sorted({each.seed for each in shown})
+    fitted = {seed: _weights([each for each in shown if each.seed != seed]) for seed in seeds}
+    return np.array([fitted[each.seed].ratios(each.numbers) for each in shown])
 
 
 def _weights(shown: Sequence[Shown]) -> Weights:
