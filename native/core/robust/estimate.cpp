@@ -206,9 +206,7 @@ class Estimate {
         m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate, result_.inlier,
         dropped_, result_.residuals, prior_, options_.shared_error);
     result_.scale = evidence.scale = uncertainty.scale;
-    result_.covariance = uncertainty.covariance;
-    evidence.rotation_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
-    evidence.direction_sigma = std::sqrt(uncertainty.covariance.bottomRightCorner<2, 2>().trace());
+    set_covariance(uncertainty.covariance);
     evidence.parallax = median_parallax(m_, result_.cam2_from_cam1, result_.inlier.data());
     result_.parallax = evidence.parallax;
     if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
@@ -219,19 +217,38 @@ class Estimate {
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
     evidence.log_prior = log_prior_of(prior_);
-    const Rival rival = find_rival(m_, candidates, result_.cam2_from_cam1, uncertainty.covariance,
-                                   result_.inlier, gate);
-    evidence.plane_share = rival.plane_share;
-    evidence.has_twin = rival.has_twin;
-    if (rival.cam2_from_cam1) {
-      Evidence other;
-      listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
-      evidence.rival_probability = probability_by_regions(other);
-      evidence.rival_evidence = rival.evidence;
+    const Rivals rivals = find_rivals(m_, candidates, result_.cam2_from_cam1,
+                                      uncertainty.covariance, result_.inlier, gate);
+    evidence.plane_share = rivals.plane_share;
+    evidence.has_twin = rivals.has_twin;
+    if (rivals.nearby.cam2_from_cam1) {
+      const Evidence beside = evidence_beside(rivals.nearby, density);
+      set_covariance(uncertainty.covariance + second_moment(result_.cam2_from_cam1,
+                                                            *rivals.nearby.cam2_from_cam1,
+                                                            share_of_rival(beside)));
     }
+    if (rivals.distant.cam2_from_cam1) evidence = evidence_beside(rivals.distant, density);
     result_.probability = probability_of_pose(evidence);
-    if (!rival.cam2_from_cam1) return;
-    if (status() == Status::kPlanarAmbiguous) result_.alternatives = {*rival.cam2_from_cam1};
+    if (status() == Status::kPlanarAmbiguous) {
+      result_.alternatives = {*rivals.distant.cam2_from_cam1};
+    }
+  }
+
+  void set_covariance(const Eigen::Matrix<double, 5, 5>& covariance) {
+    Evidence& evidence = result_.evidence;
+    result_.covariance = covariance;
+    evidence.rotation_sigma = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
+    evidence.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+  }
+
+  // The evidence so far, with what speaks for another pose.
+  Evidence evidence_beside(const Rival& rival, double density) {
+    Evidence other;
+    listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+    Evidence beside = result_.evidence;
+    beside.rival_probability = probability_by_regions(other);
+    beside.rival_evidence = rival.evidence;
+    return beside;
   }
 
   // The pose of the best candidate, its gate and its inliers.

@@ -11,6 +11,8 @@ namespace epi360 {
 namespace {
 
 constexpr double kDistinct = 4.0;  // standard deviations
+// A pose so near by is the same answer: with the uncertainty of both, neither is 10 degrees wrong.
+constexpr double kNearby = 8.0 * kDegree;
 
 // Whether two poses differ by more than the uncertainty of the first can explain.
 bool is_distinct(const RelativePose& a, const RelativePose& b,
@@ -23,25 +25,34 @@ bool is_distinct(const RelativePose& a, const RelativePose& b,
 
 }  // namespace
 
-Rival find_rival(const Matches& m, Candidates& candidates, const RelativePose& pose,
-                 const Eigen::Matrix<double, 5, 5>& covariance,
-                 const std::vector<unsigned char>& inlier, double gate) {
-  Rival rival;
+Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose& pose,
+                   const Eigen::Matrix<double, 5, 5>& covariance,
+                   const std::vector<unsigned char>& inlier, double gate) {
+  Rivals rivals;
   const double evidence = candidates.best().evidence;
-  const Eigen::Vector3d plane = fit_plane(m, pose, inlier, 1.5 * gate, &rival.plane_share);
+  const Eigen::Vector3d plane = fit_plane(m, pose, inlier, 1.5 * gate, &rivals.plane_share);
   RelativePose twin;
-  if (is_planar(rival.plane_share) && twin_pose(pose, plane, &twin)) {
+  if (is_planar(rivals.plane_share) && twin_pose(pose, plane, &twin)) {
     candidates.polish(twin, 50, 1e-8);
-    rival.has_twin = true;
+    rivals.has_twin = true;
   }
   for (const Candidate& c : candidates.all()) {  // descending evidence
     if (!is_distinct(pose, c.cam2_from_cam1, covariance)) continue;
-    rival.cam2_from_cam1 = c.cam2_from_cam1;
-    rival.loss = c.loss;
-    rival.evidence = c.evidence - evidence;
-    break;
+    const bool is_nearby = same_pose(pose, c.cam2_from_cam1, kNearby, kNearby);
+    Rival& rival = is_nearby ? rivals.nearby : rivals.distant;
+    if (!rival.cam2_from_cam1) rival = {c.cam2_from_cam1, c.loss, c.evidence - evidence};
+    if (rivals.distant.cam2_from_cam1) break;
   }
-  return rival;
+  return rivals;
+}
+
+Eigen::Matrix<double, 5, 5> second_moment(const RelativePose& pose, const RelativePose& other,
+                                          double probability) {
+  const Eigen::AngleAxisd turn(other.R * pose.R.transpose());
+  Eigen::Matrix<double, 5, 1> apart;
+  apart << turn.angle() * turn.axis(),
+      tangent_basis(pose.t).transpose() * other.t / other.t.dot(pose.t);
+  return probability * apart * apart.transpose();
 }
 
 }  // namespace epi360

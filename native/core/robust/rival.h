@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// A second pose that explains the matches about as well.
+// A second pose that explains the matches about as well, far away or near by.
 #pragma once
 
 #include <optional>
@@ -10,18 +10,28 @@
 
 namespace epi360 {
 
-// The likeliest pose that is truly different.
+// Another optimum of the likelihood, beyond the uncertainty of the best one.
 struct Rival {
   std::optional<RelativePose> cam2_from_cam1;  // none was found
   LossModel loss;                              // its mixture
   double evidence = 0.0;                       // its log-likelihood minus that of the best pose
-  double plane_share = 0.0;                    // of the inliers on one plane
-  bool has_twin = false;  // the inliers lie on a plane, which has a second pose by geometry
+};
+
+struct Rivals {
+  Rival distant;             // the likeliest one that is another motion
+  Rival nearby;              // the likeliest one that is the same motion to a few degrees
+  double plane_share = 0.0;  // of the inliers on one plane
+  bool has_twin = false;     // the inliers lie on a plane, which has a second pose by geometry
 };
 
 // covariance: that of the pose, whose uncertainty must not explain the difference.
-Rival find_rival(const Matches& m, Candidates& candidates, const RelativePose& cam2_from_cam1,
-                 const Eigen::Matrix<double, 5, 5>& covariance,
-                 const std::vector<unsigned char>& inlier, double gate);
+Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose& cam2_from_cam1,
+                   const Eigen::Matrix<double, 5, 5>& covariance,
+                   const std::vector<unsigned char>& inlier, double gate);
+
+// What it adds to the covariance of a pose that a second one, which is as probable as this, is the
+// right one: the second moment about the pose of a mixture of both.
+Eigen::Matrix<double, 5, 5> second_moment(const RelativePose& pose, const RelativePose& other,
+                                          double probability);
 
 }  // namespace epi360

@@ -75,8 +75,8 @@ struct Evidence {
   double rotation_log_ratio = kInfinity;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Share of the inliers on one plane, and whether it is so large that
-  // there is such a pose by geometry.
+  // probable the regions make it. Share of the inliers on one plane, and whether it is so large
+  // that there is such a pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0;
   double plane_share = 0.0;
   bool has_twin = false;
@@ -125,6 +125,9 @@ bool lacks_direction(const Evidence& evidence);
 
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
+
+// Probability of the rival beside the pose that was found, which are alone; 0 if it is rejected.
+double share_of_rival(const Evidence& evidence);
 
 // Probability that the pose is right, be it of a surface or of a general scene.
 double probability_of_pose(const Evidence& evidence);
