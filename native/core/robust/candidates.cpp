@@ -89,12 +89,16 @@ Candidate Candidates::polish(const RelativePose& pose, int max_iterations, doubl
   return candidate;
 }
 
-void Candidates::keep(const Candidate& candidate) {
-  if (!std::isfinite(candidate.evidence)) return;
-  const auto same = std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
+std::vector<Candidate>::iterator Candidates::same_as(const Candidate& candidate) {
+  return std::find_if(candidates_.begin(), candidates_.end(), [&](const Candidate& c) {
     return same_pose(c.cam2_from_cam1, candidate.cam2_from_cam1, 0.3 * kSameRotation,
                      0.3 * kSameDirection);
   });
+}
+
+void Candidates::keep(const Candidate& candidate) {
+  if (!std::isfinite(candidate.evidence)) return;
+  const auto same = same_as(candidate);
   if (same == candidates_.end()) {
     candidates_.push_back(candidate);
   } else if (same->evidence < candidate.evidence) {
@@ -202,6 +206,20 @@ void Candidates::allow_near_misses() {
   best.own_evidence += gain(result);  // its rivals are judged without near misses, and so is it
   best.cam2_from_cam1 = result.cam2_from_cam1;
   best.loss = result.loss;
+}
+
+bool Candidates::add(const Candidate& candidate) {
+  const auto same = same_as(candidate);
+  if (same != candidates_.end() && same->evidence >= candidate.evidence) return false;
+  if (same == candidates_.begin()) return false;
+  if (same != candidates_.end()) candidates_.erase(same);
+  const bool is_chosen =
+      candidates_.size() > 1 && candidates_.front().evidence < candidates_[1].evidence;
+  const auto place =
+      std::find_if(candidates_.begin() + is_chosen, candidates_.end(),
+                   [&](const Candidate& c) { return c.evidence < candidate.evidence; });
+  candidates_.insert(place, candidate);
+  return true;
 }
 
 void Candidates::prefer(std::size_t index) {

@@ -48,6 +48,9 @@ class Candidates {
   // The optimum of the residuals alone near a candidate, and its evidence without depths.
   Candidate without_depths(const Candidate& start);
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
+  // Adds a candidate of the same matches behind those that are more likely, and behind one that was
+  // put first; false if it is the first one, or known with more evidence.
+  bool add(const Candidate& candidate);
   // Puts one of them first, whatever its evidence.
   void prefer(std::size_t index);
   // Refines the best candidate once more, so that a match behind a camera may be a near miss, and
@@ -75,6 +78,8 @@ class Candidates {
   // Whether the matches that agree with a pose, at which the workspace is, show more than noise.
   bool has_parallax(const RefineResult& at) const;
   bool is_known(const RelativePose& cam2_from_cam1, double reach) const;
+  // The one that is the same optimum.
+  std::vector<Candidate>::iterator same_as(const Candidate& candidate);
   void keep(const Candidate& candidate);
 
   const Matches& m_;

@@ -11,6 +11,7 @@
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
 #include "core/robust/rival.h"
+#include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
 #include "core/robust/search.h"
 #include "core/robust/testimony.h"
@@ -27,6 +28,9 @@ constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
 // Where residuals of wrong matches are counted: as many as tell their density to a seventh.
 constexpr double kChanceRange = 2.0 * kDegree;
+// A rival is compared with the pose if it has this share of its support as it was found, and is no
+// more than so much less likely once it is refined.
+constexpr double kCompetingSupport = 0.25, kCompetingEvidence = 30.0;
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
 // A pose is worth more than a rotation, and that more than neither.
@@ -47,10 +51,16 @@ class Estimate {
   // `known` says where down is, also to a search that gravity does not guide.
   Estimate(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
            const PosePrior& known, std::uint64_t seed)
-      : m_(m), options_(options), prior_(priors.pose), known_(known), random_(seed), seed_(seed) {
+      : m_(m),
+        options_(options),
+        priors_(priors),
+        prior_(priors.pose),
+        known_(known),
+        random_(seed),
+        seed_(seed) {
     start_over();
     if (status() == Status::kTooFewMatches) return;
-    SearchResult found = search_poses(m, options, priors, random_);
+    SearchResult found = search_poses(m, options, priors_, random_);
     result_.num_iterations = found.num_iterations;
     conclude_search(found.candidates);
   }
@@ -110,12 +120,47 @@ class Estimate {
   }
 
   void conclude_search(Candidates& candidates) {
+    settle(candidates);
+    if (lacks_direction(result_.evidence)) {
+      try_other_candidates(candidates);
+    } else if (has_answer() && find_rivals_left(candidates)) {
+      const int num_iterations = result_.num_iterations;
+      start_over();
+      result_.num_iterations = num_iterations;
+      settle(candidates);
+    }
+  }
+
+  // The best candidate as it is reported, with its verdict.
+  void settle(Candidates& candidates) {
     candidates.allow_near_misses();
     release_depths(m_, options_.residual, candidates);
     candidates.simplify();
     dropped_ = drop_leverage(m_, options_.residual, candidates);
     assess(candidates);
-    if (lacks_direction(result_.evidence)) try_other_candidates(candidates);
+  }
+
+  // Whether among the matches that an accepted pose leaves there is one that may compete with it.
+  bool find_rivals_left(Candidates& candidates) {
+    const RivalSearchResult found =
+        search_rivals(m_, options_, priors_, result_.inlier, result_.threshold, random_);
+    result_.num_iterations += found.num_iterations;
+    Candidates others(m_, options_.residual, prior_);
+    others.set_depth_tolerance(candidates.depth_tolerance());
+    std::vector<unsigned char> inlier;
+    std::vector<double> residuals;
+    for (const RelativePose& pose : found.poses) {
+      const double support =
+          mark_inliers(m_, options_.residual, pose, result_.threshold, true, inlier, residuals);
+      if (support < kCompetingSupport * result_.evidence.support) continue;
+      others.polish(pose, kPolishings, kPolished);
+    }
+    bool competes = false;
+    for (const Candidate& rival : others.all()) {
+      if (rival.evidence < candidates.best().evidence - kCompetingEvidence) break;
+      competes = candidates.add(rival) || competes;
+    }
+    return competes;
   }
 
   // The most likely candidate that has a direction, if there is one.
@@ -290,6 +335,7 @@ class Estimate {
 
   const Matches& m_;
   const RobustOptions& options_;
+  const MatchPriors& priors_;
   const PosePrior prior_, known_;
   Random random_;
   std::uint64_t seed_;

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/rival_search.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <limits>
+#include <utility>
+
+#include "core/robust/candidates.h"
+#include "core/robust/essential_problem.h"
+#include "core/robust/pool.h"
+#include "core/robust/ransac.h"
+#include "core/robust/sampler.h"
+
+namespace epi360 {
+namespace {
+
+// Share of the inliers that must be left for a rival, which shares the others with the pose; and
+// the largest share of what is left that it is taken to explain.
+constexpr double kFewestLeft = 0.6, kLargestShare = 0.9;
+constexpr double kConfidence = 0.95;      // that a sample of the rival alone is drawn
+constexpr std::size_t kMostLooked = 512;  // matches that the search looks at
+constexpr std::size_t kMostRivals = 2;
+constexpr int kRivalPolishings = 12;
+
+}  // namespace
+
+RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
+                                const MatchPriors& priors, const std::vector<unsigned char>& inlier,
+                                double gate, Random& random) {
+  std::vector<std::size_t> left;
+  std::size_t num_inliers = 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    num_inliers += inlier[i];
+    if (!inlier[i] && m.weight[i] > 0.0) left.push_back(i);
+  }
+  const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
+  const auto support = static_cast<double>(num_inliers);
+  const auto num_left = static_cast<double>(left.size());
+  if (num_left < std::max(kFewestLeft * support, 2.0 * sample_size)) return {};
+
+  if (left.size() > kMostLooked) {
+    for (std::size_t k = 0; k < kMostLooked; ++k) {  // the beginning of a Fisher-Yates shuffle
+      const auto others = static_cast<std::uint32_t>(left.size() - k);
+      std::swap(left[k], left[k + random.below(others)]);
+    }
+    left.resize(kMostLooked);
+  }
+  const Matches rest = chosen_matches(m, left);
+  Candidates candidates(rest, options.residual, priors.pose);
+  EssentialProblem problem(rest, options.residual, options.sample_size, candidates);
+  if (priors.pose.has_gravity) problem.use_gravity(priors.pose.gravity1, priors.pose.gravity2);
+  problem.set_gates({gate});
+
+  RivalSearchResult result;
+  result.num_iterations = iterations_needed(std::min(support / num_left, kLargestShare),
+                                            sample_size, {1, options.max_iterations, kConfidence});
+  Sampler sampler(static_cast<std::uint32_t>(rest.size), sample_size);
+  HypothesisPool pool;
+  RelativePose models[EssentialProblem::kMaxModels];
+  std::uint32_t sample[8];
+  for (int drawn = 0; drawn < result.num_iterations; ++drawn) {
+    sampler.draw(random, sample);
+    const int num_models = problem.generate(sample, models);
+    for (int k = 0; k < num_models; ++k) {
+      pool.offer(models[k], problem.score(models[k], pool.worst()));
+    }
+  }
+  candidates.polish_pool(pool, kRivalPolishings);
+  candidates.anneal();
+  for (const Candidate& c : candidates.all()) {
+    if (result.poses.size() < kMostRivals) result.poses.push_back(c.cam2_from_cam1);
+  }
+  return result;
+}
+
+}  // namespace epi360
