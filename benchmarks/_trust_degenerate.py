@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.poses import Pose
+from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import sample_relative_pose
 
 Array = NDArray[np.float64]
@@ -44,11 +44,16 @@ class DegenerateMatches:
 
 @dataclass(frozen=True)
 class Kind:
-    """Where the landmarks of a kind lie, how noisy their bearings are, and what goes with them."""
+    """Where the landmarks of a kind lie, how noisy their bearings are, and what goes with them.
+
+    With ``apart_deg`` every second match is that of another pose, so far away in rotation, which
+    has the same likelihood as the truth.
+    """
 
     landmarks: Callable[[np.random.Generator, Pose], Array]
     noise_rad: float = NOISE_RAD
     jacobian: float | None = None
+    apart_deg: float | None = None
 
 
 def make_degenerate(name: str, index: int, seed: int) -> DegenerateMatches:
@@ -59,6 +64,9 @@ def make_degenerate(name: str, index: int, seed: int) -> DegenerateMatches:
     landmarks = kind.landmarks(rng, pose)
     seen = landmarks @ pose.rotation.T + pose.translation
     bearings = [_disturbed(rng, points, kind.noise_rad) for points in (landmarks, seen)]
+    if kind.apart_deg is not None:
+        for each, mirror in zip(bearings, _mirrors(rng, pose, kind.apart_deg), strict=True):
+            each[1::2] = each[::2] @ mirror
     arguments: dict[str, Any] = {}
     if kind.jacobian is not None:
         jacobians = np.full((NUM_MATCHES, 3, 2), kind.jacobian)
@@ -68,6 +76,19 @@ def make_degenerate(name: str, index: int, seed: int) -> DegenerateMatches:
             "jacobians2": jacobians,
         }
     return DegenerateMatches(bearings[0], bearings[1], pose, arguments)
+
+
+def _mirrors(rng: np.random.Generator, pose: Pose, apart_deg: float) -> tuple[Array, Array]:
+    """Mirrors of view 1 and view 2: what both show is seen from a pose with another rotation.
+
+    If d2 b2 = d1 R b1 + t, then d2 M2 b2 = d1 (M2 R M1) M1 b1 + M2 t. The rotation M2 R M1 R^T
+    turns by twice the angle between the normal of M2 and that of M1, which R has turned.
+    """
+    normal, across = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    turned = rotation_from_vector(np.radians(apart_deg / 2.0) * across) @ normal
+    normals = (pose.rotation.T @ turned, normal)
+    mirrors = [np.eye(3) - 2.0 * np.outer(each, each) for each in normals]
+    return mirrors[0], mirrors[1]
 
 
 def _disturbed(rng: np.random.Generator, points: Array, noise_rad: float) -> Array:
@@ -129,6 +150,7 @@ KINDS: dict[str, Kind] = {
         for n in (3, 4)
     },
     "two clusters of spread 1e-9": Kind(partial(_patches, num=2, radius_m=1e-9), 0.0),
+    **{f"two poses {deg} degrees apart": Kind(_everywhere, apart_deg=deg) for deg in (12, 40)},
     "Jacobians of 0": Kind(_everywhere, jacobian=0.0),
     "Jacobians of 1e-320": Kind(_everywhere, jacobian=1e-320),
 }

@@ -88,7 +88,7 @@ class RelativePoseResult:
         "ok" or the reason why the pose must not be used as it is.
     covariance : ndarray, shape (5, 5)
         Covariance of d, where R_true = exp([d_0:3]x) R and t_true = (t + B d_3:5) / |.|, in radians
-        squared.
+        squared. It spans a second pose up to 8 degrees away that explains the matches as well.
     translation_basis : ndarray, shape (3, 2)
         B: the two tangent directions at t.
     probability : float
