@@ -64,6 +64,16 @@ def test_the_uncertainty_of_the_direction_holds_both_poses_too():
     assert along @ result.covariance[3:, 3:] @ along > 0.95 * direction**2
 
 
+@pytest.mark.parametrize(("turn_deg", "shift_deg"), [(0.0, 6.0), (2.5, 0.0), (2.0, 7.5)])
+def test_the_uncertainty_holds_poses_that_are_nearer_too(turn_deg, shift_deg):
+    _, _, b1, b2 = mirrored_problem(turn_deg, shift_deg)
+    result = estimate_relative_pose(b1, b2)
+    assert result.status == "ok"
+    blocks = (result.covariance[:3, :3], result.covariance[3:, 3:])
+    sigmas = [np.degrees(np.sqrt(np.trace(block))) for block in blocks]
+    np.testing.assert_allclose(sigmas, np.sqrt(0.5) * np.array([turn_deg, shift_deg]), atol=0.5)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("turn_deg", "shift_deg"), [(12.0, 0.0), (4.0, 14.0), (40.0, 30.0)])
 def test_two_poses_far_apart_are_ambiguous(turn_deg, shift_deg, seed):
@@ -75,6 +85,20 @@ def test_two_poses_far_apart_are_ambiguous(turn_deg, shift_deg, seed):
         assert min(rotation_error_deg(each, truth) for each in answers) < 0.3
         assert min(translation_error_deg(each, truth) for each in answers) < 1.0
     assert sigmas_deg(result).max() < 0.3
+
+
+def test_a_pose_that_moved_after_it_was_found_is_as_likely_as_its_mirror():
+    _, _, b1, b2 = mirrored_problem(12.0, 10.0, 26)
+    assert estimate_relative_pose(b1, b2, seed=26).status == "planar_ambiguous"
+
+
+def test_fewer_matches_that_weigh_as_much_are_a_rival():
+    _, _, b1, b2 = mirrored_problem(20.0, 0.0)
+    half = len(b1) // 2
+    twice = np.r_[np.arange(half), np.arange(half), np.arange(half, 2 * half)]
+    weights = np.r_[np.ones(2 * half), np.full(half, 2.0)]
+    result = estimate_relative_pose(b1[twice], b2[twice], weights=weights)
+    assert result.status == "planar_ambiguous"
 
 
 def test_a_pose_near_by_that_the_matches_reject_adds_nothing():

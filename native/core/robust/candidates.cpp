@@ -21,6 +21,7 @@ constexpr double kSimpler = 3.0;
 // and for each match: clouds gain 0.4 to 1.6, random outliers a hundredth. With 0.05, pairs of
 // rooms that are copies gained it too, and the check of places in a folder believed them.
 constexpr double kNearMisses = 30.0, kNearMissesPerMatch = 0.3;
+constexpr double kNews = 1.0;      // log-likelihood that a better fit of a known pose must gain
 constexpr double kMajority = 0.5;  // of the matches, which must agree with the pose
 // In noise: the median parallax with which the sign of one tells where a point lies.
 constexpr double kTellingParallax = 6.0;
@@ -183,6 +184,7 @@ bool Candidates::has_parallax(const RefineResult& at) const {
 void Candidates::allow_near_misses() {
   if (candidates_.empty()) return;
   Candidate& best = candidates_.front();
+  if (!std::isfinite(best.own_evidence)) return;  // found without depths
   // With so much noise the sign of a parallax tells little, and nothing is a near miss by it.
   if (!(epi360::depth_tolerance(best.loss.scale) < kLargestWrongParallax)) return;
   // Where most matches are wrong, they would decide.
@@ -209,12 +211,14 @@ void Candidates::allow_near_misses() {
 }
 
 bool Candidates::add(const Candidate& candidate) {
-  const auto same = same_as(candidate);
-  if (same != candidates_.end() && same->evidence >= candidate.evidence) return false;
-  if (same == candidates_.begin()) return false;
-  if (same != candidates_.end()) candidates_.erase(same);
   const bool is_chosen =
       candidates_.size() > 1 && candidates_.front().evidence < candidates_[1].evidence;
+  const auto same = same_as(candidate);
+  if (same == candidates_.begin()) return false;
+  if (same != candidates_.end()) {
+    if (candidate.evidence < same->evidence + kNews) return false;
+    candidates_.erase(same);
+  }
   const auto place =
       std::find_if(candidates_.begin() + is_chosen, candidates_.end(),
                    [&](const Candidate& c) { return c.evidence < candidate.evidence; });

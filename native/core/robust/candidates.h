@@ -2,6 +2,7 @@
 // Refined hypotheses, the most likely first, and what refines them.
 #pragma once
 
+#include <algorithm>
 #include <limits>
 #include <vector>
 
@@ -48,8 +49,11 @@ class Candidates {
   // The optimum of the residuals alone near a candidate, and its evidence without depths.
   Candidate without_depths(const Candidate& start);
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
+  void raise_best(double evidence) {
+    candidates_.front().evidence = std::max(candidates_.front().evidence, evidence);
+  }
   // Adds a candidate of the same matches behind those that are more likely, and behind one that was
-  // put first; false if it is the first one, or known with more evidence.
+  // put first; false if it is the first one, or known with about as much evidence.
   bool add(const Candidate& candidate);
   // Puts one of them first, whatever its evidence.
   void prefer(std::size_t index);

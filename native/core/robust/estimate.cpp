@@ -28,8 +28,10 @@ constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
 // Where residuals of wrong matches are counted: as many as tell their density to a seventh.
 constexpr double kChanceRange = 2.0 * kDegree;
-// A rival is compared with the pose if it has this share of its support as it was found, and is no
-// more than so much less likely once it is refined.
+// A search for rivals may draw one sample for so many of the first search. A rival is compared with
+// the pose if it has at least this share of the pose's support before it is refined by all matches,
+// and is no more than so much less likely after that.
+constexpr int kFirstSearch = 4;
 constexpr double kCompetingSupport = 0.25, kCompetingEvidence = 30.0;
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
@@ -121,14 +123,13 @@ class Estimate {
 
   void conclude_search(Candidates& candidates) {
     settle(candidates);
-    if (lacks_direction(result_.evidence)) {
-      try_other_candidates(candidates);
-    } else if (has_answer() && find_rivals_left(candidates)) {
+    if (has_answer() && find_rivals_left(candidates)) {
       const int num_iterations = result_.num_iterations;
       start_over();
       result_.num_iterations = num_iterations;
       settle(candidates);
     }
+    if (lacks_direction(result_.evidence)) try_other_candidates(candidates);
   }
 
   // The best candidate as it is reported, with its verdict.
@@ -142,9 +143,11 @@ class Estimate {
 
   // Whether among the matches that an accepted pose leaves there is one that may compete with it.
   bool find_rivals_left(Candidates& candidates) {
+    const int most = result_.num_iterations / kFirstSearch;
     const RivalSearchResult found =
-        search_rivals(m_, options_, priors_, result_.inlier, result_.threshold, random_);
+        search_rivals(m_, options_, priors_, result_.inlier, result_.threshold, most, random_);
     result_.num_iterations += found.num_iterations;
+    if (found.poses.empty()) return false;
     Candidates others(m_, options_.residual, prior_);
     others.set_depth_tolerance(candidates.depth_tolerance());
     std::vector<unsigned char> inlier;
@@ -155,6 +158,11 @@ class Estimate {
       if (support < kCompetingSupport * result_.evidence.support) continue;
       others.polish(pose, kPolishings, kPolished);
     }
+    if (others.empty()) return false;
+    // What the pose was moved by since it was a candidate may have made it more likely.
+    Candidates same(m_, options_.residual, prior_);
+    same.set_depth_tolerance(candidates.depth_tolerance());
+    candidates.raise_best(same.polish(result_.cam2_from_cam1, kPolishings, kPolished).evidence);
     bool competes = false;
     for (const Candidate& rival : others.all()) {
       if (rival.evidence < candidates.best().evidence - kCompetingEvidence) break;
@@ -266,17 +274,30 @@ class Estimate {
                                       uncertainty.covariance, result_.inlier, gate);
     evidence.plane_share = rivals.plane_share;
     evidence.has_twin = rivals.has_twin;
-    if (rivals.nearby.cam2_from_cam1) {
-      const Evidence beside = evidence_beside(rivals.nearby, density);
-      set_covariance(uncertainty.covariance + second_moment(result_.cam2_from_cam1,
-                                                            *rivals.nearby.cam2_from_cam1,
-                                                            share_of_rival(beside)));
-    }
+    span_nearby(rivals.nearby, density);
     if (rivals.distant.cam2_from_cam1) evidence = evidence_beside(rivals.distant, density);
     result_.probability = probability_of_pose(evidence);
     if (status() == Status::kPlanarAmbiguous) {
       result_.alternatives = {*rivals.distant.cam2_from_cam1};
     }
+  }
+
+  // Adds what the covariance does not know of poses near by that may be right as well.
+  void span_nearby(const std::vector<Rival>& nearby, double density) {
+    std::vector<double> odds;
+    double total = 1.0;  // those of the pose itself
+    for (const Rival& rival : nearby) {
+      odds.push_back(odds_of_rival(evidence_beside(rival, density)));
+      total += odds.back();
+    }
+    Eigen::Matrix<double, 5, 5> covariance = result_.covariance;
+    for (std::size_t k = 0; k < nearby.size(); ++k) {
+      if (odds[k] > 0.0) {
+        covariance +=
+            second_moment(result_.cam2_from_cam1, *nearby[k].cam2_from_cam1, odds[k] / total);
+      }
+    }
+    set_covariance(covariance);
   }
 
   void set_covariance(const Eigen::Matrix<double, 5, 5>& covariance) {

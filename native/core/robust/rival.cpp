@@ -11,17 +11,26 @@ namespace epi360 {
 namespace {
 
 constexpr double kDistinct = 4.0;  // standard deviations
+constexpr double kDistinctRotation = 3.0 * kDegree, kDistinctDirection = 8.0 * kDegree;
 // A pose so near by is the same answer: with the uncertainty of both, neither is 10 degrees wrong.
 constexpr double kNearby = 8.0 * kDegree;
 
-// Whether two poses differ by more than the uncertainty of the first can explain.
-bool is_distinct(const RelativePose& a, const RelativePose& b,
-                 const Eigen::Matrix<double, 5, 5>& covariance) {
-  const double sigma_rotation = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
-  const double sigma_direction = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
-  return !same_pose(a, b, std::max(3.0 * kDegree, kDistinct * sigma_rotation),
-                    std::max(8.0 * kDegree, kDistinct * sigma_direction));
-}
+// Standard deviations of a pose, over all components, and how far it is from another one.
+struct Spread {
+  double rotation, direction;
+
+  explicit Spread(const Eigen::Matrix<double, 5, 5>& covariance)
+      : rotation(std::sqrt(covariance.topLeftCorner<3, 3>().trace())),
+        direction(std::sqrt(covariance.bottomRightCorner<2, 2>().trace())) {}
+
+  // Whether two poses differ by more than the uncertainty can explain, and by more than these
+  // angles (radians).
+  bool separates(const RelativePose& a, const RelativePose& b, double least_rotation,
+                 double least_direction) const {
+    return !same_pose(a, b, std::max(least_rotation, kDistinct * rotation),
+                      std::max(least_direction, kDistinct * direction));
+  }
+};
 
 }  // namespace
 
@@ -36,12 +45,22 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
     candidates.polish(twin, 50, 1e-8);
     rivals.has_twin = true;
   }
+  const Spread spread(covariance);
+  const auto is_other = [&](const RelativePose& a, const RelativePose& b) {
+    return spread.separates(a, b, kSameRotation, kSameDirection);
+  };
   for (const Candidate& c : candidates.all()) {  // descending evidence
-    if (!is_distinct(pose, c.cam2_from_cam1, covariance)) continue;
-    const bool is_nearby = same_pose(pose, c.cam2_from_cam1, kNearby, kNearby);
-    Rival& rival = is_nearby ? rivals.nearby : rivals.distant;
-    if (!rival.cam2_from_cam1) rival = {c.cam2_from_cam1, c.loss, c.evidence - evidence};
-    if (rivals.distant.cam2_from_cam1) break;
+    const Rival rival{c.cam2_from_cam1, c.loss, c.evidence - evidence};
+    if (same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
+      bool is_new = is_other(pose, c.cam2_from_cam1);
+      for (const Rival& known : rivals.nearby) {
+        is_new = is_new && is_other(*known.cam2_from_cam1, c.cam2_from_cam1);
+      }
+      if (is_new) rivals.nearby.push_back(rival);
+    } else if (!rivals.distant.cam2_from_cam1 &&
+               spread.separates(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection)) {
+      rivals.distant = rival;
+    }
   }
   return rivals;
 }

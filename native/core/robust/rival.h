@@ -18,8 +18,9 @@ struct Rival {
 };
 
 struct Rivals {
-  Rival distant;             // the likeliest one that is another motion
-  Rival nearby;              // the likeliest one that is the same motion to a few degrees
+  Rival distant;  // the likeliest one that is another motion
+  std::vector<Rival>
+      nearby;                // those that are the same motion to a few degrees, the likeliest first
   double plane_share = 0.0;  // of the inliers on one plane
   bool has_twin = false;     // the inliers lie on a plane, which has a second pose by geometry
 };
@@ -29,8 +30,8 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
                    const Eigen::Matrix<double, 5, 5>& covariance,
                    const std::vector<unsigned char>& inlier, double gate);
 
-// What it adds to the covariance of a pose that a second one, which is as probable as this, is the
-// right one: the second moment about the pose of a mixture of both.
+// What it adds to the covariance of a pose that another one with this probability may be right: its
+// second moment about the pose.
 Eigen::Matrix<double, 5, 5> second_moment(const RelativePose& pose, const RelativePose& other,
                                           double probability);
 

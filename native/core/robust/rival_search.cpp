@@ -27,17 +27,25 @@ constexpr int kRivalPolishings = 12;
 
 RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
                                 const MatchPriors& priors, const std::vector<unsigned char>& inlier,
-                                double gate, Random& random) {
+                                double gate, int max_iterations, Random& random) {
   std::vector<std::size_t> left;
+  double support = 0.0, weight_left = 0.0;
   std::size_t num_inliers = 0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    num_inliers += inlier[i];
-    if (!inlier[i] && m.weight[i] > 0.0) left.push_back(i);
+    if (!(m.weight[i] > 0.0)) continue;
+    if (inlier[i]) {
+      ++num_inliers;
+      support += m.weight[i];
+    } else {
+      left.push_back(i);
+      weight_left += m.weight[i];
+    }
   }
   const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
-  const auto support = static_cast<double>(num_inliers);
   const auto num_left = static_cast<double>(left.size());
-  if (num_left < std::max(kFewestLeft * support, 2.0 * sample_size)) return {};
+  if (max_iterations < 1 || weight_left < kFewestLeft * support || num_left < 2.0 * sample_size) {
+    return {};
+  }
 
   if (left.size() > kMostLooked) {
     for (std::size_t k = 0; k < kMostLooked; ++k) {  // the beginning of a Fisher-Yates shuffle
@@ -53,8 +61,8 @@ RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
   problem.set_gates({gate});
 
   RivalSearchResult result;
-  result.num_iterations = iterations_needed(std::min(support / num_left, kLargestShare),
-                                            sample_size, {1, options.max_iterations, kConfidence});
+  const double share = std::min(static_cast<double>(num_inliers) / num_left, kLargestShare);
+  result.num_iterations = iterations_needed(share, sample_size, {1, max_iterations, kConfidence});
   Sampler sampler(static_cast<std::uint32_t>(rest.size), sample_size);
   HypothesisPool pool;
   RelativePose models[EssentialProblem::kMaxModels];

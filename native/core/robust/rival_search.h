@@ -22,6 +22,6 @@ struct RivalSearchResult {
 // inlier, gate (radians): those of the first pose.
 RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
                                 const MatchPriors& priors, const std::vector<unsigned char>& inlier,
-                                double gate, Random& random);
+                                double gate, int max_iterations, Random& random);
 
 }  // namespace epi360

@@ -233,9 +233,9 @@ Explanations explain(const Evidence& e) {
   return x;
 }
 
-double share_of_rival(const Evidence& e) {
+double odds_of_rival(const Evidence& e) {
   const double log_odds = log_odds_over_rival(e);
-  return log_odds < kAcceptedLogOdds ? 1.0 / (1.0 + std::exp(log_odds)) : 0.0;
+  return log_odds < kAcceptedLogOdds ? std::exp(-log_odds) : 0.0;
 }
 
 double probability_of_pose(const Evidence& e) { return found(explain(e)); }

@@ -126,8 +126,9 @@ bool lacks_direction(const Evidence& evidence);
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);
 
-// Probability of the rival beside the pose that was found, which are alone; 0 if it is rejected.
-double share_of_rival(const Evidence& evidence);
+// Odds of the rival against the pose that was found, if only these two were possible; 0 if the
+// rival is rejected.
+double odds_of_rival(const Evidence& evidence);
 
 // Probability that the pose is right, be it of a surface or of a general scene.
 double probability_of_pose(const Evidence& evidence);

@@ -27,7 +27,8 @@ class RansacOptions:
     minimal_solver : str
         "five_point" (Nistér 2004) or "eight_point".
     min_iterations, max_iterations : int
-        Limits on the minimal samples of all rounds together; at most ten million.
+        Limits on the minimal samples of all rounds together; at most ten million. A second pose
+        is looked for with up to a quarter more.
     confidence : float
         Probability that at least one sample without outliers was drawn when sampling stops. Local
         optimisation makes use of samples with an outlier too, so that more succeed.
