@@ -2,6 +2,7 @@
 // Scale of the noise and covariance of a pose, from its inliers.
 #pragma once
 
+#include <cmath>
 #include <vector>
 
 #include "core/matches.h"
@@ -17,6 +18,14 @@ struct Uncertainty {
   double clustering =
       1.0;  // how much more the sums over cells vary than independent errors let them
 };
+
+// Standard deviations of rotation and direction, over all their components.
+inline double rotation_sigma(const Eigen::Matrix<double, 5, 5>& covariance) {
+  return std::sqrt(covariance.topLeftCorner<3, 3>().trace());
+}
+inline double direction_sigma(const Eigen::Matrix<double, 5, 5>& covariance) {
+  return std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+}
 
 // How far the first-order residual of a match can be trusted, in [0, 1]: near an epipole it
 // promises more than a bearing with noise of this variance can hold.

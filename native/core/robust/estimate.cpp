@@ -82,8 +82,7 @@ class Estimate {
       candidates.polish(candidates.annealed(pose, narrow.scale), kPolishings, kPolished, &narrow);
     }
     const RobustResult sampled = std::move(result_);
-    start_over();
-    result_.num_iterations = sampled.num_iterations;
+    start_over(sampled.num_iterations);
     prefer_most_probable(candidates);
     conclude_search(candidates);
     if (!is_better(result_, sampled)) result_ = sampled;
@@ -107,8 +106,9 @@ class Estimate {
 
   bool is_certain() const { return has_answer() && result_.probability > kConfident; }
 
-  void start_over() {
+  void start_over(int num_iterations = 0) {
     result_ = RobustResult{};
+    result_.num_iterations = num_iterations;
     result_.inlier.assign(m_.size, 0);
     result_.residuals.assign(m_.padded, RobustResult::kNaN);
     result_.covariance.setConstant(RobustResult::kNaN);
@@ -124,9 +124,7 @@ class Estimate {
   void conclude_search(Candidates& candidates) {
     settle(candidates);
     if (has_answer() && find_rivals_left(candidates)) {
-      const int num_iterations = result_.num_iterations;
-      start_over();
-      result_.num_iterations = num_iterations;
+      start_over(result_.num_iterations);
       settle(candidates);
     }
     if (lacks_direction(result_.evidence)) try_other_candidates(candidates);
@@ -178,8 +176,7 @@ class Estimate {
     const Candidates all = candidates;  // assessing one may add and reorder
     const std::size_t most = std::min<std::size_t>(all.all().size(), kOtherCandidates);
     for (std::size_t k = 1; k < most; ++k) {
-      start_over();
-      result_.num_iterations = first.num_iterations;
+      start_over(first.num_iterations);
       Candidates preferred = all;
       preferred.prefer(k);
       assess(preferred);
@@ -275,10 +272,10 @@ class Estimate {
     evidence.plane_share = rivals.plane_share;
     evidence.has_twin = rivals.has_twin;
     span_nearby(rivals.nearby, density);
-    if (rivals.distant.cam2_from_cam1) evidence = evidence_beside(rivals.distant, density);
+    if (rivals.distant) evidence = evidence_beside(*rivals.distant, density);
     result_.probability = probability_of_pose(evidence);
     if (status() == Status::kPlanarAmbiguous) {
-      result_.alternatives = {*rivals.distant.cam2_from_cam1};
+      result_.alternatives = {rivals.distant->cam2_from_cam1};
     }
   }
 
@@ -294,7 +291,7 @@ class Estimate {
     for (std::size_t k = 0; k < nearby.size(); ++k) {
       if (odds[k] > 0.0) {
         covariance +=
-            second_moment(result_.cam2_from_cam1, *nearby[k].cam2_from_cam1, odds[k] / total);
+            second_moment(result_.cam2_from_cam1, nearby[k].cam2_from_cam1, odds[k] / total);
       }
     }
     set_covariance(covariance);
@@ -303,14 +300,14 @@ class Estimate {
   void set_covariance(const Eigen::Matrix<double, 5, 5>& covariance) {
     Evidence& evidence = result_.evidence;
     result_.covariance = covariance;
-    evidence.rotation_sigma = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
-    evidence.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+    evidence.rotation_sigma = rotation_sigma(covariance);
+    evidence.direction_sigma = direction_sigma(covariance);
   }
 
   // The evidence so far, with what speaks for another pose.
   Evidence evidence_beside(const Rival& rival, double density) {
     Evidence other;
-    listen(*rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+    listen(rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
     Evidence beside = result_.evidence;
     beside.rival_probability = probability_by_regions(other);
     beside.rival_evidence = rival.evidence;
@@ -349,7 +346,7 @@ class Estimate {
     r.covariance = uncertainty.covariance;
     r.evidence.rotation_log_ratio =
         rotation_log_ratio(m_, rotation.R, r.scale, r.threshold, rotation.wrong, seed_);
-    r.evidence.turn_sigma = std::sqrt(uncertainty.covariance.topLeftCorner<3, 3>().trace());
+    r.evidence.turn_sigma = rotation_sigma(uncertainty.covariance);
     r.parallax = median_parallax(m_, r.cam2_from_cam1, r.inlier.data());
     r.probability = RobustResult::kNaN;
   }

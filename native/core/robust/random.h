@@ -2,7 +2,10 @@
 // A small seeded generator: the same numbers on every platform, unlike <random>'s distributions.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <utility>
+#include <vector>
 
 namespace epi360 {
 
@@ -32,6 +35,14 @@ class Random {
         repeated = false;
         for (int j = 0; j < i; ++j) repeated = repeated || indices[j] == indices[i];
       }
+    }
+  }
+
+  // Puts values from places `begin` and after, chosen at random, into the places up to `end`: the
+  // beginning of a Fisher-Yates shuffle.
+  void choose(std::vector<std::size_t>& values, std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      std::swap(values[k], values[k + below(static_cast<std::uint32_t>(values.size() - k))]);
     }
   }
 

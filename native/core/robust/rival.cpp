@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/robust/covariance.h"
 #include "core/robust/plane.h"
 #include "core/robust/verdict.h"
 
@@ -14,23 +15,6 @@ constexpr double kDistinct = 4.0;  // standard deviations
 constexpr double kDistinctRotation = 3.0 * kDegree, kDistinctDirection = 8.0 * kDegree;
 // A pose so near by is the same answer: with the uncertainty of both, neither is 10 degrees wrong.
 constexpr double kNearby = 8.0 * kDegree;
-
-// Standard deviations of a pose, over all components, and how far it is from another one.
-struct Spread {
-  double rotation, direction;
-
-  explicit Spread(const Eigen::Matrix<double, 5, 5>& covariance)
-      : rotation(std::sqrt(covariance.topLeftCorner<3, 3>().trace())),
-        direction(std::sqrt(covariance.bottomRightCorner<2, 2>().trace())) {}
-
-  // Whether two poses differ by more than the uncertainty can explain, and by more than these
-  // angles (radians).
-  bool separates(const RelativePose& a, const RelativePose& b, double least_rotation,
-                 double least_direction) const {
-    return !same_pose(a, b, std::max(least_rotation, kDistinct * rotation),
-                      std::max(least_direction, kDistinct * direction));
-  }
-};
 
 }  // namespace
 
@@ -45,20 +29,26 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
     candidates.polish(twin, 50, 1e-8);
     rivals.has_twin = true;
   }
-  const Spread spread(covariance);
+  // Whether two poses differ by more than the uncertainty can explain, and by more than these
+  // angles.
+  const auto differ = [&](const RelativePose& a, const RelativePose& b, double least_rotation,
+                          double least_direction) {
+    return !same_pose(a, b, std::max(least_rotation, kDistinct * rotation_sigma(covariance)),
+                      std::max(least_direction, kDistinct * direction_sigma(covariance)));
+  };
   const auto is_other = [&](const RelativePose& a, const RelativePose& b) {
-    return spread.separates(a, b, kSameRotation, kSameDirection);
+    return differ(a, b, kSameRotation, kSameDirection);
   };
   for (const Candidate& c : candidates.all()) {  // descending evidence
     const Rival rival{c.cam2_from_cam1, c.loss, c.evidence - evidence};
     if (same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
       bool is_new = is_other(pose, c.cam2_from_cam1);
       for (const Rival& known : rivals.nearby) {
-        is_new = is_new && is_other(*known.cam2_from_cam1, c.cam2_from_cam1);
+        is_new = is_new && is_other(known.cam2_from_cam1, c.cam2_from_cam1);
       }
       if (is_new) rivals.nearby.push_back(rival);
-    } else if (!rivals.distant.cam2_from_cam1 &&
-               spread.separates(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection)) {
+    } else if (!rivals.distant &&
+               differ(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection)) {
       rivals.distant = rival;
     }
   }

@@ -12,15 +12,16 @@ namespace epi360 {
 
 // Another optimum of the likelihood, beyond the uncertainty of the best one.
 struct Rival {
-  std::optional<RelativePose> cam2_from_cam1;  // none was found
-  LossModel loss;                              // its mixture
-  double evidence = 0.0;                       // its log-likelihood minus that of the best pose
+  RelativePose cam2_from_cam1;
+  LossModel loss;         // its mixture
+  double evidence = 0.0;  // its log-likelihood minus that of the best pose
 };
 
 struct Rivals {
-  Rival distant;  // the likeliest one that is another motion
-  std::vector<Rival>
-      nearby;                // those that are the same motion to a few degrees, the likeliest first
+  // The likeliest one that is another motion, and those that are the same motion to a few degrees,
+  // the likeliest first.
+  std::optional<Rival> distant;
+  std::vector<Rival> nearby;
   double plane_share = 0.0;  // of the inliers on one plane
   bool has_twin = false;     // the inliers lie on a plane, which has a second pose by geometry
 };

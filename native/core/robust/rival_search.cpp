@@ -3,8 +3,6 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <limits>
-#include <utility>
 
 #include "core/robust/candidates.h"
 #include "core/robust/essential_problem.h"
@@ -48,10 +46,7 @@ RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
   }
 
   if (left.size() > kMostLooked) {
-    for (std::size_t k = 0; k < kMostLooked; ++k) {  // the beginning of a Fisher-Yates shuffle
-      const auto others = static_cast<std::uint32_t>(left.size() - k);
-      std::swap(left[k], left[k + random.below(others)]);
-    }
+    random.choose(left, 0, kMostLooked);
     left.resize(kMostLooked);
   }
   const Matches rest = chosen_matches(m, left);

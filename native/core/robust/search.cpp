@@ -51,10 +51,7 @@ std::vector<std::size_t> by_score(const std::vector<double>& scores, Random& ran
 std::vector<std::size_t> picked(std::vector<std::size_t> order, std::size_t num, bool scored,
                                 Random& random) {
   const std::size_t best = scored ? num / 2 : 0;
-  for (std::size_t k = best; k < num; ++k) {  // the beginning of a Fisher-Yates shuffle
-    const auto left = static_cast<std::uint32_t>(order.size() - k);
-    std::swap(order[k], order[k + random.below(left)]);
-  }
+  random.choose(order, best, num);
   order.resize(num);
   return order;
 }

@@ -98,10 +98,7 @@ Matches witnesses(const Matches& m, std::uint64_t seed) {
   Random random(seed ^ 0x3c6ef372fe94f82bULL);
   std::vector<std::size_t> chosen(m.size);
   std::iota(chosen.begin(), chosen.end(), std::size_t{0});
-  for (std::size_t k = 0; k < kMostWitnesses; ++k) {  // the beginning of a Fisher-Yates shuffle
-    const auto left = static_cast<std::uint32_t>(chosen.size() - k);
-    std::swap(chosen[k], chosen[k + random.below(left)]);
-  }
+  random.choose(chosen, 0, kMostWitnesses);
   chosen.resize(kMostWitnesses);
   return chosen_matches(m, chosen);
 }
@@ -156,7 +153,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
   const Matrix5 information =
       kFreeInformation * Matrix5::Identity() + symmetric(upper) / (sigma * sigma);
   const Matrix5 covariance = inverse(information);
-  result.direction_sigma = std::sqrt(covariance.bottomRightCorner<2, 2>().trace());
+  result.direction_sigma = direction_sigma(covariance);
   return result;
 }
 
