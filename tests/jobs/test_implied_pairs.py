@@ -2,6 +2,7 @@
 """A pair whose own matches say something else gets the pose that two other pairs imply."""
 
 import csv
+import json
 from dataclasses import replace
 from itertools import combinations
 
@@ -126,7 +127,10 @@ def test_all_matches_are_kept_and_those_of_the_pose_are_inliers(tour, tmp_path, 
     assert found.num_matches == len(pair.matches) > found.num_inliers
 
 
-def test_a_pair_that_is_refused_with_the_implied_pose_stays_refused(tour, tmp_path, monkeypatch):
+@pytest.fixture
+def refusing(monkeypatch):
+    """The surroundings speak against the pose of one pair."""
+
     def refuse(verdicts, places, *, is_level):
         return tuple(
             replace(v, refused="shows another place") if (v.image1, v.image2) == LOST_NAMES else v
@@ -134,9 +138,49 @@ def test_a_pair_that_is_refused_with_the_implied_pose_stays_refused(tour, tmp_pa
         )
 
     monkeypatch.setattr(match_folder, "checked", refuse)
+
+
+def test_a_pair_that_is_refused_with_the_implied_pose_stays_refused(tour, tmp_path, refusing):
     run = match_images(tour, tmp_path)
     assert verdict_on(run).refused == "shows another place"
     assert run.num_by_others == 0
+
+
+def test_a_refused_pair_is_refused_in_the_kept_result_too(tour, tmp_path, refusing):
+    run = match_images(tour, tmp_path)
+    accepted = {(v.image1, v.image2) for v in run.verdicts if v.accepted}
+    kept = {(p.image1, p.image2): p.geometry for p in load_matches(tmp_path).pairs}
+    assert {names for names, each in kept.items() if each.status == "ok"} == accepted
+    assert kept[LOST_NAMES].status == "refused"
+    own = load_matches(tmp_path, by_others=False)
+    (alone,) = [p.geometry for p in own.pairs if (p.image1, p.image2) == LOST_NAMES]
+    assert alone.status == "ok"
+    np.testing.assert_array_equal(kept[LOST_NAMES].inliers, alone.inliers)
+
+
+def test_colmap_gets_no_pose_of_a_refused_pair(tour, tmp_path, refusing):
+    pytest.importorskip("pycolmap")
+    from epi360.interop.colmap_database import read_colmap_database, write_colmap_database
+
+    match_images(tour, tmp_path / "matched")
+    write_colmap_database(tmp_path / "a.db", load_matches(tmp_path / "matched"))
+    pairs = {(p.image1, p.image2): p for p in read_colmap_database(tmp_path / "a.db").pairs}
+    lost = pairs.pop(LOST_NAMES)
+    assert lost.geometry.status == "too_few_inliers" and len(lost.geometry.inliers) == 0
+    assert len(lost.matches) > 100
+    assert all(pair.geometry.status == "ok" for pair in pairs.values())
+
+
+def test_a_result_that_does_not_say_what_was_refused_must_be_made_again(tour, tmp_path):
+    match_images(tour, tmp_path)
+    index = json.loads((tmp_path / "images.json").read_text())
+    assert index.pop("refused") == []
+    (tmp_path / "images.json").write_text(json.dumps(index))
+    with pytest.raises(ValueError, match=r"an earlier epi360 made it; run epi360 match with this"):
+        load_matches(tmp_path)
+    assert len(load_matches(tmp_path, by_others=False).pairs) == 6
+    match_images(tour, tmp_path)
+    assert len(load_matches(tmp_path).pairs) == 6
 
 
 def test_a_picture_that_is_gone_leaves_doubted_pairs_alone(tour, tmp_path, monkeypatch):

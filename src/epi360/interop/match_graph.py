@@ -34,9 +34,10 @@ class MatchedImage:
 class TwoViewGeometry:
     """Relative pose of a pair of images and the matches that agree with it.
 
-    ``status`` is one of those of ``RelativePoseResult``. ``cam2_from_cam1`` has |t| = 1, or is NaN
-    if the pair does not determine it. ``inliers`` (K, 2) are the matches that agree with
-    the pose: (key point in image 1, key point in image 2).
+    ``status`` is one of those of ``RelativePoseResult``, or "refused": other pairs of the folder
+    speak against the pose. ``cam2_from_cam1`` has |t| = 1, or is NaN if the pair does not determine
+    it. ``inliers`` (K, 2) are the matches that agree with the pose: (key point in image 1, key
+    point in image 2).
     """
 
     status: str

@@ -250,18 +250,20 @@ def _write_index(
     implied: Mapping[Keys, ImpliedPair],
 ) -> None:
     """Keep what is the result, and the pairs that have the pose that others imply."""
-    matched, confirmed, by_others = [], [], set()
+    matched, confirmed, refused, by_others = [], [], [], set()
     for keys, verdict in verdicts:
         names = verdict.image1, verdict.image2
         if keys is not None:
             matched.append(names)
         if verdict.confirmed and verdict.accepted:
             confirmed.append(names)
+        if keys is not None and verdict.status == "ok" and not verdict.accepted:
+            refused.append(names)
         if verdict.prior == IMPLIED_PRIOR:
             by_others.add(keys)
     kept = [implied[each].verified for each in sorted(implied.keys() & by_others)]
     part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""
-    write_index(job.output, images, job.readable_keys(), matched, level, confirmed, part)
+    write_index(job.output, images, job.readable_keys(), matched, level, confirmed, refused, part)
 
 
 def open_match_output(

@@ -49,14 +49,16 @@ def write_index(
     pairs: Iterable[tuple[str, str]],
     level: Level | None = None,
     confirmed: Sequence[tuple[str, str]] = (),
+    refused: Sequence[tuple[str, str]] = (),
     implied: str = "",
 ) -> None:
     """Say which images and pairs are the result: a run is complete.
 
     ``keys`` are those of the key points of each readable image by its name, ``pairs`` the names of
     the images of each finished pair, in order. In a level folder, some pairs also have a verdict
-    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right. ``implied`` is
-    the part of those that other pairs give a pose.
+    with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right. The matches of
+    the ``refused`` ones agree with a pose, and other pairs speak against it. ``implied`` is the
+    part of those that other pairs give a pose.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
@@ -70,7 +72,12 @@ def write_index(
     rig = {name: pose.matrix().tolist() for name, pose in images.cam_from_rig.items()}
     (folder / IMAGES).unlink(missing_ok=True)  # the old one does not go with the new cameras
     write_record(folder / CAMERAS, {"cameras": cameras})
-    index = {"images": listed, "cam_from_rig": rig, "pairs": [list(pair) for pair in pairs]}
+    index = {
+        "images": listed,
+        "cam_from_rig": rig,
+        "pairs": [list(pair) for pair in pairs],
+        "refused": [list(pair) for pair in refused],
+    }
     if level is not None:
         index["level"] = vars(level)
     if confirmed:
@@ -83,17 +90,19 @@ def write_index(
 def load_matches(folder: str | PathLike[str] | RemotePath, *, by_others: bool = True) -> MatchGraph:
     """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
-    Every pair has a geometry: look at its status. Some pairs have a pose that other pairs confirm
-    or imply; if ``by_others`` is false, these have what is found from their own matches.
+    Every pair has a geometry: look at its status. It is "ok" where `match_images` has accepted the
+    pair. Some of these have a pose that other pairs confirm or imply; others, whose own matches
+    agree with a pose that other pairs speak against, are "refused". If ``by_others`` is false, all
+    have what is found from their own matches.
 
     Raises
     ------
     FileNotFoundError
         If there is no such folder, or it holds no complete run.
     ValueError
-        If a file is damaged.
+        If a file is damaged, or an earlier epi360 made it, which did not keep what it refused.
     """
-    return _load(path_of(folder), None, by_others=by_others)
+    return _load(path_of(folder), None, by_others=by_others, mark_refused=by_others)
 
 
 def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
@@ -115,12 +124,17 @@ def descriptors_of(folder: Path) -> Callable[[str], NDArray[np.float32]]:
 
 
 def load_matches_and_colors(folder: Path) -> tuple[MatchGraph, Colors]:
-    """What `load_matches` gives, and the RGB of the key points of each image by its name."""
+    """What `load_matches` gives, and the RGB of the key points of each image by its name.
+
+    Refused pairs keep the status of their own matches: a map has its own rule about them.
+    """
     colors: Colors = {}
-    return _load(path_of(folder), colors), colors
+    return _load(path_of(folder), colors, by_others=True, mark_refused=False), colors
 
 
-def _load(folder: AnyPath, colors: Colors | None, *, by_others: bool = True) -> MatchGraph:
+def _load(
+    folder: AnyPath, colors: Colors | None, *, by_others: bool, mark_refused: bool
+) -> MatchGraph:
     """Graph of a folder; its colours are added to those given."""
     if not (folder / IMAGES).is_file():
         raise FileNotFoundError(
@@ -136,10 +150,17 @@ def _load(folder: AnyPath, colors: Colors | None, *, by_others: bool = True) -> 
         listed = [(image["name"], image["camera"], image["frame"]) for image in index["images"]]
         level = Level(**index["level"]) if "level" in index else None
         others = index if by_others else {}
-        confirmed = {(name1, name2) for name1, name2 in others.get("confirmed", ())}
+        told = {(name1, name2): "ok" for name1, name2 in others.get("confirmed", ())}
+        if mark_refused:
+            told |= {(name1, name2): "refused" for name1, name2 in index.get("refused", ())}
         implied = str(others.get("implied", ""))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None
+    if mark_refused and "refused" not in index:
+        raise ValueError(
+            f"{folder} does not say which pairs were refused, for an earlier epi360 made it; "
+            f"{_AGAIN}"
+        )
     images = StoredImages()
     for name, camera, frame in listed:
         arrays = _arrays_of(folder, name, keys[name])
@@ -154,7 +175,7 @@ def _load(folder: AnyPath, colors: Colors | None, *, by_others: bool = True) -> 
     for names, keys_of_pair in wanted:
         if keys_of_pair not in places:
             raise ValueError(f"the matches of {names[0]} and {names[1]} are damaged; {_AGAIN}")
-        store.add(names, places[keys_of_pair], is_confirmed=names in confirmed)
+        store.add(names, places[keys_of_pair], told.get(names, ""))
     return MatchGraph(cameras, images, store.pairs(), rig)
 
 

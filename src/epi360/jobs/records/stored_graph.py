@@ -49,18 +49,22 @@ class StoredPairs:
     _parts: list[Arrays] = field(default_factory=list)
     _names: list[tuple[str, str]] = field(default_factory=list)
     _places: list[tuple[int, int]] = field(default_factory=list)  # part and row
-    _is_confirmed: list[bool] = field(default_factory=list)
+    _by_others: list[str] = field(default_factory=list)  # status
 
     def add_part(self, arrays: Arrays) -> int:
         """Keep what is needed of a part, and return its number."""
         self._parts.append({name: arrays[name] for name in _KEPT})
         return len(self._parts) - 1
 
-    def add(self, names: tuple[str, str], place: tuple[int, int], *, is_confirmed: bool) -> None:
-        """Append the pair of these images: a row of a part."""
+    def add(self, names: tuple[str, str], place: tuple[int, int], by_others: str = "") -> None:
+        """Append the pair of these images: a row of a part.
+
+        ``by_others`` is the status that other pairs give it, "" where it keeps its own. If they say
+        "ok", they believe the doubted pose.
+        """
         self._names.append(names)
         self._places.append(place)
-        self._is_confirmed.append(is_confirmed)
+        self._by_others.append(by_others)
 
     def pairs(self) -> OnDemand[MatchedPair]:
         """All pairs, in the order in which they came."""
@@ -71,9 +75,9 @@ class StoredPairs:
         arrays = self._parts[number]
         matches, inlier_mask = matches_of_part(arrays, row)
         pose, doubted = poses_of_part(arrays, row)
-        status = str(arrays["status"][row])
-        if self._is_confirmed[index]:
-            status, pose = "ok", doubted
+        status = self._by_others[index] or str(arrays["status"][row])
+        if self._by_others[index] == "ok":
+            pose = doubted
         geometry = TwoViewGeometry(status, pose, matches[inlier_mask])
         return MatchedPair(*self._names[index], matches, geometry)
 
