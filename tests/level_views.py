@@ -40,12 +40,13 @@ def write_tour(folder, is_level=True):
 
 def judge_otherwise(monkeypatch, changed):
     """From now on pairs are what ``changed(verified, pair, prior)`` makes of them."""
-    judge = PairWork._verified_pair
+    estimated = PairWork.estimated
 
-    def judge_and_change(job, pair, matched, result, prior):
-        return changed(judge(job, pair, matched, result, prior), pair, prior)
+    def changed_ones(work, matched, prior, **known):
+        found = estimated(work, matched, prior, **known)
+        return {pair: changed(verified, pair, prior) for pair, verified in found.items()}
 
-    monkeypatch.setattr(PairWork, "_verified_pair", judge_and_change)
+    monkeypatch.setattr(PairWork, "estimated", changed_ones)
 
 
 def doubted(verified):

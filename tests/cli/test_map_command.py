@@ -64,12 +64,18 @@ def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_
     )
 
 
+def nothing_matched(folder):
+    return MatchRun(
+        folder=folder, how="exhaustive", images=(), verdicts=(), unreadable={}, num_found=0
+    )
+
+
 def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monkeypatch):
     models = tuple(
         MappedModel(tmp_path / "sparse" / str(number), Reconstruction({}, ()), 0.5)
         for number in range(2)
     )
-    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    matched = nothing_matched(tmp_path)
     run = MapRun(matched, models, {}, 5, {}, ())
     monkeypatch.setattr("epi360.jobs.mapping.map_folder.map_images", lambda *_, **__: run)
     write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
@@ -87,7 +93,7 @@ def test_the_command_says_what_was_tried_where_one_way_was_not_enough(
         Attempt("incremental mapper", 5, 0, 0.4, 1.0),
         Attempt("global mapper", 9, 4, 0.5, 1.0, kept=True),
     )
-    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    matched = nothing_matched(tmp_path)
     write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
     for tried, expected in ((attempts, 2), (attempts[:1], 0)):
         run = MapRun(matched, (model,), {}, 17, {}, (), tried)
@@ -109,7 +115,7 @@ def test_the_command_says_from_which_poses_the_map_of_a_sequence_starts(
     tmp_path, capsys, monkeypatch
 ):
     model = MappedModel(tmp_path / "sparse" / "0", Reconstruction({}, ()), 0.5)
-    matched = MatchRun(tmp_path, "exhaustive", (), (), {}, 0)
+    matched = nothing_matched(tmp_path)
     write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
     counts = {"num_frames": 90, "num_tracked": 88, "num_images": 29, "seconds": 1.0}
     for reason, line in (

@@ -126,7 +126,14 @@ def test_the_table_and_the_summary_say_why_a_pair_is_refused(tmp_path):
     assert warning == "all inliers lie on the floor, and printed floors repeat from room to room"
     pair = PairVerdict(status="ok", image1="a", image2="b", probability=0.9, **vars(found))
     assert not pair.accepted
-    run = MatchRun(tmp_path, "exhaustive", ("a", "b"), (pair,), {}, 0)
+    run = MatchRun(
+        folder=tmp_path,
+        how="exhaustive",
+        images=("a", "b"),
+        verdicts=(pair,),
+        unreadable={},
+        num_found=0,
+    )
     assert "Rejected      1 lies on the floor only\n" in describe_match(run)
     assert f'no,"{found.refused}"' in pairs_csv(run).decode()
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from level_views import NAMES, doubted, judge_otherwise, truth, write_tour
 
-from epi360.jobs.matching import match_folder, place_job
+from epi360.jobs.matching import folder_verdicts
 from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair
 from epi360.jobs.matching.match_folder import load_matches, match_images
+from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_implied
 from epi360.jobs.records.match_store import Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
@@ -137,7 +138,7 @@ def refusing(monkeypatch):
             for v in verdicts
         )
 
-    monkeypatch.setattr(match_folder, "checked", refuse)
+    monkeypatch.setattr(folder_verdicts, "checked", refuse)
 
 
 def test_a_pair_that_is_refused_with_the_implied_pose_stays_refused(tour, tmp_path, refusing):
@@ -176,7 +177,7 @@ def test_a_result_that_does_not_say_what_was_refused_must_be_made_again(tour, tm
     index = json.loads((tmp_path / "images.json").read_text())
     assert index.pop("refused") == []
     (tmp_path / "images.json").write_text(json.dumps(index))
-    with pytest.raises(ValueError, match=r"an earlier epi360 made it; run epi360 match with this"):
+    with pytest.raises(ValueError, match=r"an earlier epi360 made it; run epi360 match, or map,"):
         load_matches(tmp_path)
     assert len(load_matches(tmp_path, by_others=False).pairs) == 6
     match_images(tour, tmp_path)
@@ -184,7 +185,7 @@ def test_a_result_that_does_not_say_what_was_refused_must_be_made_again(tour, tm
 
 
 def test_a_picture_that_is_gone_leaves_doubted_pairs_alone(tour, tmp_path, monkeypatch):
-    panorama = place_job._panorama
+    panorama_of = MatchJob.panorama_of
 
     def without_first(verified, pair, prior):
         return verified if 0 in pair else doubted(verified)
@@ -192,10 +193,10 @@ def test_a_picture_that_is_gone_leaves_doubted_pairs_alone(tour, tmp_path, monke
     def lost(job, index):
         if index == 0:
             raise OSError("gone")
-        return panorama(job, index)
+        return panorama_of(job, index)
 
     judge_otherwise(monkeypatch, without_first)
-    monkeypatch.setattr(place_job, "_panorama", lost)
+    monkeypatch.setattr(MatchJob, "panorama_of", lost)
     run = match_images(tour, tmp_path)
     assert [v.accepted for v in run.verdicts if NAMES[0] in (v.image1, v.image2)] == [True] * 3
 

@@ -24,7 +24,7 @@ from epi360.cli.command import WRONG_USE
 from epi360.interop.gpano import gpano_packet, with_gpano
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.level_folder import Level, find_level
-from epi360.jobs.matching import match_folder, match_job, pair_work
+from epi360.jobs.matching import folder_verdicts, match_job, verified_matches
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
@@ -131,13 +131,13 @@ def bad_first_look(monkeypatch):
 def priors(monkeypatch):
     """Number of pairs and prior of every estimate from now on."""
     calls = []
-    estimate = pair_work.estimate_relative_poses
+    estimate = verified_matches.estimate_relative_poses
 
     def noted(pairs, **options):
         calls.append((len(pairs), options.get("gravity_sigma_deg")))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(pair_work, "estimate_relative_poses", noted)
+    monkeypatch.setattr(verified_matches, "estimate_relative_poses", noted)
     return calls
 
 
@@ -227,7 +227,7 @@ def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors,
     match_images(tour, tmp_path)
     before = stored(tmp_path)
     priors.clear()
-    monkeypatch.setattr(match_folder, "find_level", lambda verdicts: Level(1.5))
+    monkeypatch.setattr(folder_verdicts, "find_level", lambda verdicts: Level(1.5))
     run = match_images(tour, tmp_path)
     assert priors == [(2, 1.5)]
     assert before.items() < stored(tmp_path).items()
@@ -255,7 +255,7 @@ def test_a_folder_that_needs_no_second_phase_is_untouched(
     assert {sigma for _, sigma in priors} == {None}
     assert {path.parent.name for path in stored(tmp_path / "out")} == {"pairs"}
     assert {verdict.prior for verdict in run.verdicts} == {""}
-    monkeypatch.setattr(match_folder, "find_level", lambda verdicts: None)
+    monkeypatch.setattr(folder_verdicts, "find_level", lambda verdicts: None)
     other = match_images(images, tmp_path / "without")
     assert stored(tmp_path / "without") == stored(tmp_path / "out")
     assert pairs_csv(other) == pairs_csv(run)
@@ -282,13 +282,13 @@ def test_what_a_file_states_about_its_pitch_comes_first(tmp_path, monkeypatch):
         path = tmp_path / name
         path.write_bytes(with_gpano(path.read_bytes(), packet))
     given = []
-    estimate = pair_work.estimate_relative_poses
+    estimate = verified_matches.estimate_relative_poses
 
     def noted(pairs, **options):
         given.extend(zip(options["gravity1"], options["gravity2"], strict=True))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(pair_work, "estimate_relative_poses", noted)
+    monkeypatch.setattr(verified_matches, "estimate_relative_poses", noted)
     match_images(find_images(tmp_path), tmp_path / "out", MatchOptions(upright_deg=1.0))
     pitched = [0.0, np.cos(np.radians(10)), -np.sin(np.radians(10))]
     np.testing.assert_allclose(given[0], [pitched, pitched], atol=1e-12)

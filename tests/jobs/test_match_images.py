@@ -10,7 +10,7 @@ import pytest
 from rendered_views import NAMES, image_set, pictures, truth, write_png, write_views
 
 from epi360.jobs.folder import feature_cache
-from epi360.jobs.matching import match_job, pair_work
+from epi360.jobs.matching import match_job, pair_work, verified_matches
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.pairs import pair_selection
 from epi360.jobs.records import match_store
@@ -59,13 +59,13 @@ def extractions(monkeypatch):
 def verified(monkeypatch):
     """Number of pairs in each batch that is estimated from now on."""
     counts = []
-    estimate = pair_work.estimate_relative_poses
+    estimate = verified_matches.estimate_relative_poses
 
     def counted(pairs, **options):
         counts.append(len(pairs))
         return estimate(pairs, **options)
 
-    monkeypatch.setattr(pair_work, "estimate_relative_poses", counted)
+    monkeypatch.setattr(verified_matches, "estimate_relative_poses", counted)
     return counts
 
 

@@ -7,8 +7,8 @@ from twin_rooms import exposed_and_visited, truth, write_rooms
 
 from epi360 import rotation_error_deg, translation_error_deg
 from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.matching import place_job
-from epi360.jobs.matching.match_folder import MatchOptions, match_images
+from epi360.jobs.matching import match_job
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.report.match_table import describe_match, pairs_csv
 
 ALL = MatchOptions(pairs="exhaustive")
@@ -45,6 +45,14 @@ def test_pairs_of_twin_rooms_are_refused_though_their_matches_agree(run):
     assert all(verdict.refused.startswith("shows another place") for verdict in between)
 
 
+def test_cameras_at_the_same_place_of_both_rooms_have_not_turned(run):
+    same = [v for v in run.verdicts if v.image1[1] == v.image2[1]]
+    assert [v.status for v in same] == ["pure_rotation"] * 3
+    assert all(v.refused.startswith("shows another place, as other pairs say") for v in same)
+    kept = {(p.image1, p.image2): p.geometry for p in load_matches(run.folder).pairs}
+    assert all(kept[v.image1, v.image2].status == "refused" for v in same)
+
+
 def test_the_table_and_the_summary_say_why(run):
     assert "parts of the views that both cameras must see look the same" in pairs_csv(run).decode()
     assert "shows another place" in describe_match(run)
@@ -72,6 +80,6 @@ def test_a_picture_that_is_gone_costs_only_the_check(tmp_path, monkeypatch):
     def lost(path):
         raise OSError("gone")
 
-    monkeypatch.setattr(place_job, "read_image", lost)
+    monkeypatch.setattr(match_job, "read_image", lost)
     run = match_images(find_images(tmp_path / "a"), tmp_path / "second", ALL)
     assert [v.accepted for v in run.verdicts] == [v.accepted for v in expected.verdicts]

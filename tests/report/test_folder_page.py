@@ -65,7 +65,14 @@ def make_run(tmp_path, monkeypatch):
         pairs = tuple(matched_pair(each, result) for each in verdicts)
         graph = MatchGraph({"c": camera}, images, pairs)
         monkeypatch.setattr(folder_page, "load_matches", lambda folder: graph)
-        run = MatchRun(tmp_path, "made up", tuple(names), tuple(verdicts), {}, 0)
+        run = MatchRun(
+            folder=tmp_path,
+            how="made up",
+            images=tuple(names),
+            verdicts=tuple(verdicts),
+            unreadable={},
+            num_found=0,
+        )
         return run, ImageSet(tmp_path, {"c": camera}, sources)
 
     return make

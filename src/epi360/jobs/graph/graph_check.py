@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -168,6 +168,22 @@ class _Triangles:
             [pair, *(self.pairs[each] for each in others)],
             [verdict, *(self.verdicts[each] for each in others)],
         )[0]
+
+
+def groups_by(edges: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Name of the group of each node that has an edge: one of the nodes that edges connect."""
+    parent: dict[str, str] = {}
+
+    def root(node: str) -> str:
+        parent.setdefault(node, node)
+        while parent[node] != node:
+            parent[node] = parent[parent[node]]
+            node = parent[node]
+        return node
+
+    for end1, end2 in edges:
+        parent[root(end1)] = root(end2)
+    return {node: root(node) for node in parent}
 
 
 def links(edges: Sequence[tuple[str, str]]) -> list[int]:

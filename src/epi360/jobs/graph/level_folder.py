@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras.upright import elevation_deg, tilt_deg
+from epi360.cameras.upright import DOWN, elevation_deg, tilt_deg
 from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.records.match_store import LEVEL_PAIRS, Verdict
 from epi360.runs.made_from import fingerprint
@@ -40,6 +41,16 @@ class Level:
     def prior(self) -> str:
         """The prior in words, as it is in the table of pairs."""
         return "level" if self.elevation_sigma_deg is None else "level, one height"
+
+    @property
+    def known(self) -> dict[str, Any]:
+        """What `estimate_relative_poses` is told of the poses."""
+        return {
+            "gravity1": DOWN,
+            "gravity2": DOWN,
+            "gravity_sigma_deg": self.gravity_sigma_deg,
+            "elevation_sigma_deg": self.elevation_sigma_deg,
+        }
 
     @property
     def store(self) -> str:

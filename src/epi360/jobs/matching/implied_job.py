@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.graph.implied_poses import ImpliedPoses, Way, near_matches
 from epi360.jobs.graph.level_folder import Level
-from epi360.jobs.matching.match_job import MatchJob
-from epi360.jobs.matching.pair_work import Matched
-from epi360.jobs.matching.place_job import MOST_PAIRS, posed_pair, settled_pairs
+from epi360.jobs.matching.place_job import MOST_PAIRS, posed_pair
+from epi360.jobs.matching.verified_folder import VerifiedFolder
+from epi360.jobs.matching.verified_matches import Matched
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
@@ -52,7 +52,7 @@ class _Candidate:
 
 
 def find_implied(
-    job: MatchJob,
+    folder: VerifiedFolder,
     panoramas: Mapping[Keys, Pair],
     settled: Mapping[Keys, Verdict],
     level: Level | None,
@@ -67,16 +67,16 @@ def find_implied(
     if not 2 <= len(accepted) <= MOST_PAIRS:
         return {}
     posed = {
-        each.keys: posed_pair(job, panoramas[each.keys], each)
-        for each in settled_pairs(job, accepted, settled, level)
+        each.keys: posed_pair(folder, panoramas[each.keys], each)
+        for each in folder.settled_pairs(accepted, settled, level)
     }
     sure = sorted(posed, key=lambda keys: panoramas[keys])
     known = ImpliedPoses([posed[keys] for keys in sure])
     others = {keys for keys in panoramas if keys not in accepted and keys[0] != keys[1]}
-    candidates = _candidates(job, panoramas, settled_pairs(job, others, settled, level), known)
+    candidates = _candidates(folder, panoramas, folder.settled_pairs(others, settled, level), known)
     found = {}
     while some := list(islice(candidates, _PAIRS_AT_ONCE)):
-        results = job.work.estimated([(pair, each.matched) for pair, each in some], PRIOR)
+        results = folder.estimated([(pair, each.matched) for pair, each in some], PRIOR)
         for pair, each in some:
             if (verified := _if_agrees(results[pair], each)) is not None:
                 row1, row2 = each.way.rows
@@ -85,7 +85,7 @@ def find_implied(
 
 
 def _candidates(
-    job: MatchJob,
+    folder: VerifiedFolder,
     panoramas: Mapping[Keys, Pair],
     others: Iterable[VerifiedPair],
     known: ImpliedPoses,
@@ -95,15 +95,17 @@ def _candidates(
         pair = panoramas[verified.keys]
         ways = known.ways(*pair)
         if ways and not any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
-            candidate = _nearest(job, pair, verified, ways)
+            candidate = _nearest(folder, pair, verified, ways)
             if len(candidate.matched.matches) >= _FEWEST_MATCHES:
                 yield pair, candidate
 
 
-def _nearest(job: MatchJob, pair: Pair, verified: VerifiedPair, ways: Sequence[Way]) -> _Candidate:
+def _nearest(
+    folder: VerifiedFolder, pair: Pair, verified: VerifiedPair, ways: Sequence[Way]
+) -> _Candidate:
     """Matches that may belong to the way with which most of them agree."""
     rows1, rows2 = verified.matches.T
-    bearings1, bearings2 = job.bearings_of(pair[0])[rows1], job.bearings_of(pair[1])[rows2]
+    bearings1, bearings2 = folder.bearings_of(pair[0])[rows1], folder.bearings_of(pair[1])[rows2]
     way = max(ways, key=lambda each: each.num_agreeing(bearings1, bearings2))
     near = near_matches(way.cam2_from_cam1, bearings1, bearings2, _NEAR_DEG)
     matched = Matched(verified.matches[near], bearings1[near], bearings2[near])

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -17,17 +17,14 @@ from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
-from epi360.jobs.graph.graph_check import CONFIRMED
-from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
-from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.match_result import load_matches, write_index
 from epi360.jobs.matching.more_pairs import more_pairs
-from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, with_implied
+from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.jobs.matching.pair_work import MatchInputs, PairWork
-from epi360.jobs.matching.place_job import check_places
 from epi360.jobs.pairs.pair_selection import (
     NEIGHBORS,
     OVERLAP,
@@ -97,24 +94,14 @@ class MatchOptions:
         return {"overlap": self.overlap, "neighbors": self.neighbors}
 
 
-@dataclass(frozen=True, eq=False)
-class MatchRun:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MatchRun(JudgedPairs):
     """What a run of `match_images` found."""
 
     folder: AnyPath  # what `load_matches` takes
     how: str  # how the pairs were chosen, in words
-    images: tuple[str, ...]  # names of all images
-    verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
     unreadable: Mapping[str, str]  # image to the reason why it could not be used
     num_found: int  # pairs that an earlier run had finished
-    level: Level | None = None  # what the poses of a level folder say about the others
-    num_gained: int = 0  # pairs that are accepted because the folder is level
-    num_lost: int = 0  # pairs that have no pose any more because the folder is level
-
-    @property
-    def num_by_others(self) -> int:
-        """Pairs that are accepted because of what other pairs know of the place."""
-        return sum(verdict.by_others for verdict in self.verdicts)
 
 
 def match_images(
@@ -185,32 +172,24 @@ def _match(
     images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
 ) -> MatchRun:
     chosen = _chosen(images, job, options, first_pairs)
-    pairs, finished = chosen.pairs, chosen.finished
-    level = None if options.upright_deg else find_level(_of_full_panoramas(pairs, job, finished))
-    settled = finished if level is None else _with_level(level, pairs, job, finished)
-    is_level = level is not None or options.upright_deg is not None
-    keys = [job.keys_of(pair) if job.is_readable(pair) else None for pair in pairs]
-    named = [_named(job, *each, settled) for each in zip(pairs, keys, strict=True)]
-    # Neighbours in a sequence are of one place.
-    panoramas = {} if chosen.is_sequence else job.full_panoramas(pairs)
-    places = check_places(job, panoramas, settled, level)
-    told = [None if each is None else places.get(each) for each in keys]
-    verdicts = checked(named, told, is_level=is_level)
-    accepted = {each for each, v in zip(keys, verdicts, strict=True) if each and v.accepted}
-    implied = find_implied(job, panoramas, settled, level, accepted & panoramas.keys())
-    verdicts = with_implied(verdicts, keys, implied)
-    _write_index(images, job, level, zip(keys, verdicts, strict=True), implied)
+    judged = judge_folder(
+        job,
+        chosen.pairs,
+        chosen.finished,
+        is_upright=options.upright_deg is not None,
+        looks_around=not chosen.is_sequence,  # neighbours in a sequence are of one place
+    )
+    _write_index(images, job, judged)
     return MatchRun(
         folder=job.output,
         how=chosen.how,
         images=tuple(image.name for image in images.images),
-        verdicts=verdicts,
+        verdicts=judged.verdicts,
         unreadable=job.unreadable,
         num_found=chosen.num_found,
-        level=level,
-        num_gained=_num_accepted_more(settled, finished)
-        + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
-        num_lost=_num_accepted_more(finished, settled),
+        level=judged.level,
+        num_gained=judged.num_gained,
+        num_lost=judged.num_lost,
     )
 
 
@@ -242,28 +221,24 @@ def _chosen(
     return _Chosen(how, pairs, finished, num_found, is_sequence)
 
 
-def _write_index(
-    images: ImageSet,
-    job: MatchJob,
-    level: Level | None,
-    verdicts: Iterable[tuple[Keys | None, PairVerdict]],
-    implied: Mapping[Keys, ImpliedPair],
-) -> None:
+def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> None:
     """Keep what is the result, and the pairs that have the pose that others imply."""
     matched, confirmed, refused, by_others = [], [], [], set()
-    for keys, verdict in verdicts:
+    for keys, verdict in zip(judged.keys, judged.verdicts, strict=True):
         names = verdict.image1, verdict.image2
         if keys is not None:
             matched.append(names)
         if verdict.confirmed and verdict.accepted:
             confirmed.append(names)
-        if keys is not None and verdict.status == "ok" and not verdict.accepted:
+        if verdict.is_refused:
             refused.append(names)
         if verdict.prior == IMPLIED_PRIOR:
             by_others.add(keys)
+    implied = judged.implied
     kept = [implied[each].verified for each in sorted(implied.keys() & by_others)]
     part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""
-    write_index(job.output, images, job.readable_keys(), matched, level, confirmed, refused, part)
+    keys_of_images = job.readable_keys()
+    write_index(job.output, images, keys_of_images, matched, judged.level, confirmed, refused, part)
 
 
 def open_match_output(
@@ -318,36 +293,3 @@ def _verified(pairs: Sequence[Pair], job: MatchJob) -> tuple[dict[Keys, Verdict]
     if not wanted <= job.keys.keys():
         job.find_features(sorted(wanted))
     return job.verify(pairs)
-
-
-def _of_full_panoramas(
-    pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
-) -> list[Verdict]:
-    return [
-        finished[job.keys_of(pair)]
-        for pair in pairs
-        if job.is_readable(pair) and job.sees_all_around(pair)
-    ]
-
-
-def _with_level(
-    level: Level, pairs: Sequence[Pair], job: MatchJob, finished: Mapping[Keys, Verdict]
-) -> Mapping[Keys, Verdict]:
-    """Verdicts of which some are replaced by those with the prior of the level folder."""
-    again = job.verify_again(pairs, finished, level)
-    kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
-    return {**finished, **kept}
-
-
-def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, Verdict]) -> int:
-    """Pairs that are accepted by themselves here and not there."""
-    return sum(verdict.accepted and not others[keys].accepted for keys, verdict in verdicts.items())
-
-
-def _named(
-    job: MatchJob, pair: Pair, keys: Keys | None, finished: Mapping[Keys, Verdict]
-) -> PairVerdict:
-    """Verdict on two images, by name; they have no keys where one is unreadable."""
-    image1, image2 = (job.images[index].name for index in pair)
-    verdict = Verdict(status="unreadable_image") if keys is None else finished[keys]
-    return PairVerdict.of((image1, image2), verdict)

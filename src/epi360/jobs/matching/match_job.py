@@ -3,16 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.features import read_image
+from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.match_engines import MatchEngine
 from epi360.jobs.matching.pair_work import PairWork
+from epi360.jobs.matching.verified_folder import full_panoramas
+from epi360.jobs.matching.verified_matches import Matched
 from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import Keys, Verdict, keys_by_part, read_parts
+from epi360.jobs.records.match_store import (
+    PAIRS,
+    Keys,
+    Verdict,
+    VerifiedPair,
+    keys_by_part,
+    read_parts,
+)
 from epi360.jobs.threads import on_threads
 from epi360.progress import Progress
 
@@ -87,7 +98,7 @@ class MatchJob:
 
         They are made from the matches that `verify` has left.
         """
-        usable = self.full_panoramas(pairs)
+        usable = full_panoramas(self, pairs)
         wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
         again = {
             pair.keys: pair.verdict
@@ -113,10 +124,37 @@ class MatchJob:
                 parts[name] = here
         return parts
 
-    def full_panoramas(self, pairs: Sequence[Pair]) -> dict[Keys, Pair]:
-        """Pairs of two readable full panoramas, one for each pair of keys."""
-        usable = (pair for pair in pairs if self.is_readable(pair) and self.sees_all_around(pair))
-        return {self.keys_of(pair): pair for pair in usable}
+    def settled_pairs(
+        self, wanted: Container[Keys], settled: Mapping[Keys, Verdict], level: Level | None
+    ) -> Iterator[VerifiedPair]:
+        """Wanted pairs with their matches, from the parts that hold the verdicts that count."""
+        stores = {PAIRS: ""} if level is None else {PAIRS: "", level.store: level.prior}
+        for store, prior in stores.items():
+            for verified in read_parts(self.output, store):
+                if verified.keys not in wanted:
+                    continue
+                has_prior = level is not None and settled[verified.keys].prior == level.prior
+                if has_prior == bool(prior):
+                    yield verified
+
+    def estimated(
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+    ) -> dict[Pair, VerifiedPair]:
+        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
+        return self.work.estimated(matched, prior)
+
+    @property
+    def num_threads(self) -> int:
+        """Threads of this machine that may work."""
+        return self.work.num_threads
+
+    def name_of(self, index: int) -> str:
+        """Name of an image."""
+        return self.images[index].name
+
+    def panorama_of(self, index: int) -> Panorama:
+        """Picture of an image; OSError or ValueError where it cannot be read any more."""
+        return Panorama.of(read_image(self.images[index].path))
 
     def sees_all_around(self, pair: Pair) -> bool:
         """Whether both images are full panoramas."""

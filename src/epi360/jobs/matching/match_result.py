@@ -159,7 +159,7 @@ def _load(
     if mark_refused and "refused" not in index:
         raise ValueError(
             f"{folder} does not say which pairs were refused, for an earlier epi360 made it; "
-            f"{_AGAIN}"
+            "run epi360 match, or map, with this --output again, it uses what is there"
         )
     images = StoredImages()
     for name, camera, frame in listed:

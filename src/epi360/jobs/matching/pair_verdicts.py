@@ -8,11 +8,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epi360.jobs.graph.graph_check import believed, check_graph, closing
-from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.graph.graph_check import believed, check_graph, closing, groups_by
+from epi360.jobs.graph.place_check import (
+    ANOTHER_PLACE,
+    COPY,
+    PLACE_AGREES,
+    PLACE_CONFIRMED,
+    PlaceVerdict,
+)
 from epi360.jobs.matching.implied_job import PRIOR, ImpliedPair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.poses import Pose
+
+_UNDECIDED = ("pure_rotation", "planar_ambiguous")  # whose inliers are right matches all the same
+_OF_TWO_PLACES = f"{ANOTHER_PLACE}, as other pairs say that look from one to the other"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -41,6 +50,11 @@ class PairVerdict(Verdict):
     def accepted(self) -> bool:
         """Whether the pose may be used."""
         return super().accepted and not self.contradicted and not self.refused
+
+    @property
+    def is_refused(self) -> bool:
+        """Whether its own matches agree with a pose or two, which other pairs speak against."""
+        return self.status in ("ok", *_UNDECIDED) and (self.contradicted or bool(self.refused))
 
     @property
     def by_others(self) -> bool:
@@ -83,6 +97,26 @@ def with_implied(
     return tuple(
         replace(told[row], num_triangles=closed[row].num_triangles) if row in closed else verdict
         for row, verdict in enumerate(verdicts)
+    )
+
+
+def without_copies(verdicts: Sequence[PairVerdict]) -> tuple[PairVerdict, ...]:
+    """Verdicts without turned cameras and lone planes between places that are told apart.
+
+    Panoramas at the same place of two copies of a room differ by a rotation, to all appearance. Two
+    groups that accepted pairs make are of two places if the surroundings refused a pair of them.
+    """
+    group_of = groups_by((v.image1, v.image2) for v in verdicts if v.accepted)
+
+    def ends(verdict: PairVerdict) -> frozenset[str]:
+        return frozenset(group_of.get(name, name) for name in (verdict.image1, verdict.image2))
+
+    apart = {ends(v) for v in verdicts if v.refused.startswith((ANOTHER_PLACE, COPY))}
+    return tuple(
+        replace(v, refused=_OF_TWO_PLACES)
+        if v.status in _UNDECIDED and len(ends(v)) == 2 and ends(v) in apart
+        else v
+        for v in verdicts
     )
 
 

@@ -15,24 +15,20 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import DOWN, gravity_of, is_full_panorama
-from epi360.estimation import RelativePoseResult, estimate_relative_poses
-from epi360.estimation.verdict import noise_in_pixels
+from epi360.cameras.upright import gravity_of, is_full_panorama
 from epi360.features import Features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
 from epi360.features.matching import Look, look
 from epi360.jobs.folder.feature_cache import FeatureCache, UnreadableImageError
 from epi360.jobs.folder.image_set import SourceImage
 from epi360.jobs.graph.level_folder import Level
-from epi360.jobs.graph.shared_points import floor_share
+from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair, read_part, write_part
 from epi360.jobs.threads import on_threads
-from epi360.poses import Pose
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.remote_path import AnyPath
 from epi360.second_look import has_hope, is_settled, later_is_better
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
 _LOOKS_IN_MEMORY = 1000  # at pairs without hope, of 0.1 MB; a level folder asks for them again
@@ -206,10 +202,7 @@ class PairWork:
         results = self.estimated(
             matched,
             level.prior,
-            gravity1=DOWN,
-            gravity2=DOWN,
-            gravity_sigma_deg=level.gravity_sigma_deg,
-            elevation_sigma_deg=level.elevation_sigma_deg,
+            **level.known,
         )
         return [pair for images, pair in results.items() if self.is_readable(images)]
 
@@ -217,18 +210,15 @@ class PairWork:
         self, matched: Sequence[tuple[Pair, Matched]], prior: str, **known: Any
     ) -> dict[Pair, VerifiedPair]:
         """Verify matches, with what is known of the poses beforehand, also in words."""
-        results = estimate_relative_poses(
-            [(each.bearings1, each.bearings2) for _, each in matched],
-            max_noise_deg=[MAX_NOISE_PX * self._pixel_deg(pair) for pair, _ in matched],
-            options=IMAGE_OPTIONS,
-            num_threads=self.num_threads,
-            seed=self.inputs.seed,
-            **known,
+        cameras = self.inputs.cameras
+        views = [
+            MatchedViews(self.keys_of(pair), (cameras[pair[0]], cameras[pair[1]]), each)
+            for pair, each in matched
+        ]
+        found = verified_matches(
+            views, prior, seed=self.inputs.seed, num_threads=self.num_threads, **known
         )
-        return {
-            pair: self._verified_pair(pair, each, result, prior)
-            for (pair, each), result in zip(matched, results, strict=True)
-        }
+        return {pair: each for (pair, _), each in zip(matched, found, strict=True)}
 
     def _matched(self, pair: Pair, *, strong: bool) -> Matched | None:
         """Match two images; None where one turns out to be unreadable."""
@@ -271,33 +261,6 @@ class PairWork:
             self.inputs.cameras[pair[1]].bearings_from_pixels(keypoints2),
         )
 
-    def _pixel_deg(self, pair: Pair) -> float:
-        return smallest_pixel_deg((self.inputs.cameras[pair[0]], self.inputs.cameras[pair[1]]))
-
-    def _verified_pair(
-        self, pair: Pair, matched: Matched, result: RelativePoseResult, prior: str
-    ) -> VerifiedPair:
-        result = noise_in_pixels(result, self._pixel_deg(pair))
-        variances = np.diag(result.covariance)
-        is_placed = self.sees_all_around(pair)
-        verdict = Verdict(
-            status=result.status,
-            warnings=result.warnings,
-            num_matches=result.num_matches,
-            num_inliers=result.num_inliers,
-            noise_deg=result.noise_deg,
-            parallax_deg=result.parallax_deg,
-            rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
-            translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
-            probability=result.probability,
-            explanations=result.explanations,
-            floor_share=matched.floor_share(result.inlier_mask) if is_placed else np.nan,
-            prior=prior,
-            cam2_from_cam1=result.cam2_from_cam1,
-            doubted=_doubted_pose(result),
-        )
-        return VerifiedPair(self.keys_of(pair), verdict, matched.matches, result.inlier_mask)
-
     def _features_or_none(self, index: int) -> tuple[Features, Features] | None:
         name = self.inputs.images[index].name
         if name in self.unreadable:
@@ -330,25 +293,3 @@ class PairWork:
     def _extract(self, index: int) -> SiftKeypoints:
         inputs = self.inputs
         return inputs.cache.extract(inputs.keys[index], inputs.images[index], inputs.cameras[index])
-
-
-DOUBTED = ("concentrated_inliers", "too_few_inliers")  # their poses other pairs may confirm
-
-
-def _doubted_pose(result: RelativePoseResult) -> Pose:
-    if result.status not in DOUBTED or not result.alternatives:
-        return Pose.nan()
-    return result.alternatives[0]
-
-
-@dataclass(frozen=True, eq=False)
-class Matched:
-    """Matches of two images and where both look."""
-
-    matches: NDArray[np.int64]
-    bearings1: NDArray[np.float64]
-    bearings2: NDArray[np.float64]
-
-    def floor_share(self, inlier_mask: NDArray[np.bool_]) -> float:
-        """Share of the inliers that both images see well below the horizon; NaN without any."""
-        return floor_share(self.bearings1[inlier_mask], self.bearings2[inlier_mask])

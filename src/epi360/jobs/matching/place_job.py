@@ -3,21 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
-from epi360.features import read_image
-from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.graph_check import awaits_confirmation, believed
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import SurfaceWitnesses
-from epi360.jobs.matching.match_job import MatchJob
+from epi360.jobs.matching.verified_folder import VerifiedFolder
 from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import PAIRS, Keys, Verdict, VerifiedPair, read_parts
+from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import on_threads
 
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
@@ -28,7 +26,7 @@ Found = TypeVar("Found")
 
 
 def check_places(
-    job: MatchJob,
+    folder: VerifiedFolder,
     panoramas: Mapping[Keys, Pair],
     settled: Mapping[Keys, Verdict],
     level: Level | None,
@@ -45,10 +43,10 @@ def check_places(
     doubted = {keys for keys in usable if awaits_confirmation(settled[keys])}
     asked = accepted | doubted if len(accepted | doubted) <= MOST_PAIRS else accepted
     posed = {
-        each.keys: posed_pair(job, usable[each.keys], each)
-        for each in settled_pairs(job, asked, settled, level)
+        each.keys: posed_pair(folder, usable[each.keys], each)
+        for each in folder.settled_pairs(asked, settled, level)
     }
-    panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(partial(_panorama, job))
+    panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(folder.panorama_of)
 
     def around(keys: Sequence[Keys]) -> Surroundings:
         num_heard = sum(each in accepted for each in keys)
@@ -56,33 +54,33 @@ def check_places(
 
     keys = sorted(posed, key=lambda each: (each in doubted, posed[each].images))
     known = around(keys)
-    by_row = _of_each(job, known.of_points, range(len(keys)))
+    by_row = _of_each(folder, known.of_points, range(len(keys)))
     if len(by_row) < len(keys):  # a picture is gone
         keys = [keys[row] for row in sorted(by_row)]
         known = around(keys)
-        by_row = _of_each(job, known.of_points, range(len(keys)))
+        by_row = _of_each(folder, known.of_points, range(len(keys)))
     if len(by_row) < len(keys) or known.num_heard < FEWEST_PAIRS:
         return {}
     points = [by_row[row] for row in range(len(keys))]
-    return dict(zip(keys, _judged(job, known, points), strict=True))
+    return dict(zip(keys, _judged(folder, known, points), strict=True))
 
 
 def _judged(
-    job: MatchJob, known: Surroundings, points: Sequence[Evidence]
+    folder: VerifiedFolder, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
     """Verdicts by points; where these leave a doubt, by surfaces too, which cost much more."""
     num_heard, evidence = known.num_heard, points
     heard = known.pairs[:num_heard]
     if leave_a_doubt(heard, points[:num_heard]):
-        evidence = _with_surfaces(job, known, points)
+        evidence = _with_surfaces(folder, known, points)
     return judge_places(heard, evidence[:num_heard], evidence[num_heard:])
 
 
 def _with_surfaces(
-    job: MatchJob, known: Surroundings, points: Sequence[Evidence]
+    folder: VerifiedFolder, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[Evidence]:
     """What surfaces say besides points; points alone if a picture is gone."""
-    grown = _of_each(job, known.grown, range(len(points)))
+    grown = _of_each(folder, known.grown, range(len(points)))
     if len(grown) < len(points):
         return points
     views = {(row, side): grown[row][0][side] for row in grown for side in (0, 1)}
@@ -91,13 +89,15 @@ def _with_surfaces(
     def look(row: int) -> Evidence:
         return known.with_surfaces(row, points[row], witnesses, grown[row][1])
 
-    found = _of_each(job, look, range(len(points)))
+    found = _of_each(folder, look, range(len(points)))
     return points if len(found) < len(points) else [found[row] for row in range(len(points))]
 
 
-def _of_each(job: MatchJob, look: Callable[[int], Found], rows: Sequence[int]) -> dict[int, Found]:
+def _of_each(
+    folder: VerifiedFolder, look: Callable[[int], Found], rows: Sequence[int]
+) -> dict[int, Found]:
     """What is found about each pair, on all threads; nothing where a picture is gone."""
-    job.progress("places", 0, len(rows))
+    folder.progress("places", 0, len(rows))
     found = {}
 
     def tried(row: int) -> Found | None:
@@ -106,38 +106,17 @@ def _of_each(job: MatchJob, look: Callable[[int], Found], rows: Sequence[int]) -
         except (OSError, ValueError):
             return None
 
-    for count, (row, each) in enumerate(on_threads(tried, rows, job.work.num_threads), start=1):
-        job.progress("places", count, len(rows))
+    for count, (row, each) in enumerate(on_threads(tried, rows, folder.num_threads), start=1):
+        folder.progress("places", count, len(rows))
         if each is not None:
             found[row] = each
     return found
 
 
-def _panorama(job: MatchJob, index: int) -> Panorama:
-    return Panorama.of(read_image(job.images[index].path))
-
-
-def settled_pairs(
-    job: MatchJob,
-    wanted: Container[Keys],
-    settled: Mapping[Keys, Verdict],
-    level: Level | None,
-) -> Iterator[VerifiedPair]:
-    """Wanted pairs with their matches, from the parts that hold the verdicts that count."""
-    stores = {PAIRS: ""} if level is None else {PAIRS: "", level.store: level.prior}
-    for store, prior in stores.items():
-        for verified in read_parts(job.output, store):
-            if verified.keys not in wanted:
-                continue
-            has_prior = level is not None and settled[verified.keys].prior == level.prior
-            if has_prior == bool(prior):
-                yield verified
-
-
-def posed_pair(job: MatchJob, pair: Pair, verified: VerifiedPair) -> PosedPair:
+def posed_pair(folder: VerifiedFolder, pair: Pair, verified: VerifiedPair) -> PosedPair:
     """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
     first, second = verified.matches[verified.inlier_mask].T
-    bearings1, bearings2 = (job.bearings_of(index) for index in pair)
+    bearings1, bearings2 = (folder.bearings_of(index) for index in pair)
     verdict = verified.verdict if verified.verdict.accepted else believed(verified.verdict)
     return PosedPair(
         pair,

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verdicts on the pairs of a folder by all that is known of it.
+
+First whether it is level, then what the surroundings of each pair look like, what triangles say,
+and last the poses that accepted pairs imply for others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from epi360.jobs.graph.graph_check import CONFIRMED
+from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
+from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, with_implied, without_copies
+from epi360.jobs.matching.place_job import check_places
+from epi360.jobs.matching.verified_folder import VerifiedFolder, full_panoramas
+from epi360.jobs.pairs.pair_selection import Pair
+from epi360.jobs.records.match_store import Keys, Verdict
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JudgedPairs:
+    """Verdicts on pairs of images, and what they say about all images."""
+
+    images: tuple[str, ...]  # names of the images that were to be paired
+    verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
+    level: Level | None = None  # what the poses of a level folder say about the others
+    num_gained: int = 0  # pairs that are accepted because the folder is level
+    num_lost: int = 0  # pairs that have no pose any more because the folder is level
+
+    @property
+    def num_by_others(self) -> int:
+        """Pairs that are accepted because of what other pairs know of the place."""
+        return sum(verdict.by_others for verdict in self.verdicts)
+
+
+@dataclass(frozen=True, eq=False)
+class FolderVerdicts:
+    """Verdicts on the pairs of a folder, in their order, each with its keys.
+
+    The keys are None where an image cannot be read. ``settled`` are the verdicts of the pairs by
+    themselves, and ``implied`` the pairs that others may give a pose. ``looked_around`` says
+    whether the surroundings of pairs were compared.
+    """
+
+    keys: Sequence[Keys | None]
+    verdicts: tuple[PairVerdict, ...]
+    level: Level | None
+    settled: Mapping[Keys, Verdict]
+    implied: Mapping[Keys, ImpliedPair]
+    looked_around: bool
+    num_gained: int
+    num_lost: int
+
+
+def judge_folder(
+    folder: VerifiedFolder,
+    pairs: Sequence[Pair],
+    finished: Mapping[Keys, Verdict],
+    *,
+    is_upright: bool = False,
+    looks_around: bool = True,
+) -> FolderVerdicts:
+    """Judge pairs that were verified by their own matches, with verdicts ``finished``.
+
+    If ``is_upright``, it was given that all images stand upright; otherwise the poses say whether
+    they do. If not ``looks_around``, the surroundings of the pairs are not compared, and no pair
+    gets the pose that others imply.
+    """
+    keys = [folder.keys_of(pair) if folder.is_readable(pair) else None for pair in pairs]
+    level = None if is_upright else find_level(_of_full_panoramas(folder, pairs, finished))
+    settled = finished if level is None else _with_level(folder, pairs, finished, level)
+    named = [_named(folder, *each, settled) for each in zip(pairs, keys, strict=True)]
+    panoramas = full_panoramas(folder, pairs) if looks_around else {}
+    places = check_places(folder, panoramas, settled, level)
+    told = [None if each is None else places.get(each) for each in keys]
+    verdicts = checked(named, told, is_level=is_upright or level is not None)
+    accepted = {each for each, v in zip(keys, verdicts, strict=True) if each and v.accepted}
+    implied = find_implied(folder, panoramas, settled, level, accepted & panoramas.keys())
+    verdicts = without_copies(with_implied(verdicts, keys, implied))
+    return FolderVerdicts(
+        keys,
+        verdicts,
+        level,
+        settled,
+        implied,
+        looked_around=bool(places),
+        num_gained=_num_accepted_more(settled, finished)
+        + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
+        num_lost=_num_accepted_more(finished, settled),
+    )
+
+
+def _of_full_panoramas(
+    folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
+) -> list[Verdict]:
+    return [
+        finished[folder.keys_of(pair)]
+        for pair in pairs
+        if folder.is_readable(pair) and folder.sees_all_around(pair)
+    ]
+
+
+def _with_level(
+    folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
+) -> Mapping[Keys, Verdict]:
+    """Verdicts of which some are replaced by those with the prior of the level folder."""
+    again = folder.verify_again(pairs, finished, level)
+    kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
+    return {**finished, **kept}
+
+
+def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, Verdict]) -> int:
+    """Pairs that are accepted by themselves here and not there."""
+    return sum(verdict.accepted and not others[keys].accepted for keys, verdict in verdicts.items())
+
+
+def _named(
+    folder: VerifiedFolder, pair: Pair, keys: Keys | None, finished: Mapping[Keys, Verdict]
+) -> PairVerdict:
+    """Verdict on two images, by name; they have no keys where one is unreadable."""
+    image1, image2 = (folder.name_of(index) for index in pair)
+    verdict = Verdict(status="unreadable_image") if keys is None else finished[keys]
+    return PairVerdict.of((image1, image2), verdict)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What must be known of images with verified pairs, so that their pairs can be judged together."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.features.warped_patches import Panorama
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching.verified_matches import Matched
+from epi360.jobs.pairs.pair_selection import Pair
+from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.progress import Progress
+
+
+class VerifiedFolder(Protocol):
+    """Images, by their numbers, of which pairs have been verified by their own matches.
+
+    A pair that was verified goes by the keys of both images; equal images may have equal keys.
+    ``progress`` is told of the stages "level pairs" and "places".
+    """
+
+    @property
+    def progress(self) -> Progress:
+        """Who is told."""
+
+    @property
+    def num_threads(self) -> int:
+        """Threads that work may take."""
+
+    def name_of(self, index: int) -> str:
+        """Name of an image."""
+
+    def is_readable(self, pair: Pair) -> bool:
+        """Whether both images could be used so far."""
+
+    def keys_of(self, pair: Pair) -> Keys:
+        """Keys of two readable images."""
+
+    def sees_all_around(self, pair: Pair) -> bool:
+        """Whether both images are full panoramas."""
+
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look."""
+
+    def panorama_of(self, index: int) -> Panorama:
+        """Picture of an image; OSError or ValueError where it cannot be read."""
+
+    def settled_pairs(
+        self, wanted: Container[Keys], settled: Mapping[Keys, Verdict], level: Level | None
+    ) -> Iterator[VerifiedPair]:
+        """Wanted pairs with their matches and the verdicts that count, ``settled``."""
+
+    def verify_again(
+        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
+    ) -> Mapping[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on the pairs that ask for it."""
+
+    def estimated(
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+    ) -> dict[Pair, VerifiedPair]:
+        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
+
+
+def full_panoramas(folder: VerifiedFolder, pairs: Sequence[Pair]) -> dict[Keys, Pair]:
+    """Pairs of two readable full panoramas, one for each pair of keys."""
+    usable = (pair for pair in pairs if folder.is_readable(pair) and folder.sees_all_around(pair))
+    return {folder.keys_of(pair): pair for pair in usable}

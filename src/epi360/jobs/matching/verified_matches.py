@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Matches of pairs of images to verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera
+from epi360.cameras.upright import is_full_panorama
+from epi360.estimation import RelativePoseResult, estimate_relative_poses
+from epi360.estimation.verdict import noise_in_pixels
+from epi360.jobs.graph.shared_points import floor_share
+from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.poses import Pose
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
+
+_DOUBTED = ("concentrated_inliers", "too_few_inliers")  # their poses other pairs may confirm
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """Matches of two images and where both look."""
+
+    matches: NDArray[np.int64]
+    bearings1: NDArray[np.float64]
+    bearings2: NDArray[np.float64]
+
+    def floor_share(self, inlier_mask: NDArray[np.bool_]) -> float:
+        """Share of the inliers that both images see well below the horizon; NaN without any."""
+        return floor_share(self.bearings1[inlier_mask], self.bearings2[inlier_mask])
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedViews:
+    """A pair that can be verified: the keys and cameras of both images, and their matches."""
+
+    keys: Keys
+    cameras: tuple[Camera, Camera]
+    matched: Matched
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether both images are full panoramas."""
+        return all(map(is_full_panorama, self.cameras))
+
+    @property
+    def pixel_deg(self) -> float:
+        """Size of the smaller pixel."""
+        return smallest_pixel_deg(self.cameras)
+
+
+def verified_matches(
+    pairs: Sequence[MatchedViews], prior: str, *, seed: int, num_threads: int | None, **known: Any
+) -> list[VerifiedPair]:
+    """Verify pairs, with what is ``known`` of their poses beforehand, in words ``prior``."""
+    results = estimate_relative_poses(
+        [(pair.matched.bearings1, pair.matched.bearings2) for pair in pairs],
+        max_noise_deg=[MAX_NOISE_PX * pair.pixel_deg for pair in pairs],
+        options=IMAGE_OPTIONS,
+        num_threads=num_threads,
+        seed=seed,
+        **known,
+    )
+    return [_verified(pair, result, prior) for pair, result in zip(pairs, results, strict=True)]
+
+
+def _verified(pair: MatchedViews, result: RelativePoseResult, prior: str) -> VerifiedPair:
+    result = noise_in_pixels(result, pair.pixel_deg)
+    variances = np.diag(result.covariance)
+    floor = pair.matched.floor_share(result.inlier_mask) if pair.sees_all_around else np.nan
+    verdict = Verdict(
+        status=result.status,
+        warnings=result.warnings,
+        num_matches=result.num_matches,
+        num_inliers=result.num_inliers,
+        noise_deg=result.noise_deg,
+        parallax_deg=result.parallax_deg,
+        rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
+        translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
+        probability=result.probability,
+        explanations=result.explanations,
+        floor_share=floor,
+        prior=prior,
+        cam2_from_cam1=result.cam2_from_cam1,
+        doubted=_doubted_pose(result),
+    )
+    return VerifiedPair(pair.keys, verdict, pair.matched.matches, result.inlier_mask)
+
+
+def _doubted_pose(result: RelativePoseResult) -> Pose:
+    if result.status not in _DOUBTED or not result.alternatives:
+        return Pose.nan()
+    return result.alternatives[0]
