@@ -19,14 +19,22 @@ from _trust_records import LISTED, Judged, errors_of, found_pose, sigmas_of
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
+from epi360.interop import MatchedImage, MatchedPair, MatchGraph
 from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.matching.match_folder import (
+    MatchOptions,
+    PairVerdict,
+    load_matches,
+    match_images,
+)
+from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
 from epi360_scenes.tours import Tour, render_tour
 
 OURS = "epi360"
+FOLDER = f"{OURS}, folder"  # given matches, judged together
 # COLMAP's default of 4 px first; it asks for 15 inliers by default.
 PEER_GATES_PX = (4.0, 2.0, 1.0)
 RATIOS = (0.95, 0.9, 0.8)
@@ -77,6 +85,45 @@ def zind_verdicts(plan: Plan) -> Iterator[Judged]:
 
 def tour_verdicts(plan: Plan) -> Iterator[Judged]:
     """All pairs within rendered homes, level ones and tilted ones."""
+    for one in _tours(plan):
+        tour = one.tour
+        for run in _folder_verdicts(plan, one.name, tour.folder, tour.cam2_from_cam1):
+            yield _of_tour(run, f"tours, {one.kind}", one.home, tour)
+
+
+def given_verdicts(plan: Plan) -> Iterator[Judged]:
+    """All pairs of rendered homes, from matches that `verify_pairs` is given.
+
+    They are the ones of `match_images`, without its verdicts.
+    """
+    for one in _tours(plan):
+        tour = one.tour
+        output = plan.out / "match" / one.name
+        match_images(
+            find_images(tour.folder),
+            output,
+            MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
+            restart=True,
+        )
+        graph = load_matches(output, by_others=False)
+        found = [
+            *_alone(plan, _peer_tasks(one.name, output, tour.cam2_from_cam1)),
+            *_given_verdicts(plan, one.name, graph, tour.folder, tour.cam2_from_cam1),
+        ]
+        yield from (_of_tour(run, f"given, {one.kind}", one.home, tour) for run in found)
+
+
+@dataclass(frozen=True)
+class _OneTour:
+    """A rendered home, what it is called, and its number."""
+
+    name: str
+    kind: str
+    home: int
+    tour: Tour
+
+
+def _tours(plan: Plan) -> Iterator[_OneTour]:
     for is_level, home in itertools.product((True, False), range(plan.num_homes)):
         kind = "level" if is_level else "tilted"
         name = f"{kind}_{home}_{plan.tour_width}"
@@ -87,8 +134,43 @@ def tour_verdicts(plan: Plan) -> Iterator[Judged]:
             width=plan.tour_width,
             progress=lambda picture, of=name: print(f"{of}: {picture}", flush=True),
         )
-        for run in _folder_verdicts(plan, name, tour.folder, tour.cam2_from_cam1):
-            yield _of_tour(run, f"tours, {kind}", home, tour)
+        yield _OneTour(name, kind, home, tour)
+
+
+def _alone(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
+    """Verdicts on each pair by its matches alone."""
+    with ProcessPoolExecutor(plan.jobs) as pool:
+        judge = partial(_judge_alone, has_gravity=False, seed=plan.seed)
+        for run in pool.map(judge, list(tasks), chunksize=8):
+            yield replace(run, method=f"{OURS}, pair alone")
+
+
+def _given_verdicts(
+    plan: Plan, name: str, graph: MatchGraph, pictures: Path, truth_of: TruthOf
+) -> Iterator[Judged]:
+    """Verdicts on given matches: judged together, and with their pictures too."""
+    unverified = without_geometries(graph)
+    for method, folder in ((f"{FOLDER}, no pictures", None), (FOLDER, pictures)):
+        found = verify_pairs(unverified, pictures=folder, seed=plan.seed, num_threads=plan.jobs)
+        yield from _judged_ones(name, method, found.verdicts, truth_of)
+
+
+def _judged_ones(
+    name: str, method: str, verdicts: Iterable[PairVerdict], truth_of: TruthOf
+) -> Iterator[Judged]:
+    for verdict in verdicts:
+        yield Judged(
+            name,
+            method,
+            f"{verdict.image1} {verdict.image2}",
+            verdict.status,
+            verdict.accepted,
+            verdict.probability,
+            verdict.num_inliers,
+            *errors_of(_found_pose(verdict), truth_of(verdict.image1, verdict.image2)),
+            verdict.rotation_sigma_deg,
+            verdict.translation_sigma_deg,
+        )
 
 
 def _of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
@@ -113,20 +195,7 @@ def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> 
         MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
         restart=True,
     )
-    for verdict in run.verdicts:
-        truth = truth_of(verdict.image1, verdict.image2)
-        yield Judged(
-            name,
-            OURS,
-            f"{verdict.image1} {verdict.image2}",
-            verdict.status,
-            verdict.accepted,
-            float(getattr(verdict, "probability", math.nan)),
-            verdict.num_inliers,
-            *errors_of(_found_pose(verdict), truth),
-            verdict.rotation_sigma_deg,
-            verdict.translation_sigma_deg,
-        )
+    yield from _judged_ones(name, OURS, run.verdicts, truth_of)
     if plan.with_peer:
         yield from _peer_verdicts(plan, _peer_tasks(name, output, truth_of))
 
@@ -157,32 +226,44 @@ def learned_verdicts(plan: Plan) -> Iterator[Judged]:
     """Matches of a learned feature at several ratios, with gravity and without."""
     folder = plan.data / "learned_matches"
     world_from_cam = read_poses(plan.data / "zind_tour" / "poses.csv")
+    panoramas = plan.data / "zind_tour" / "panos"
     camera = Equirectangular(LEARNED_WIDTH, LEARNED_WIDTH // 2)
+
+    def truth_of(name1: str, name2: str) -> Pose:
+        return world_from_cam[name2].inverse() @ world_from_cam[name1]
+
     with np.load(folder / "bearings.npz") as bearings, np.load(folder / "matches.npz") as matches:
         seen = {name: bearings[name].astype(np.float64) for name in bearings.files}
+        images = {
+            name: MatchedImage(name, "panorama", camera.pixels_from_bearings(each))
+            for name, each in seen.items()
+        }
         for ratio in RATIOS:
-            tasks = []
+            tasks, pairs = [], []
             for key in [key for key in matches.files if key.endswith("|indices")]:
                 name1, name2, _ = key.split("|")
                 kept = matches[key][matches[f"{name1}|{name2}|similarity_ratio"][:, 1] < ratio]
                 both = seen[name1][kept[:, 0]], seen[name2][kept[:, 1]]
                 pixels = [camera.pixels_from_bearings(each) for each in both]
-                truth = world_from_cam[name2].inverse() @ world_from_cam[name1]
+                truth = truth_of(name1, name2)
                 found = Matches(camera, camera, pixels[0], pixels[1])
                 tasks.append(_PeerTask(f"learned {ratio:g}", f"{name1} {name2}", found, truth))
+                pairs.append(MatchedPair(name1, name2, kept))
             yield from _learned_at(plan, tasks)
+            graph = MatchGraph({"panorama": camera}, images, tuple(pairs))
+            yield from _given_verdicts(plan, f"learned {ratio:g}", graph, panoramas, truth_of)
 
 
 def _learned_at(plan: Plan, tasks: list[_PeerTask]) -> Iterator[Judged]:
     with ProcessPoolExecutor(plan.jobs) as pool:
         for has_gravity in (False, True):
-            judge = partial(_judge_learned, has_gravity=has_gravity, seed=plan.seed)
+            judge = partial(_judge_alone, has_gravity=has_gravity, seed=plan.seed)
             yield from pool.map(judge, tasks, chunksize=8)
     if plan.with_peer:
         yield from _peer_verdicts(plan, tasks)
 
 
-def _judge_learned(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
+def _judge_alone(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
     matches = task.matches
     result = estimate_relative_pose(
         matches.camera1.bearings_from_pixels(matches.keypoints1),

@@ -71,8 +71,9 @@ def _is_right_trial(trial: Trial) -> bool:
 
 
 def _group_of(run: Judged) -> str:
-    name = run.set.split(" ")[0]  # all ratios of the learned matches together
-    return f"{name}, gravity" if run.method.endswith("gravity") else name
+    name = run.set.split(" ")[0].rstrip(",")  # all ratios of the learned matches together
+    _, comma, how = run.method.partition(", ")
+    return f"{name}{comma}{how}"
 
 
 def held(stated: Sequence[Stated]) -> list[Held]:

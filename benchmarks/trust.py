@@ -21,7 +21,15 @@ from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
 from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
-from _trust_pairs import OURS, Plan, learned_verdicts, tour_verdicts, zind_verdicts
+from _trust_pairs import (
+    FOLDER,
+    OURS,
+    Plan,
+    given_verdicts,
+    learned_verdicts,
+    tour_verdicts,
+    zind_verdicts,
+)
 from _trust_records import (
     PRECISIONS,
     Judged,
@@ -42,6 +50,7 @@ PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "zind": zind_verdicts,
     "learned": learned_verdicts,
     "tours": tour_verdicts,
+    "given": given_verdicts,
 }
 SETS = (*PAIR_SETS, "cells", "degenerate")
 NEEDS_DATA = ("zind", "learned")
@@ -163,7 +172,7 @@ def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:
 def _print_judged(judged: list[Judged], *, list_wrong: bool) -> None:
     for table in _tables(judged, []):
         print(f"\n{text_table(table)}")
-    for method in (OURS, f"{OURS}, gravity") if list_wrong else ():
+    for method in (OURS, f"{OURS}, gravity", FOLDER) if list_wrong else ():
         for line in wrong_lines(judged, method):
             print(f"accepted and wrong by {method}: {line}")
     sys.stdout.flush()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """epi360 convert: from the files of one tool to those of another."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -323,7 +324,7 @@ def test_a_source_without_images_is_refused(run, tmp_path):
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs",
-        "--fps", "--verify", "--no-descriptors",
+        "--fps", "--verify", "--verify-again", "--no-descriptors",
     )  # fmt: skip
 
 
@@ -347,4 +348,28 @@ def test_matches_of_hloc_say_that_they_need_verification_or_get_it(run, tmp_path
     assert code == 0 and "not verified" not in err
     geometry = read_colmap_database("b.db").pairs[0].geometry
     assert geometry.status == "ok" and len(geometry.inliers) > 50
-    refused(run("a.db", "n.h5", "--features", "g.h5", "--verify"), "--verify is for a COLMAP")
+    refused(
+        run("a.db", "n.h5", "--features", "g.h5", "--verify"), "--verify and --verify-again are"
+    )
+
+
+def test_refused_pairs_are_left_out_of_files_without_poses(run, tmp_path, monkeypatch):
+    pytest.importorskip("h5py")
+    from epi360.interop import read_hloc
+
+    (tmp_path / "matched").mkdir()
+    first, second = graph().pairs
+    status = dataclasses.replace(first.geometry, status="refused")
+    refused_one = dataclasses.replace(
+        graph(), pairs=(dataclasses.replace(first, geometry=status), second)
+    )
+    monkeypatch.setattr(
+        "epi360.jobs.matching.match_folder.load_matches", lambda folder: refused_one
+    )
+    words = ["matched", "m.h5", "--features", "f.h5", "--pairs", "p.txt", "--no-descriptors"]
+    code, out, _ = run(*words)
+    assert code == 0 and "1 pair is left out: other pairs speak against" in out
+    assert [pair.image1 for pair in read_hloc("f.h5", "m.h5", pairs="p.txt").pairs] == [
+        second.image1
+    ]
+    refused(run("matched", "a.db", "--verify-again"), "epi360 match has judged its own")

@@ -2,24 +2,25 @@
 """Matches that nobody has verified: poses for their pairs, and what COLMAP does with them."""
 
 import dataclasses
+import shutil
 
 import numpy as np
 import pytest
-from colmap_graphs import panoramas_of_points, relative_pose
+from colmap_graphs import PANORAMA, panoramas_of_points, relative_pose
+from rendered_views import write_png
+from twin_rooms import truth, write_rooms
 
-from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs
-from epi360.poses import rotation_error_deg, translation_error_deg
-
-
-def unverified(graph):
-    pairs = tuple(dataclasses.replace(pair, geometry=None) for pair in graph.pairs)
-    return dataclasses.replace(graph, pairs=pairs)
+from epi360.cli import main
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs, without_geometries
+from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
+from epi360.report.match_table import describe_verified
 
 
 def test_pairs_get_the_poses_that_their_matches_have():
     poses, graph = panoramas_of_points(4)
-    assert len(unverified_pairs(unverified(graph))) == 6
-    verified = verify_pairs(unverified(graph))
+    assert len(unverified_pairs(without_geometries(graph))) == 6
+    verified = verify_pairs(without_geometries(graph)).graph
     assert not unverified_pairs(verified)
     for pair in verified.pairs:
         truth = relative_pose(poses[pair.image1], poses[pair.image2])
@@ -31,10 +32,19 @@ def test_pairs_get_the_poses_that_their_matches_have():
 def test_a_pair_that_has_a_geometry_keeps_it():
     _, graph = panoramas_of_points(3)
     first, *others = graph.pairs
-    mixed = unverified(dataclasses.replace(graph, pairs=tuple(others)))
+    mixed = without_geometries(dataclasses.replace(graph, pairs=tuple(others)))
     mixed = dataclasses.replace(mixed, pairs=(first, *mixed.pairs))
-    assert verify_pairs(mixed).pairs[0] is not None
-    assert verify_pairs(mixed).pairs[0].geometry is first.geometry
+    assert verify_pairs(mixed).graph.pairs[0].geometry is first.geometry
+
+
+def test_a_pair_without_matches_keeps_its_pose():
+    _, graph = panoramas_of_points(3)
+    first, *others = graph.pairs
+    none = np.zeros((0, 2), np.int64)
+    empty = dataclasses.replace(graph, pairs=(dataclasses.replace(first, matches=none), *others))
+    found = verify_pairs(without_geometries(empty))
+    assert found.graph.pairs[0].geometry is first.geometry
+    assert len(found.verdicts) == 2
 
 
 def test_random_matches_are_refused():
@@ -43,14 +53,14 @@ def test_random_matches_are_refused():
     (pair,) = graph.pairs
     shuffled = np.column_stack([np.arange(200), rng.permutation(200)])
     wrong = dataclasses.replace(graph, pairs=(dataclasses.replace(pair, matches=shuffled),))
-    (found,) = verify_pairs(unverified(wrong)).pairs
+    (found,) = verify_pairs(without_geometries(wrong)).graph.pairs
     assert found.geometry.status == "too_few_inliers"
 
 
 def test_an_image_without_a_camera_is_named():
     _, graph = panoramas_of_points(2)
     images = {name: dataclasses.replace(image, camera=None) for name, image in graph.images.items()}
-    nameless = dataclasses.replace(unverified(graph), images=images)
+    nameless = dataclasses.replace(without_geometries(graph), images=images)
     with pytest.raises(ValueError, match="0.jpg has no camera"):
         verify_pairs(nameless)
 
@@ -64,7 +74,9 @@ def test_colmap_triangulates_what_was_verified_and_nothing_else(tmp_path):
     posed = tuple(PosedImage(name, "theta", pose) for name, pose in poses.items())
     write_colmap_model(tmp_path / "model", Reconstruction(graph.cameras, posed))
     counts = []
-    for number, one in enumerate((unverified(graph), verify_pairs(unverified(graph)))):
+    for number, one in enumerate(
+        (without_geometries(graph), verify_pairs(without_geometries(graph)).graph)
+    ):
         database, found = tmp_path / f"{number}.db", tmp_path / f"{number}"
         write_colmap_database(database, one)
         found.mkdir()
@@ -73,3 +85,199 @@ def test_colmap_triangulates_what_was_verified_and_nothing_else(tmp_path):
         )
         counts.append(model.num_points3D())
     assert counts[0] == 0 and counts[1] > 190
+
+
+def with_a_wrong_pair(graph, poses):
+    """The graph, whose first pair matches key points that another pose of its first image has."""
+    first, *others = graph.pairs
+    seen = graph.images[first.image1]
+    bearings = PANORAMA.bearings_from_pixels(graph.images[first.image2].keypoints)
+    turned = Pose(rotation_from_vector([0.3, 0.8, -0.2]), np.array([0.3, -0.1, 0.2]))
+    depths = np.random.default_rng(1).uniform(2, 6, (len(bearings), 1))
+    points = (depths * bearings) @ turned.rotation.T + turned.translation
+    keypoints = np.concatenate([seen.keypoints, PANORAMA.pixels_from_bearings(points)])
+    rows = np.arange(len(points))
+    matches = np.column_stack([len(seen.keypoints) + rows, rows])
+    images = {**graph.images, first.image1: dataclasses.replace(seen, keypoints=keypoints)}
+    pairs = (dataclasses.replace(first, matches=matches), *others)
+    return dataclasses.replace(graph, images=images, pairs=pairs)
+
+
+def test_a_pair_that_the_others_contradict_is_refused():
+    poses, graph = panoramas_of_points(5)
+    found = verify_pairs(without_geometries(with_a_wrong_pair(graph, poses)))
+    first, *others = found.graph.pairs
+    assert found.verdicts[0].contradicted and not found.verdicts[0].accepted
+    assert first.geometry.status == "refused" and len(first.geometry.inliers) > 150
+    assert all(pair.geometry.status == "ok" for pair in others)
+
+
+def test_a_wrong_pair_alone_is_believed():
+    """What its own matches say is all that there is: the refusal above comes from the others."""
+    poses, graph = panoramas_of_points(2)
+    found = verify_pairs(without_geometries(with_a_wrong_pair(graph, poses)))
+    assert found.graph.pairs[0].geometry.status == "ok"
+
+
+@pytest.fixture(scope="module")
+def rooms(tmp_path_factory):
+    """Pictures of two twin rooms, and matches of all pairs."""
+    folder = tmp_path_factory.mktemp("rooms")
+    run = match_images(
+        write_rooms(folder / "a"), folder / "matched", MatchOptions(pairs="exhaustive")
+    )
+    return folder, run, without_geometries(load_matches(folder / "matched", by_others=False))
+
+
+def in_one_room(pair):
+    return pair.image1[0] == pair.image2[0]
+
+
+def test_pictures_tell_twin_rooms_apart(rooms):
+    folder, run, graph = rooms
+    found = verify_pairs(graph, pictures=folder / "a")
+    assert [v.accepted for v in found.verdicts] == [v.accepted for v in run.verdicts]
+    assert found.looked_around
+    for pair in found.graph.pairs:
+        assert pair.geometry.status == ("ok" if in_one_room(pair) else "refused")
+        if in_one_room(pair):
+            wanted = truth(pair.image1, pair.image2)
+            assert rotation_error_deg(pair.geometry.cam2_from_cam1, wanted) < 2
+            assert translation_error_deg(pair.geometry.cam2_from_cam1, wanted) < 2
+
+
+def test_without_pictures_twin_rooms_are_one(rooms):
+    _, _, graph = rooms
+    found = verify_pairs(graph)
+    between = [pair for pair in found.graph.pairs if not in_one_room(pair)]
+    assert sum(pair.geometry.status == "ok" for pair in between) >= 5
+    assert found.num_panoramic == len(graph.pairs) == 15
+
+
+def test_the_result_does_not_depend_on_the_number_of_threads(rooms):
+    folder, _, graph = rooms
+    runs = [verify_pairs(graph, pictures=folder / "a", num_threads=count) for count in (1, 2)]
+    told = [[repr((v.accepted, v.probability)) for v in run.verdicts] for run in runs]
+    assert told[0] == told[1]
+    for one, other in zip(*(run.graph.pairs for run in runs), strict=True):
+        np.testing.assert_array_equal(one.geometry.inliers, other.geometry.inliers)
+
+
+def test_level_panoramas_are_noticed(rooms):
+    _, run, graph = rooms
+    assert verify_pairs(graph).level == run.level is not None
+
+
+def test_a_picture_that_is_missing_is_named(rooms, tmp_path):
+    _, _, graph = rooms
+    with pytest.raises(FileNotFoundError, match=r"must hold the pictures by the names.*a0\.png"):
+        verify_pairs(graph, pictures=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("picture", "message"),
+    [
+        (b"no picture", "a0.png"),
+        (np.zeros((64, 64, 3), np.uint8), "twice as wide as high, that its camera is; it is 64x64"),
+    ],
+)
+def test_a_picture_that_cannot_be_compared_is_said(rooms, tmp_path, picture, message):
+    folder, _, graph = rooms
+    shutil.copytree(folder / "a", tmp_path / "a")
+    if isinstance(picture, bytes):
+        (tmp_path / "a" / "a0.png").write_bytes(picture)
+    else:
+        write_png(tmp_path / "a" / "a0.png", picture)
+    with pytest.raises(ValueError, match=message):
+        verify_pairs(graph, pictures=tmp_path / "a")
+
+
+def test_the_order_of_images_in_a_pair_does_not_matter(rooms):
+    folder, run, graph = rooms
+    swapped = [
+        dataclasses.replace(
+            pair, image1=pair.image2, image2=pair.image1, matches=pair.matches[:, ::-1]
+        )
+        for pair in reversed(graph.pairs)
+    ]
+    found = verify_pairs(dataclasses.replace(graph, pairs=tuple(swapped)), pictures=folder / "a")
+    accepted = {frozenset((v.image1, v.image2)) for v in found.verdicts if v.accepted}
+    assert accepted == {frozenset((v.image1, v.image2)) for v in run.verdicts if v.accepted}
+    for pair in found.graph.pairs:
+        if in_one_room(pair):
+            wanted = truth(pair.image1, pair.image2)
+            assert rotation_error_deg(pair.geometry.cam2_from_cam1, wanted) < 2
+
+
+def test_pairs_that_have_a_pose_have_a_say_about_the_others(rooms):
+    """One pair of two twin rooms alone would be believed."""
+    folder, _, graph = rooms
+    judged = verify_pairs(graph, pictures=folder / "a").graph
+    row = next(
+        row
+        for row, (pair, given) in enumerate(
+            zip(verify_pairs(graph).graph.pairs, judged.pairs, strict=True)
+        )
+        if pair.geometry.status == "ok" and not in_one_room(given)
+    )
+    pairs = list(judged.pairs)
+    pairs[row] = dataclasses.replace(pairs[row], geometry=None)
+    found = verify_pairs(dataclasses.replace(judged, pairs=tuple(pairs)), pictures=folder / "a")
+    assert [v.accepted for v in found.verdicts] == [False]
+    assert found.graph.pairs[row].geometry.status == "refused"
+    assert len(found.kept) == 6
+    assert "1 pair, 6 more had a pose" in describe_verified(found)
+    alone = dataclasses.replace(graph, pairs=(graph.pairs[row],))
+    assert verify_pairs(alone, pictures=folder / "a").verdicts[0].accepted
+
+
+def test_a_triangle_with_kept_pairs_contradicts_a_new_one():
+    poses, graph = panoramas_of_points(5)
+    wrong = with_a_wrong_pair(graph, poses)
+    pairs = (dataclasses.replace(wrong.pairs[0], geometry=None), *wrong.pairs[1:])
+    found = verify_pairs(dataclasses.replace(wrong, pairs=pairs))
+    assert found.graph.pairs[0].geometry.status == "refused"
+
+
+def test_the_command_says_what_became_of_the_pairs(rooms, tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("h5py")
+    from epi360.interop import read_colmap_database, write_hloc
+
+    folder, _, graph = rooms
+    write_hloc(tmp_path / "f.h5", tmp_path / "m.h5", graph)
+    words = ["convert", str(tmp_path / "m.h5"), "--features", str(tmp_path / "f.h5"), "--verify"]
+    assert main([*words, str(tmp_path / "a.db"), "--images", str(folder / "a")]) == 0
+    out, err = capsys.readouterr()
+    assert "Verified      15 pairs\nAccepted      6\n" in out
+    assert "shows another place" in out and "The panoramas are level" in out
+    assert "--images" not in err
+    pairs = read_colmap_database(tmp_path / "a.db").pairs
+    assert [pair.geometry.status == "ok" for pair in pairs] == list(map(in_one_room, pairs))
+    assert [len(pair.geometry.inliers) > 0 for pair in pairs] == list(map(in_one_room, pairs))
+    assert main([*words, str(tmp_path / "b.db")]) == 0
+    assert "name their folder with --images" in capsys.readouterr().err
+    assert main([*words, str(tmp_path / "c.db"), "--images", str(tmp_path / "none")]) == 2
+    assert "--images must be the folder of the pictures" in capsys.readouterr().err
+    assert not (tmp_path / "c.db").exists()
+
+
+def test_pairs_that_have_a_pose_are_verified_again_when_that_is_asked(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    from epi360.interop import read_colmap_database, write_colmap_database
+
+    poses, graph = panoramas_of_points(5)
+    write_colmap_database(tmp_path / "a.db", with_a_wrong_pair(graph, poses))
+    words = ["convert", str(tmp_path / "a.db")]
+    assert main([*words, str(tmp_path / "b.db"), "--verify"]) == 0
+    assert "All pairs have a verdict already; --verify-again judges" in capsys.readouterr().out
+    assert main([*words, str(tmp_path / "c.db"), "--verify-again"]) == 0
+    out = capsys.readouterr().out
+    assert "Accepted      9\n" in out and "did not fit other pairs" in out
+    wrong = [graph.pairs[0].image1, graph.pairs[0].image2]
+    for name, expected in (("b", "ok"), ("c", "too_few_inliers")):
+        pairs = read_colmap_database(tmp_path / f"{name}.db").pairs
+        (found,) = [p for p in pairs if [p.image1, p.image2] == wrong]
+        assert found.geometry.status == expected
+    assert main([*words, str(tmp_path / "m.h5"), "--features", "f.h5", "--verify-again"]) == 2
+    assert "--verify and --verify-again are for a COLMAP database" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed, show_bars
+from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed
 
 if TYPE_CHECKING:
     from epi360.interop import MatchGraph, Reconstruction
@@ -43,6 +43,7 @@ def convert(
     features: Path | None = None,
     pairs: Path | None = None,
     verify: Flag = False,
+    verify_again: Flag = False,
     no_descriptors: Flag = False,
     fps: float | None = None,
 ) -> int:
@@ -62,7 +63,8 @@ def convert(
         nerfstudio, reconstruction.json for OpenSfM.
     images
         Folder of the images. Beside transforms.json it is "images" by default: names of images do
-        not have it, the paths of nerfstudio do. An OpenSfM project gets links to its pictures.
+        not have it, the paths of nerfstudio do. An OpenSfM project gets links to its pictures. With
+        --verify their pictures tell panoramas of rooms apart that look alike.
     camera
         Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
         where it holds several.
@@ -75,14 +77,17 @@ def convert(
         hloc's file of the pairs that were matched, beside the others; read or written. Without it
         the names of the matches must say which images they are of: hloc writes "-" for "/".
     verify
-        Estimate the pose of each pair of matches that has none: COLMAP's mapper and its
-        triangulation use verified pairs only.
+        Estimate the pose of each pair of matches that has none, and judge all of them together:
+        COLMAP's mapper and its triangulation use verified pairs only.
+    verify_again
+        The same for all pairs of matches, also for those that have a pose.
     no_descriptors
         Leave the descriptors out: a seventh of the size or less, but new images cannot be matched
         with these.
     fps
         Frames a second: times for a TUM trajectory of images without, in the order of their names.
     """
+    from epi360.cli.convert_matches import judged_matches, tell_of_matches
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import format_of_name
     from epi360.interop.reconstruction import Reconstruction
@@ -93,11 +98,15 @@ def convert(
     with as_file(source) as file:  # a pipe gives its content once: to find the format, or to read
         source_name = _format_of_source(file)
         _check_kinds(source, source_name, target, target_name)
-        _check_options((source_name, target_name), images, camera, features, pairs)
+        verify = verify or verify_again
+        named = None if verify else images  # pictures to compare, not a part of the target
+        _check_options((source_name, target_name), named, camera, features, pairs)
         if fps is not None and target_name != "tum":
             raise ValueError("--fps is for a TUM trajectory, whose rows have times")
         _check_free(files_written(target, target_name, features, pairs), target_name)
         _check_match_options(target_name, verify=verify, no_descriptors=no_descriptors)
+        if verify:
+            _check_verify(source_name, images, again=verify_again)
         keeps_descriptors = not no_descriptors
         content = _read(
             file, source_name, target_name, folder, camera, features, pairs, keeps_descriptors
@@ -107,19 +116,17 @@ def convert(
     if isinstance(content, Reconstruction):
         with _warnings_on_stderr(), options_as_typed():
             write_reconstruction(target, target_name, content, images=images, fps=fps)
-    else:
-        content = _verified(content) if verify else content
-        write_matches(
-            target,
-            target_name,
-            content,
-            features=features,
-            pairs=pairs,
-            descriptors=_descriptors(source, source_name, keeps_descriptors),
-        )
-    print(_summary(target, target_name, content))
-    if not isinstance(content, Reconstruction) and target_name == "colmap-database":
-        _warn_of_unverified(content)
+        print(_summary(target, target_name, content))
+        return SUCCESS
+    graph, verified = judged_matches(
+        content, target_name, images=images, verify=verify, again=verify_again
+    )
+    descriptors = _descriptors(source, source_name, keeps_descriptors)
+    write_matches(
+        target, target_name, graph, features=features, pairs=pairs, descriptors=descriptors
+    )
+    print(_summary(target, target_name, graph))
+    tell_of_matches(content, graph, verified, target_name, images)
     return SUCCESS
 
 
@@ -127,16 +134,21 @@ def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool
     from epi360.interop.formats import FORMATS
 
     if verify and target_name != "colmap-database":
-        raise ValueError("--verify is for a COLMAP database; the other formats hold no poses")
+        raise ValueError(
+            "--verify and --verify-again are for a COLMAP database; the other formats hold no poses"
+        )
     if no_descriptors and FORMATS[target_name].kind != "matches":
         raise ValueError("--no-descriptors is for matches; a reconstruction has none")
 
 
-def _verified(graph: MatchGraph) -> MatchGraph:
-    from epi360.jobs.matching.verify_pairs import verify_pairs
-
-    with show_bars() as progress:
-        return verify_pairs(graph, progress=progress)
+def _check_verify(source_name: str, images: str | None, *, again: bool) -> None:
+    if images is not None and not Path(images).is_dir():
+        raise ValueError(f"--images must be the folder of the pictures; {images} is none")
+    if again and source_name == MATCH_FOLDER:
+        raise ValueError(
+            "--verify-again is for the matches of others; epi360 match has judged its own, with "
+            "their pictures"
+        )
 
 
 def _descriptors(source: Path, name: str, keeps: bool) -> DescriptorsOf | None:
@@ -144,19 +156,6 @@ def _descriptors(source: Path, name: str, keeps: bool) -> DescriptorsOf | None:
     from epi360.jobs.matching.match_result import descriptors_of
 
     return descriptors_of(source) if name == MATCH_FOLDER and keeps else None
-
-
-def _warn_of_unverified(graph: MatchGraph) -> None:
-    from epi360.jobs.matching.verify_pairs import unverified_pairs
-
-    count = len(unverified_pairs(graph))
-    if count:
-        pairs = "pair is" if count == 1 else "pairs are"
-        print(
-            f"epi360: {count} {pairs} not verified: COLMAP's mapper and triangulation skip them; "
-            "convert with --verify, or run pycolmap.verify_matches on the database",
-            file=sys.stderr,
-        )
 
 
 def _read(
@@ -224,8 +223,8 @@ def _check_options(
     """Raise where an option is missing or says nothing about these formats."""
     if images is not None and "nerfstudio" not in names and names[1] != "opensfm-folder":
         raise ValueError(
-            "--images is for nerfstudio's transforms.json and a new OpenSfM project; the others "
-            "have no folder"
+            "--images is for nerfstudio's transforms.json, a new OpenSfM project and --verify; the "
+            "others have no folder"
         )
     if features is not None and "hloc" not in names:
         raise ValueError("--features is for hloc, which keeps key points in a file of their own")

@@ -103,6 +103,17 @@ def write_matches(
         write_hloc(features, path, graph, pairs=pairs, descriptors=descriptors)
 
 
+def without_refused(graph: MatchGraph) -> MatchGraph:
+    """The graph without pairs that others speak against, for a format without poses of pairs.
+
+    Whoever verified their matches anew, pair by pair, would take them for right.
+    """
+    pairs = tuple(
+        pair for pair in graph.pairs if pair.geometry is None or pair.geometry.status != "refused"
+    )
+    return replace(graph, pairs=pairs)
+
+
 def with_camera(reconstruction: Reconstruction, name: str, camera: Camera) -> Reconstruction:
     """Return a reconstruction whose images without a camera have this one."""
     if all(image.camera is not None for image in reconstruction.images):

@@ -159,7 +159,8 @@ def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) ->
     for words, count in counts.most_common():
         refused = f"{'was' if count == 1 else 'were'} refused: {words}"
         sentences.append(f"Of the others, {count} {REJECTIONS.get(words, refused)}.")
-    sentences.append(groups_sentence(run.images, accepted))
+    joined = [(verdict.image1, verdict.image2) for verdict in accepted]
+    sentences.append(groups_sentence(run.images, joined))
     not_used = sorted([*run.unreadable.items(), *skipped])
     sentences += [f"Not used: {name}: {why}." for name, why in not_used[:_NAMED]]
     if len(not_used) > _NAMED:

@@ -4,12 +4,15 @@
 import csv
 import io
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import astuple
 
 import numpy as np
 
+from epi360.jobs.graph.graph_check import groups_by
+from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
+from epi360.jobs.matching.verify_pairs import VerifiedGraph
 from epi360.report.text import STATUS_SENTENCES, counted, wrapped
 
 COLUMNS = (
@@ -30,6 +33,8 @@ REJECTIONS = {
     "unreadable_image": "had an image that could not be read",
     CONTRADICTED: "did not fit other pairs",
 }
+Row = tuple[str, str]  # label and text
+
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
 
@@ -71,78 +76,88 @@ def pairs_csv(run: MatchRun) -> bytes:
 
 def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> str:
     """Lines that say how many pairs have a pose, and why other pairs and images have none."""
-    accepted = [verdict for verdict in run.verdicts if verdict.accepted]
     there = f", {run.num_found} were there" if run.num_found else ""
-    rows = [
+    first = [
         ("Images", f"{len(run.images)}"),
         ("Pairs", f"{len(run.verdicts)} ({run.how})" + there),
-        ("Accepted", f"{len(accepted)}"),
     ]
+    not_used = sorted([*run.unreadable.items(), *skipped])
+    return _described(run, first, _listed("Not used", [f"{name}: {why}" for name, why in not_used]))
+
+
+def describe_verified(judged: VerifiedGraph) -> str:
+    """Lines that say how many pairs of given matches have a pose, and why others have none."""
+    had_one = f", {len(judged.kept)} more had a pose" if judged.kept else ""
+    first = [("Verified", counted(len(judged.verdicts), "pair") + had_one)]
+    return _described(judged, first, [], judged.kept)
+
+
+def _described(
+    judged: JudgedPairs,
+    first: list[Row],
+    not_used: list[Row],
+    kept: Sequence[tuple[str, str]] = (),
+) -> str:
+    accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
+    rows = [*first, ("Accepted", f"{len(accepted)}")]
     if accepted:
         inliers = np.median([verdict.num_inliers for verdict in accepted])
         rows.append(("", f"median of {inliers:.0f} inliers"))
-    counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
+    counts = Counter(rejection(verdict) for verdict in judged.verdicts if not verdict.accepted)
     rows += [("Rejected", f"{count} {_rejected(words)}") for words, count in counts.most_common()]
-    not_used = sorted([*run.unreadable.items(), *skipped])
-    rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used])
-    paired = {name for verdict in accepted for name in (verdict.image1, verdict.image2)}
-    rows += _listed("No pair", [name for name in run.images if name not in paired])
-    if len(groups_of(run.images, accepted)) > 1:
-        rows.append(("Groups", groups_sentence(run.images, accepted)))
+    rows += not_used
+    joined = [*((verdict.image1, verdict.image2) for verdict in accepted), *kept]
+    paired = {name for names in joined for name in names}
+    rows += _listed("No pair", [name for name in judged.images if name not in paired])
+    if len(groups_of(joined)) > 1:
+        rows.append(("Groups", groups_sentence(judged.images, joined)))
     lines = [wrapped(label, value) for label, value in rows]
-    return "\n".join([*lines, *describe_level(run), *describe_others(run)])
+    return "\n".join([*lines, *describe_level(judged), *describe_others(judged)])
 
 
-def describe_level(run: MatchRun) -> list[str]:
+def describe_level(judged: JudgedPairs) -> list[str]:
     """A line that says what a level folder brought; none where it is not level."""
-    if run.level is None:
+    if judged.level is None:
         return []
-    known = f"tilt {run.level.gravity_sigma_deg:.1f} degrees"
-    if run.level.elevation_sigma_deg is not None:
-        known += f", one height within {run.level.elevation_sigma_deg:.1f} degrees"
-    if not run.num_gained and not run.num_lost:
+    known = f"tilt {judged.level.gravity_sigma_deg:.1f} degrees"
+    if judged.level.elevation_sigma_deg is not None:
+        known += f", one height within {judged.level.elevation_sigma_deg:.1f} degrees"
+    if not judged.num_gained and not judged.num_lost:
         return [f"The panoramas are level ({known})."]
-    gained = "1 more pair was" if run.num_gained == 1 else f"{run.num_gained} more pairs were"
+    gained = "1 more pair was" if judged.num_gained == 1 else f"{judged.num_gained} more pairs were"
     line = f"The panoramas are level ({known}): {gained} accepted with that"
-    return [line + (f", {run.num_lost} not any more." if run.num_lost else ".")]
+    return [line + (f", {judged.num_lost} not any more." if judged.num_lost else ".")]
 
 
-def describe_others(run: MatchRun) -> list[str]:
+def describe_others(judged: JudgedPairs) -> list[str]:
     """A line that says what pairs say about others; none where that brought nothing."""
-    if not run.num_by_others:
+    if not judged.num_by_others:
         return []
-    more = "1 more pair was" if run.num_by_others == 1 else f"{run.num_by_others} more pairs were"
+    more = (
+        "1 more pair was"
+        if judged.num_by_others == 1
+        else f"{judged.num_by_others} more pairs were"
+    )
     return [f"{more} accepted because of what other pairs know of the place."]
 
 
-def groups_of(names: Sequence[str], accepted: Sequence[PairVerdict]) -> list[int]:
-    """Sizes of the groups of images that accepted pairs join, the largest first."""
-    group_of = {name: name for name in names}
-
-    def root(name: str) -> str:
-        while group_of[name] != name:
-            group_of[name] = group_of[group_of[name]]
-            name = group_of[name]
-        return name
-
-    for verdict in accepted:
-        group_of[root(verdict.image1)] = root(verdict.image2)
-    sizes = Counter(root(name) for name in names)
-    return sorted((size for size in sizes.values() if size > 1), reverse=True)
+def groups_of(joined: Iterable[tuple[str, str]]) -> list[int]:
+    """Sizes of the groups of images that pairs join, the largest first."""
+    return sorted(Counter(groups_by(joined).values()).values(), reverse=True)
 
 
-def groups_sentence(names: Sequence[str], accepted: Sequence[PairVerdict]) -> str:
+def groups_sentence(names: Sequence[str], joined: Iterable[tuple[str, str]]) -> str:
     """Whether accepted pairs join all images, as a sentence."""
-    groups = groups_of(names, accepted)
+    groups = groups_of(joined)
     alone = len(names) - sum(groups)
     if len(groups) == 1 and not alone:
         return "The accepted pairs join all images."
     if not groups:
         return "No image is joined to another one."
-    joined = " and ".join(str(size) for size in groups[:_GROUPS_NAMED])
+    sizes = " and ".join(str(size) for size in groups[:_GROUPS_NAMED])
     if len(groups) > _GROUPS_NAMED:
-        joined += " and fewer"
-    what = f"one group of {joined}" if len(groups) == 1 else f"{len(groups)} groups of {joined}"
+        sizes += " and fewer"
+    what = f"one group of {sizes}" if len(groups) == 1 else f"{len(groups)} groups of {sizes}"
     left = f" and leave {counted(alone, 'image')} alone" if alone else ""
     return f"The accepted pairs join {what} images{left}."
 
@@ -170,7 +185,7 @@ def _rejected(words: str) -> str:
     return f"{REJECTIONS[words]} ({words})" if words in REJECTIONS else words
 
 
-def _listed(label: str, lines: list[str]) -> list[tuple[str, str]]:
+def _listed(label: str, lines: list[str]) -> list[Row]:
     rows = [(label, line) for line in lines[:_MAX_LISTED]]
     if len(lines) > _MAX_LISTED:
         rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))

@@ -1,20 +1,60 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Relative poses for the pairs of a match graph that nobody has verified."""
+"""Relative poses for the pairs of a match graph that nobody has verified.
+
+Its matches may be of any feature. Each pair is verified by its own matches first; then all of them
+are judged together, as those of `match_images` are.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from epi360.estimation import RelativePoseResult, estimate_relative_poses
+from epi360.cameras import Camera
+from epi360.cameras.upright import is_full_panorama
+from epi360.epipolar.residuals import pose_residuals
+from epi360.features import read_image
+from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.jobs.graph.graph_check import believed
+from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
+from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
+from epi360.jobs.matching.verified_folder import full_panoramas
+from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
+from epi360.jobs.pairs.pair_selection import Pair
+from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.jobs.threads import num_cores, on_threads
 from epi360.progress import Progress, no_progress
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
+from epi360.runs.inside import inside
 
-_STAGE = "verifying pairs"
+_STAGE, _STAGE_AGAIN = "verifying pairs", "level pairs"
 _PAIRS_AT_ONCE = 256  # whose bearings are in memory
+_IMAGES_IN_MEMORY = 64  # with the bearings of all their key points
+_PANORAMAS_IN_MEMORY = 128  # of 2 MB
+_SIGMAS_OF_MEDIAN = 1.4826  # standard deviation of what has a median of 1, without signs
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VerifiedGraph(JudgedPairs):
+    """What `verify_pairs` found.
+
+    All pairs of ``graph`` that have matches have a geometry. ``verdicts`` are those of the pairs
+    that had none, ``kept`` names the images of the pairs that had a pose, and ``images`` those of
+    both. ``num_panoramic`` pairs are of two full panoramas, and ``looked_around`` says
+    whether their surroundings were compared.
+    """
+
+    graph: MatchGraph
+    kept: tuple[tuple[str, str], ...]
+    num_panoramic: int
+    looked_around: bool
 
 
 def unverified_pairs(graph: MatchGraph) -> list[MatchedPair]:
@@ -22,55 +62,279 @@ def unverified_pairs(graph: MatchGraph) -> list[MatchedPair]:
     return [pair for pair in graph.pairs if pair.geometry is None and len(pair.matches)]
 
 
-def verify_pairs(
-    graph: MatchGraph,
-    *,
-    seed: int = 0,
-    num_threads: int | None = None,
-    progress: Progress = no_progress,
-) -> MatchGraph:
-    """Graph whose pairs all have a geometry; those that had one keep it.
+def without_geometries(graph: MatchGraph) -> MatchGraph:
+    """The same images and matches, of which nobody has verified any.
 
-    Raises
-    ------
-    ValueError
-        If an image of such a pair has no camera.
+    A pair that has a pose and no matches keeps it, for it cannot be verified again.
     """
-    wanted = unverified_pairs(graph)
-    found: dict[tuple[str, str], TwoViewGeometry] = {}
-    for start in range(0, len(wanted), _PAIRS_AT_ONCE):
-        progress(_STAGE, start, len(wanted))
-        some = wanted[start : start + _PAIRS_AT_ONCE]
-        for pair, result in _estimated(graph, some, seed, num_threads):
-            inliers = pair.matches[result.inlier_mask]
-            geometry = TwoViewGeometry(result.status, result.cam2_from_cam1, inliers)
-            found[pair.image1, pair.image2] = geometry
-    progress(_STAGE, len(wanted), len(wanted))
     pairs = tuple(
-        dataclasses.replace(pair, geometry=found.get((pair.image1, pair.image2), pair.geometry))
+        dataclasses.replace(pair, geometry=None) if len(pair.matches) else pair
         for pair in graph.pairs
     )
     return dataclasses.replace(graph, pairs=pairs)
 
 
-def _estimated(
-    graph: MatchGraph, pairs: Sequence[MatchedPair], seed: int, num_threads: int | None
-) -> Iterator[tuple[MatchedPair, RelativePoseResult]]:
-    bearings, limits = [], []
-    for pair in pairs:
-        cameras = []
-        sides = []
-        for column, name in enumerate((pair.image1, pair.image2)):
-            image = graph.images[name]
-            if image.camera is None:
-                raise ValueError(f"image {name} has no camera, so its pairs cannot be verified")
-            camera = graph.cameras[image.camera]
-            cameras.append(camera)
-            pixels = image.keypoints[pair.matches[:, column]]
-            sides.append(np.asarray(camera.bearings_from_pixels(pixels)))
-        bearings.append((sides[0], sides[1]))
-        limits.append(MAX_NOISE_PX * smallest_pixel_deg((cameras[0], cameras[1])))
-    results = estimate_relative_poses(
-        bearings, max_noise_deg=limits, options=IMAGE_OPTIONS, num_threads=num_threads, seed=seed
+def verify_pairs(
+    graph: MatchGraph,
+    *,
+    pictures: Path | None = None,
+    seed: int = 0,
+    num_threads: int | None = None,
+    progress: Progress = no_progress,
+) -> VerifiedGraph:
+    """Estimate the poses of the pairs that have none, and judge them together.
+
+    If the poses say that the panoramas are level, see `find_level`, pairs without a pose, and those
+    whose pose is tilted, are estimated again with that known. Poses that contradict each other are
+    refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
+    pairs of full panoramas are compared, see `judge_places`, and some get the pose that others
+    imply, see `find_implied`. Pairs that have a geometry keep it; if it is "ok", they have a say
+    about the others, with the errors that are assumed of `believed` poses.
+
+    ``progress`` is told of the stages "verifying pairs", "level pairs" and "places".
+
+    Raises
+    ------
+    ValueError
+        If an image of such a pair has no camera, or the picture of a panorama has another shape or
+        cannot be read.
+    FileNotFoundError
+        If it is not below ``pictures``.
+    """
+    folder = _GraphFolder(graph, pictures, seed, num_threads or num_cores(), progress)
+    if pictures is not None:
+        folder.read_pictures()
+    finished = folder.verify()
+    judged = judge_folder(folder, folder.pairs, finished, looks_around=pictures is not None)
+    found = _geometries(folder, judged)
+    pairs = tuple(
+        dataclasses.replace(pair, geometry=found.get((pair.image1, pair.image2), pair.geometry))
+        for pair in graph.pairs
     )
-    return zip(pairs, results, strict=True)
+    return VerifiedGraph(
+        images=folder.names,
+        verdicts=tuple(v for v in judged.verdicts if (v.image1, v.image2) in found),
+        level=judged.level,
+        num_gained=judged.num_gained,
+        num_lost=judged.num_lost,
+        graph=dataclasses.replace(graph, pairs=pairs),
+        kept=folder.kept,
+        num_panoramic=sum(map(folder.sees_all_around, folder.pairs)),
+        looked_around=judged.looked_around,
+    )
+
+
+class _GraphFolder:
+    """Images of a match graph, numbered in their order; its pairs go by their names.
+
+    It is a `VerifiedFolder`, in memory.
+    """
+
+    def __init__(
+        self,
+        graph: MatchGraph,
+        pictures: Path | None,
+        seed: int,
+        num_threads: int,
+        progress: Progress,
+    ) -> None:
+        self.progress, self.num_threads = progress, num_threads
+        self._graph, self._pictures, self._seed = graph, pictures, seed
+        self._names = list(graph.images)
+        numbers = {name: number for number, name in enumerate(self._names)}
+        self._matches: dict[Pair, NDArray[np.int64]] = {}  # of pairs that are to be verified
+        self._kept: dict[Pair, TwoViewGeometry] = {}  # of those that had a pose
+        self._alone: dict[Keys, VerifiedPair] = {}
+        self._level: dict[Keys, VerifiedPair] = {}
+        self.pairs: list[Pair] = []  # those, and the ones that have a say
+        for each in graph.pairs:
+            pair = numbers[each.image1], numbers[each.image2]
+            if each.geometry is None and len(each.matches):
+                self._matches[pair] = each.matches
+                self.pairs.append(pair)
+            elif each.geometry is not None and _has_a_say(each.geometry):
+                self._kept[pair] = each.geometry
+                self.pairs.append(pair)
+        self._cameras = {
+            index: self._camera(index) for index in sorted({i for pair in self.pairs for i in pair})
+        }
+        self._bearings = lru_cache(_IMAGES_IN_MEMORY)(self._find_bearings)
+        self.panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(self._read_panorama)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the images of all pairs, in the order of the graph."""
+        return tuple(self._names[index] for index in self._cameras)
+
+    @property
+    def kept(self) -> tuple[tuple[str, str], ...]:
+        """Names of the images of pairs that had a pose."""
+        return tuple(map(self.keys_of, self._kept))
+
+    def read_pictures(self) -> None:
+        """Read the pictures that are compared; raises what `verify_pairs` says."""
+        panoramic = filter(self.sees_all_around, self.pairs)
+        compared = sorted({index for pair in panoramic for index in pair})
+        for index in compared:
+            self._picture(index)
+        for _ in on_threads(self.panorama_of, compared, self.num_threads):
+            pass
+
+    def verify(self) -> dict[Keys, Verdict]:
+        """Verify all pairs by their own matches."""
+        self._alone = self._verified(list(self._matches), _STAGE, None)
+        for pair in self._kept:
+            self._alone[self.keys_of(pair)] = self._with_a_say(pair)
+        return {keys: pair.verdict for keys, pair in self._alone.items()}
+
+    def verify_again(
+        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
+    ) -> Mapping[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on the pairs that ask for it."""
+        asked = [
+            pair
+            for keys, pair in full_panoramas(self, pairs).items()
+            if pair in self._matches and level.asks_again(finished[keys])
+        ]
+        self._level = self._verified(asked, _STAGE_AGAIN, level)
+        return {keys: pair.verdict for keys, pair in self._level.items()}
+
+    def settled_pairs(
+        self, wanted: Container[Keys], settled: Mapping[Keys, Verdict], level: Level | None
+    ) -> Iterator[VerifiedPair]:
+        """Wanted pairs with their matches and the verdicts that count."""
+        del level  # those of it are told by their verdicts
+        return (self.settled(keys, settled[keys]) for keys in self._alone if keys in wanted)
+
+    def settled(self, keys: Keys, verdict: Verdict) -> VerifiedPair:
+        """The pair with the verdict that counts: with the prior of a level folder, or without."""
+        return self._level[keys] if verdict.prior else self._alone[keys]
+
+    def estimated(
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+    ) -> dict[Pair, VerifiedPair]:
+        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
+        views = [self._views(pair, each) for pair, each in matched]
+        found = verified_matches(views, prior, seed=self._seed, num_threads=self.num_threads)
+        return {pair: each for (pair, _), each in zip(matched, found, strict=True)}
+
+    def name_of(self, index: int) -> str:
+        """Name of an image."""
+        return self._names[index]
+
+    def is_readable(self, pair: Pair) -> bool:
+        """Whether both images could be used; the key points of all are known."""
+        return True
+
+    def keys_of(self, pair: Pair) -> Keys:
+        """Names of both images."""
+        return self._names[pair[0]], self._names[pair[1]]
+
+    def sees_all_around(self, pair: Pair) -> bool:
+        """Whether both images are full panoramas."""
+        return all(is_full_panorama(self._cameras[index]) for index in pair)
+
+    def bearings_of(self, index: int) -> NDArray[np.float64]:
+        """Where the key points of an image look."""
+        return self._bearings(index)
+
+    def _with_a_say(self, pair: Pair) -> VerifiedPair:
+        """A pair that had a pose; how sure that is nobody has said, but its inliers how exact."""
+        geometry = self._kept[pair]
+        pose, inliers = geometry.cam2_from_cam1, geometry.inliers
+        seen = self._matched(pair, inliers)
+        residuals = np.abs(pose_residuals(pose, seen.bearings1, seen.bearings2, "angular"))
+        verdict = Verdict(
+            status="too_few_inliers",
+            num_matches=len(inliers),
+            num_inliers=len(inliers),
+            noise_deg=float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5),
+            doubted=pose,
+        )
+        everyone = np.ones(len(inliers), dtype=bool)
+        return VerifiedPair(self.keys_of(pair), believed(verdict), inliers, everyone)
+
+    def _read_panorama(self, index: int) -> Panorama:
+        """Picture of a panorama."""
+        path = self._picture(index)
+        picture = read_image(path)
+        height, width = picture.shape[:2]
+        if width != 2 * height:
+            raise ValueError(
+                f"{path} must be the full panorama, twice as wide as high, that its camera is; "
+                f"it is {width}x{height}"
+            )
+        return Panorama.of(picture)
+
+    def _picture(self, index: int) -> Path:
+        """Path of a picture that is there."""
+        if self._pictures is None:
+            raise FileNotFoundError("the pictures are not known")
+        path = inside(self._pictures, self._names[index])
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{self._pictures} must hold the pictures by the names of the images; "
+                f"there is no {path}"
+            )
+        return path
+
+    def _camera(self, index: int) -> Camera:
+        name = self._graph.images[self._names[index]].camera
+        if name is None:
+            raise ValueError(
+                f"image {self._names[index]} has no camera, so its pairs cannot be verified"
+            )
+        return self._graph.cameras[name]
+
+    def _find_bearings(self, index: int) -> NDArray[np.float64]:
+        keypoints = self._graph.images[self._names[index]].keypoints
+        return np.asarray(self._cameras[index].bearings_from_pixels(keypoints))
+
+    def _views(self, pair: Pair, matched: Matched) -> MatchedViews:
+        cameras = self._cameras[pair[0]], self._cameras[pair[1]]
+        return MatchedViews(self.keys_of(pair), cameras, matched)
+
+    def _verified(
+        self, pairs: Sequence[Pair], stage: str, level: Level | None
+    ) -> dict[Keys, VerifiedPair]:
+        """Verify pairs from their matches, with the prior of a level folder or without."""
+        prior, known = ("", {}) if level is None else (level.prior, level.known)
+        found = {}
+        for start in range(0, len(pairs), _PAIRS_AT_ONCE):
+            self.progress(stage, start, len(pairs))
+            some = pairs[start : start + _PAIRS_AT_ONCE]
+            views = [self._views(pair, self._matched(pair, self._matches[pair])) for pair in some]
+            for each in verified_matches(
+                views, prior, seed=self._seed, num_threads=self.num_threads, **known
+            ):
+                found[each.keys] = each
+        self.progress(stage, len(pairs), len(pairs))
+        return found
+
+    def _matched(self, pair: Pair, matches: NDArray[np.int64]) -> Matched:
+        rows1, rows2 = matches.T
+        return Matched(matches, self._bearings(pair[0])[rows1], self._bearings(pair[1])[rows2])
+
+
+def _geometries(folder: _GraphFolder, judged: FolderVerdicts) -> dict[Keys, TwoViewGeometry]:
+    """What became of each pair that had no geometry."""
+    found = {}
+    kept = set(folder.kept)
+    for keys, verdict in zip(judged.keys, judged.verdicts, strict=True):
+        assert keys is not None  # all images are readable
+        if keys in kept:
+            continue
+        if verdict.prior == IMPLIED_PRIOR:
+            verified = judged.implied[keys].verified
+        else:
+            verified = folder.settled(keys, judged.settled[keys])
+        status = "refused" if verdict.is_refused else verdict.status
+        inliers = verified.matches[verified.inlier_mask]
+        found[keys] = TwoViewGeometry(status, verdict.cam2_from_cam1, inliers)
+    return found
+
+
+def _has_a_say(geometry: TwoViewGeometry) -> bool:
+    """Whether a pair has a pose, and inliers that agree with it."""
+    is_known = bool(np.isfinite(geometry.cam2_from_cam1.translation).all())
+    return geometry.status == "ok" and is_known and len(geometry.inliers) > 0
