@@ -140,7 +140,8 @@ def read_poses(path: Path) -> dict[str, Pose]:
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             wxyz = np.array([float(row[name]) for name in ("qw", "qx", "qy", "qz")])
-            centre = np.array([float(row[name]) for name in ("cx_m", "cy_m", "cz_m")])
+            unit = "_m" if "cx_m" in row else ""  # that of a sequence by odometry is its own
+            centre = np.array([float(row[f"c{axis}{unit}"]) for axis in "xyz"])
             poses[Path(row["image"]).name] = pose_from_quaternion(
                 centre, wxyz / np.linalg.norm(wxyz)
             )

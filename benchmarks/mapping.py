@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import dataclasses
 import json
 import sys
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _data import data_folder
+from _data import data_folder, read_poses
 from _machine import fact_lines, load_average, machine_facts
 from _picture import add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
@@ -28,14 +27,16 @@ from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.mapping.map_folder import MapOptions, map_images
-from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg
+from epi360.poses import Pose, rotation_error_deg
 from epi360.report.files import check_writable
 from epi360.runs.whole_files import write_file
 from epi360_scenes import handheld_path, scene
+from epi360_scenes.tours import render_tour
 
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 ROOM_VIEWS, ROOM_STEP_FRAMES, ROOM_SEED = 12, 10, 3  # 0.4 m apart
-SCENES = {"theta_flat": "real", "living_room": "rendered", "studio": "rendered"}
+# The folder of the images of a real one.
+SCENES = {"theta_flat": "images", "living_room": "", "studio": "", "zind_tour": "panos", "home": ""}
 HEADER = (
     "scene", "method", "registered", "points", "track", "error px", "position rms %",
     "position max %", "rotation mean deg", "rotation max deg", "matching s", "mapping s", "total s",
@@ -115,7 +116,7 @@ def main() -> int:
         names = options.scenes.split(",")
         if unknown := set(names) - set(SCENES):
             raise ValueError(f"unknown scene {', '.join(sorted(unknown))}")
-        real = data_folder(options.data) if "theta_flat" in names else None
+        real = data_folder(options.data) if any(SCENES[name] for name in names) else None
     except ValueError as error:
         print(f"mapping.py: {error}", file=sys.stderr)
         return 2
@@ -149,17 +150,13 @@ def _parse_options() -> argparse.Namespace:
 
 
 def _load(name: str, data: Path | None, scratch: Path, width: int) -> Sequence360:
-    if SCENES[name] == "rendered":
+    if name == "home":
+        tour = render_tour(scratch / name, 0, is_level=True, width=width)
+        return Sequence360(name, tour.folder, {o.name: o.world_from_cam for o in tour.panoramas})
+    if not SCENES[name]:
         return _render(name, scratch / name, width)
     assert data is not None
-    poses = {}
-    with (data / name / "poses.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            wxyz = np.array([float(row[key]) for key in ("qw", "qx", "qy", "qz")])
-            centre = np.array([float(row[key]) for key in ("cx", "cy", "cz")])
-            wxyz /= np.linalg.norm(wxyz)
-            poses[Path(row["image"]).name] = pose_from_quaternion(centre, wxyz)
-    return Sequence360(name, data / name / "images", poses)
+    return Sequence360(name, data / name / SCENES[name], read_poses(data / name / "poses.csv"))
 
 
 def _render(name: str, folder: Path, width: int) -> Sequence360:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is tried when a mapper leaves images out, what is kept, and what is taken out again."""
 
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometr
 from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
 from epi360.jobs.mapping import map_attempts  # noqa: E402
 from epi360.jobs.mapping.colmap_mapper import MapperOptions  # noqa: E402
+from epi360.jobs.mapping.composed_poses import ComposedPoses, composed_poses  # noqa: E402
 from epi360.jobs.mapping.given_poses import model_from_poses  # noqa: E402
 from epi360.jobs.mapping.map_attempts import map_by_attempts  # noqa: E402
 from epi360.jobs.matching.match_folder import PairVerdict  # noqa: E402
@@ -74,7 +76,9 @@ def many():
 
 def fake(num_images, error_px=0.5):
     return SimpleNamespace(
-        num_reg_images=lambda: num_images, compute_mean_reprojection_error=lambda: error_px
+        num_reg_images=lambda: num_images,
+        compute_mean_reprojection_error=lambda: error_px,
+        reg_image_ids=list,
     )
 
 
@@ -88,6 +92,7 @@ def tried(monkeypatch, many, tmp_path, *found, **options):
 
     monkeypatch.setattr(map_attempts, "run_mapper", run)
     monkeypatch.setattr(map_attempts, "_without_unconfirmed", lambda *_: [])
+    monkeypatch.setattr(map_attempts, "_is_doubtful", lambda *_: False)
     graph, verdicts = many
     return map_by_attempts(
         tmp_path / "none.db", MapperOptions(**options), graph, verdicts, colors=grey(graph)
@@ -174,12 +179,33 @@ def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_
             )
             model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
     models = [model]
-    lost = map_attempts._without_unconfirmed(models, graph, verdicts, MapperOptions())
+    lost = map_attempts._without_unconfirmed(
+        models, graph, verdicts, ComposedPoses, MapperOptions()
+    )
     assert lost == ["4"]
     found = poses_in(models[0])
     assert found.keys() == truth.keys() - {"4"}
     position, degrees = aligned_errors(found, truth)
     assert position < 1e-4 and degrees < 1e-3  # exact key points, in single precision
+
+
+def test_places_of_panoramas_that_nothing_confirms_are_doubted_where_lengths_are_known(tmp_path):
+    truth = {f"{k}": pose for k, pose in enumerate(room_poses(6)[:6])}
+    graph, verdicts = exact_graph(truth, points_around())
+    write_colmap_database(tmp_path / "database.db", graph)
+    cam_from_world = {name: pose.inverse() for name, pose in truth.items()}
+    model = model_from_poses(tmp_path / "database.db", cam_from_world, MapperOptions())
+    known = ComposedPoses({}, {("0", "1"): 1.0})
+
+    def is_doubtful(composed):
+        return map_attempts._is_doubtful([model], graph, verdicts, lambda: composed)
+
+    assert not is_doubtful(known)  # all is confirmed
+    (image,) = (each for each in model.images.values() if each.name == "4")
+    pose = cam_from_world["4"]
+    moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation + [0, 3.0, 0])
+    model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
+    assert is_doubtful(known) and not is_doubtful(ComposedPoses())
 
 
 def test_a_model_that_nothing_confirms_is_dropped(tmp_path):
@@ -188,6 +214,62 @@ def test_a_model_that_nothing_confirms_is_dropped(tmp_path):
     write_colmap_database(tmp_path / "database.db", graph)
     cam_from_world = {name: pose.inverse() for name, pose in truth.items()}
     models = [model_from_poses(tmp_path / "database.db", cam_from_world, MapperOptions())]
-    lost = map_attempts._without_unconfirmed(models, graph, [], MapperOptions())
+    lost = map_attempts._without_unconfirmed(models, graph, [], ComposedPoses, MapperOptions())
     assert models == []
     assert lost == sorted(truth)
+
+
+def hanging_on_one_pair(truth, num_matches=40):
+    """All see the same points, but the last image only some others, with one of them alone."""
+    graph, verdicts = exact_graph(truth, points_around(), noise_px=0.1)
+    last, beside = list(truth)[-1], list(truth)[-2]
+    pairs, told = [], []
+    for pair, verdict in zip(graph.pairs, verdicts, strict=True):
+        if last not in (pair.image1, pair.image2):
+            rows = pair.matches[:-num_matches]
+        elif beside in (pair.image1, pair.image2):
+            rows = pair.matches[-num_matches - 10 :]
+        else:
+            continue
+        pairs.append(replace(pair, matches=rows, geometry=replace(pair.geometry, inliers=rows)))
+        told.append(verdict)
+    return replace(graph, pairs=tuple(pairs)), told
+
+
+def test_an_image_that_hangs_on_one_pair_is_placed_by_the_poses_of_the_pairs(tmp_path):
+    """It shares ten points with the others, of which COLMAP's mapper wants fifteen."""
+    truth = {f"{k}": pose for k, pose in enumerate(room_poses(6)[:6])}
+    graph, verdicts = hanging_on_one_pair(truth)
+    write_colmap_database(tmp_path / "database.db", graph)
+    composed = composed_poses(graph, verdicts, lambda name: None)
+    assert set(composed.cam_from_world) == set(truth)
+    for compose, placed in ((ComposedPoses, 5), (lambda: composed, 6)):
+        mapped = map_by_attempts(
+            tmp_path / "database.db",
+            MapperOptions(),
+            graph,
+            verdicts,
+            colors=grey(graph),
+            compose=compose,
+        )
+        assert mapped.models[0].num_reg_images() == placed
+    assert [attempt.how for attempt in mapped.attempts] == [
+        "incremental mapper", "the poses of the pairs"
+    ]  # fmt: skip
+    place, rotation = aligned_errors(poses_in(mapped.models[0]), truth)
+    assert place < 0.02 and rotation < 0.2
+
+
+def test_what_was_found_is_counted_again_where_images_were_taken_out(monkeypatch, many):
+    """They may all be in another model, so that none of them is lost."""
+    graph, verdicts = many
+    model = fake(6)
+
+    def shrink(models, *_):
+        models[0].num_reg_images = lambda: 3
+        return []
+
+    monkeypatch.setattr(map_attempts, "_without_unconfirmed", shrink)
+    found = map_attempts._attempted("a way", [model])
+    found = map_attempts._confirmed(found, graph, verdicts, ComposedPoses, MapperOptions())
+    assert found.attempts[0].num_registered == 3

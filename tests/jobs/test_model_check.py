@@ -205,3 +205,55 @@ def test_two_images_or_none_are_not_confirmed():
     assert confirmed_images(two, pairs) == set()
     empty = np.zeros(0, dtype=np.int64)
     assert confirmed_images(PlacedImages({}, {}, np.zeros((0, 3)), empty, empty), pairs) == set()
+
+
+def lengths_of(model, pairs, factor=3.0):
+    """True lengths of the pairs' translations, in another unit."""
+    centers = {name: pose.inverse().translation for name, pose in model.cam_from_world.items()}
+    return {
+        (p.image1, p.image2): factor * float(np.linalg.norm(centers[p.image1] - centers[p.image2]))
+        for p in pairs
+    }
+
+
+def hanging(num_points=20):
+    """The walk, whose last image hangs on one pair, with points that its neighbour alone sees."""
+    model, pairs = walk()
+    is_last = model.point_index >= NUM_POINTS - num_points
+    kept = np.where(model.image_index < 4, ~is_last, is_last) | (
+        (model.image_index == 4) & ~is_last
+    )
+    few = replace(model, point_index=model.point_index[kept], image_index=model.image_index[kept])
+    return few, [pair for pair in pairs if pair.image2 != "5"] + [pairs[-1]]
+
+
+@pytest.mark.parametrize(("stretched", "confirmed"), [(1.0, True), (1.1, True), (1.5, False)])
+def test_one_pair_is_enough_where_its_length_is_known_and_right(stretched, confirmed):
+    model, pairs = hanging()
+    assert (pairs[-1].image1, pairs[-1].image2) == ("4", "5")
+    assert confirmed_images(model, pairs) == EVERYONE - {"5"}
+    lengths = lengths_of(model, pairs)
+    lengths["4", "5"] *= stretched
+    assert ("5" in confirmed_images(model, pairs, lengths)) is confirmed
+    assert EVERYONE - {"5"} <= confirmed_images(model, pairs, lengths)
+
+
+@pytest.mark.parametrize(("num_points", "confirmed"), [(14, False), (15, True)])
+def test_an_image_that_hangs_on_one_pair_needs_fifteen_points_too(num_points, confirmed):
+    model, pairs = hanging(num_points)
+    assert ("5" in confirmed_images(model, pairs, lengths_of(model, pairs))) is confirmed
+    assert EVERYONE - {"5"} <= confirmed_images(model, pairs, lengths_of(model, pairs))
+
+
+def test_one_length_alone_has_no_unit_and_takes_nothing_away():
+    model, pairs = hanging()
+    lengths = lengths_of(model, pairs)
+    alone = {("4", "5"): lengths["4", "5"]}
+    assert confirmed_images(model, pairs, alone) == EVERYONE - {"5"}
+
+
+def test_a_pair_of_another_direction_is_not_enough_however_long():
+    model, pairs = hanging()
+    pose = model.cam_from_world["5"]
+    elsewhere = moved(model, "5", Pose(pose.rotation, pose.translation + [0.0, 0.4, 0.0]))
+    assert "5" not in confirmed_images(elsewhere, pairs, lengths_of(elsewhere, pairs))

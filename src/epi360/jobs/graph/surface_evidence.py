@@ -45,7 +45,7 @@ HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
 _MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
 _MOST_OF_ONE = 500  # of one witness
 _FEWEST_SHARED = 12  # cells that put two pairs into one scale
-_NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
+NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
 _DEPTH_NOISE_DEG, _LEAST_PARALLAX_DEG = 0.15, 2.0
 # A surface is sure if it is this alike, and if so many of its neighbours lie at its depth.
 _SURE, _FEWEST_BESIDE, _ONE_SURFACE = 0.9, 3, 0.15
@@ -290,7 +290,7 @@ class SurfaceWitnesses:
             ratios = ratios[~np.isnan(ratios)]
             if len(ratios) < _FEWEST_SHARED:
                 continue
-            scale = scale_of(ratios, len(ratios) / _NEIGHBOURS_PER_WITNESS)
+            scale = scale_of(ratios, len(ratios) / NEIGHBOURS_PER_WITNESS)
             if scale is not None:
                 found.append(_Witness(other, view, *scale))
         return found

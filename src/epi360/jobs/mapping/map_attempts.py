@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,20 +16,23 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.interop.colmap_database import CONFIG_OF_STATUS
 from epi360.interop.colmap_rigs import quiet
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, color_points, run_mapper
+from epi360.jobs.mapping.composed_poses import ComposedPoses
 from epi360.jobs.mapping.given_poses import adjust_model, model_from_poses
 from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
 from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 
-RULES = 2  # of the attempts and the check: other rules, other models
+RULES = 3  # of the attempts and the check: other rules, other models
 # Another way is tried if more than this share of the images that pairs connect is left out.
 _MOST_LEFT_OUT = 0.05
+COMPOSED = "the poses of the pairs"
 _FEWEST_IMAGES = 3  # that anything else could place
 
 
@@ -65,31 +68,77 @@ def map_by_attempts(
     *,
     colors: Mapping[str, NDArray[np.uint8]],
     initial: tuple[str, Mapping[str, Pose]] | None = None,
+    compose: Callable[[], ComposedPoses] = ComposedPoses,
     progress: Progress = no_progress,
 ) -> Mapped:
     """Models of the first way that places nearly all images, or of the one that places most.
 
     First comes what was asked for: the poses of ``initial``, which come with words for them, or
-    else the mapper of the options. Then the other mapper, and the incremental one with small angles
-    between rays. Images that anything but the incremental mapper with its usual angles has placed
-    must be confirmed, see `confirmed_images`. If two ways place equally many, the one that was
-    asked for is kept, and else the one with the smaller error.
+    else the mapper of the options. Then come the poses that ``compose`` puts together from those of
+    the pairs, the other mapper, and the incremental one with small angles between rays. Images that
+    anything but the incremental mapper with its usual angles has placed must be confirmed, see
+    `confirmed_images`; so must its own panoramas, if it is known how long the translations of pairs
+    are. If two ways place equally many, the one that was asked for is kept,
+    and else the one with the smaller error.
     """
     needed = (1 - _MOST_LEFT_OUT) * _num_connected(graph)
+    composed = cache(compose)
     tried: list[Mapped] = []
-    for how, is_trusted, find in _ways(database, options, graph, colors, initial, progress):
+    for how, is_trusted, find in _ways(
+        database, options, graph, colors, initial, composed, progress
+    ):
         begun = time.perf_counter()
-        models = find()
-        lost = [] if is_trusted else _without_unconfirmed(models, graph, pairs, options)
-        error = models[0].compute_mean_reprojection_error() if models else None
-        placed = models[0].num_reg_images() if models else 0
-        attempt = Attempt(how, placed, len(lost), error, time.perf_counter() - begun)
-        tried.append(Mapped(models, (attempt,), tuple(lost)))
-        if placed >= needed:
+        found = _attempted(how, find())
+        if not is_trusted or _is_doubtful(found.models, graph, pairs, composed):
+            # Lengths take a while to find, and a sequence that is tracked needs none.
+            is_given = initial is not None and bool(initial[1]) and not tried
+            known = ComposedPoses if is_given else composed
+            found = _confirmed(found, graph, pairs, known, options)
+        seconds = time.perf_counter() - begun
+        tried.append(replace(found, attempts=(replace(found.attempts[0], seconds=seconds),)))
+        if found.attempts[0].num_registered >= needed:
             break
     best = max(range(len(tried)), key=lambda k: (*_rank(tried[k].attempts[0], k == 0), -k))
     attempts = tuple(replace(each.attempts[0], kept=k == best) for k, each in enumerate(tried))
     return replace(tried[best], attempts=attempts)
+
+
+def _is_doubtful(
+    models: Sequence[Any],
+    graph: MatchGraph,
+    pairs: Sequence[PairVerdict],
+    composed: Callable[[], ComposedPoses],
+) -> bool:
+    """Whether a model of panoramas has places that nothing confirms, and lengths can judge them."""
+    if not models or not all(map(is_full_panorama, graph.cameras.values())):
+        return False
+    placed = _placed(models[0], graph)
+    if len(confirmed_images(placed, pairs)) == len(placed.cam_from_world):
+        return False
+    return bool(composed().lengths)
+
+
+def _attempted(how: str, models: list[Any], lost: Sequence[str] = ()) -> Mapped:
+    """What one way has found."""
+    error = models[0].compute_mean_reprojection_error() if models else None
+    placed = models[0].num_reg_images() if models else 0
+    return Mapped(models, (Attempt(how, placed, len(lost), error, 0.0),), tuple(lost))
+
+
+def _confirmed(
+    found: Mapped,
+    graph: MatchGraph,
+    pairs: Sequence[PairVerdict],
+    composed: Callable[[], ComposedPoses],
+    options: MapperOptions,
+) -> Mapped:
+    """What one way has found, without images that nothing confirms."""
+    (attempt,) = found.attempts
+    lost = _without_unconfirmed(found.models, graph, pairs, composed, options)
+    kept = {image.name for model in found.models for image in _registered(model)}
+    all_lost = sorted({*found.unconfirmed, *lost} - kept)
+    checked = _attempted(attempt.how, found.models, all_lost)
+    return replace(checked, attempts=(replace(checked.attempts[0], seconds=attempt.seconds),))
 
 
 def _rank(attempt: Attempt, was_asked: bool) -> tuple[int, bool, float]:
@@ -103,6 +152,7 @@ def _ways(
     graph: MatchGraph,
     colors: Mapping[str, NDArray[np.uint8]],
     initial: tuple[str, Mapping[str, Pose]] | None,
+    composed: Callable[[], ComposedPoses],
     progress: Progress,
 ) -> Iterator[tuple[str, bool, Callable[[], list[Any]]]]:
     """Each way in words, whether its places are trusted without a check, and how to go it."""
@@ -111,15 +161,14 @@ def _ways(
     mappers = [incremental, replace(options, mapper="global")]
     if options.mapper == "global":
         mappers.reverse()
+    start = partial(_from_poses, database, incremental, graph, colors, progress)
     if initial is not None and initial[1]:
         how, poses = initial
-        yield (
-            how,
-            False,
-            partial(_from_poses, database, incremental, graph, colors, poses, progress),
-        )
-    for each in mappers:
+        yield how, False, partial(start, poses)
+    for number, each in enumerate(mappers):
         yield f"{each.mapper} mapper", each.mapper == "incremental", partial(run, each)
+        if number == 0 and (poses := composed().cam_from_world):
+            yield COMPOSED, False, partial(start, poses)
     small = replace(incremental, small_angles=True)
     yield "incremental mapper with small angles", False, partial(run, small)
 
@@ -129,8 +178,8 @@ def _from_poses(
     options: MapperOptions,
     graph: MatchGraph,
     colors: Mapping[str, NDArray[np.uint8]],
-    initial: Mapping[str, Pose],
     progress: Progress,
+    initial: Mapping[str, Pose],
 ) -> list[Any]:
     """The model of given poses; the incremental mapper adds images that have none."""
     model = model_from_poses(database, initial, options)
@@ -165,7 +214,11 @@ def _num_connected(graph: MatchGraph) -> int:
 
 
 def _without_unconfirmed(
-    models: list[Any], graph: MatchGraph, pairs: Sequence[PairVerdict], options: MapperOptions
+    models: list[Any],
+    graph: MatchGraph,
+    pairs: Sequence[PairVerdict],
+    composed: Callable[[], ComposedPoses],
+    options: MapperOptions,
 ) -> list[str]:
     """Take images out of models if nothing confirms their places; their names."""
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
@@ -173,6 +226,8 @@ def _without_unconfirmed(
     for model in list(models):
         placed = _placed(model, graph)
         confirmed = confirmed_images(placed, pairs)
+        if len(confirmed) < len(placed.cam_from_world):
+            confirmed = confirmed_images(placed, pairs, composed().lengths)
         wrong = [image for image in _registered(model) if image.name not in confirmed]
         lost += [image.name for image in wrong]
         if not confirmed:

@@ -7,14 +7,18 @@ import os
 import shutil
 import time
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
+from epi360.features import read_image
+from epi360.features.warped_patches import Panorama
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.descriptors import DescriptorsOf
@@ -28,6 +32,7 @@ from epi360.jobs.mapping.colmap_mapper import (
     mapper_settings,
     turn_upright,
 )
+from epi360.jobs.mapping.composed_poses import composed_poses
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
@@ -46,6 +51,7 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
 DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
+_PANORAMAS_IN_MEMORY = 128  # of 2 MB
 TRACKED_POSES = "the poses of the odometry"
 
 
@@ -178,7 +184,9 @@ def map_images(
             _write_database(output / DATABASE, graph, descriptors)
     else:
         how = "the given poses" if given else TRACKED_POSES
-        made = _map(graph, matched, colors, output, mapper, (how, poses), descriptors, progress)
+        made = _map(
+            images, graph, matched, colors, output, mapper, (how, poses), descriptors, progress
+        )
         record = {"fingerprint": made_from, **made}
     record["descriptors"] = options.descriptors
     record["track"] = None if tracked is None else tracked.summary()
@@ -276,6 +284,7 @@ def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, 
 
 
 def _map(
+    images: ImageSet,
     graph: MatchGraph,
     matched: MatchRun,
     colors: Colors,
@@ -297,6 +306,7 @@ def _map(
         matched.verdicts,
         colors=colors,
         initial=initial,
+        compose=partial(composed_poses, graph, matched.verdicts, _panoramas(images)),
         progress=progress,
     )
     if initial[0] == TRACKED_POSES:  # the world of poses that the caller gave is theirs
@@ -314,6 +324,23 @@ def _map(
         "attempts": [vars(attempt) for attempt in mapped.attempts],
         "unconfirmed": list(mapped.unconfirmed),
     }
+
+
+def _panoramas(images: ImageSet) -> Callable[[str], Panorama | None]:
+    """Pictures by name, None of what is no full panorama or cannot be read any more."""
+    image_of = {image.name: image for image in images.images}
+
+    @lru_cache(_PANORAMAS_IN_MEMORY)
+    def panorama_of(name: str) -> Panorama | None:
+        image = image_of[name]
+        if not is_full_panorama(images.cameras[image.camera]):
+            return None
+        try:
+            return Panorama.of(read_image(image.path))
+        except (OSError, ValueError):
+            return None
+
+    return panorama_of
 
 
 def _reasons(
@@ -342,7 +369,7 @@ def _reasons(
         if name in matched.unreadable:
             reasons[name] = matched.unreadable[name]
         elif number is None and name in unconfirmed:
-            reasons[name] = "too few points and pairs confirm the place that COLMAP's mapper found"
+            reasons[name] = "too few points and pairs confirm the place that was found"
         elif number is not None:
             reasons[name] = f"is in {MODELS}/{number}, which does not connect to {MODELS}/0"
         elif not CONFIG_OF_STATUS.keys() & statuses:

@@ -25,6 +25,8 @@ _MIN_PARALLAX_RAD = np.radians(0.5)
 # A pair agrees with a model up to so much and four sigmas of its pose. In the same tour pairs of
 # right places differ by up to 3.5 degrees, those of wrong ones by 7 to 50.
 _ROTATION_DEG, _DIRECTION_DEG, _SIGMAS = 3.0, 5.0, 4.0
+# Logarithms of lengths in the model over those by what pairs share are so near to their middle.
+_LENGTHS_AGREE = 0.15
 # Sigmas of a pose that was too uncertain to state its own, and that triangles confirm.
 _UNKNOWN_ROTATION_DEG, _UNKNOWN_DIRECTION_DEG = 0.5, 1.5
 
@@ -45,16 +47,23 @@ class PlacedImages:
     image_index: NDArray[np.int64]
 
 
-def confirmed_images(model: PlacedImages, pairs: Sequence[PairVerdict]) -> set[str]:
+def confirmed_images(
+    model: PlacedImages,
+    pairs: Sequence[PairVerdict],
+    lengths: Mapping[tuple[str, str], float] | None = None,
+) -> set[str]:
     """Names of the images whose places the others confirm; there may be none.
 
     From two images that a pair connects, the rest is confirmed one after the other: an image needs
     15 points of which confirmed ones know the depth, because two of them see it under half a degree
     or more, and two accepted pairs with confirmed ones that agree with the model. So a right
     direction at a wrong distance is not enough, and wrong images do not confirm each other unless
-    three of them agree in all that. What begins at the pair that leads to most images is returned.
+    three of them agree in all that. Where it is known how long the translations of pairs are, in
+    one unit for all ``lengths``, by the names of both images, one such pair that agrees with the
+    model in that too is enough, with 15 points that anyone else sees. What begins at the pair that
+    leads to most images is returned.
     """
-    graph = _Graph(model, pairs)
+    graph = _Graph(model, pairs, lengths or {})
     found: list[NDArray[np.bool_]] = []
     for start in graph.connected():
         if not any(group[start].all() for group in found):
@@ -70,7 +79,12 @@ def confirmed_images(model: PlacedImages, pairs: Sequence[PairVerdict]) -> set[s
 class _Graph:
     """Moments of a model, the rays on which they see points, and the pairs that agree with it."""
 
-    def __init__(self, model: PlacedImages, pairs: Sequence[PairVerdict]) -> None:
+    def __init__(
+        self,
+        model: PlacedImages,
+        pairs: Sequence[PairVerdict],
+        lengths: Mapping[tuple[str, str], float],
+    ) -> None:
         moments = list(dict.fromkeys(model.frames[name] for name in model.cam_from_world))
         row_of = {moment: row for row, moment in enumerate(moments)}
         self.moment_of = {name: row_of[model.frames[name]] for name in model.cam_from_world}
@@ -82,16 +96,23 @@ class _Graph:
         self.moments, self.points = moment_index[once], model.point_index[once]
         centers = np.array([p.inverse().translation for p in model.cam_from_world.values()])
         self.rays = model.points[self.points] - centers.reshape(-1, 3)[model.image_index[once]]
-        self.pairs = np.array(
-            [
-                sorted((self.moment_of[pair.image1], self.moment_of[pair.image2]))
-                for pair in pairs
-                if pair.image1 in self.moment_of
-                and pair.image2 in self.moment_of
-                and _agrees(pair, model.cam_from_world)
-            ],
-            dtype=np.int64,
-        ).reshape(-1, 2)
+        agreeing = [
+            (pair.image1, pair.image2)
+            for pair in pairs
+            if pair.image1 in self.moment_of
+            and pair.image2 in self.moment_of
+            and _agrees(pair, model.cam_from_world)
+        ]
+        known = [names for names in agreeing if names in lengths]
+        as_far = _as_far(known, lengths, model.cam_from_world)
+        wrong = set(known) - set(as_far)
+        self.pairs = self._moments_of([names for names in agreeing if names not in wrong])
+        self.far_pairs = self._moments_of(as_far)
+
+    def _moments_of(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.int64]:
+        """Moments (N, 2) of pairs of images, the earlier one first."""
+        ends = [sorted((self.moment_of[name1], self.moment_of[name2])) for name1, name2 in pairs]
+        return np.array(ends, dtype=np.int64).reshape(-1, 2)
 
     def connected(self) -> list[NDArray[np.int64]]:
         """Moments with an agreeing pair, those farthest apart in the order of the images first.
@@ -102,7 +123,15 @@ class _Graph:
         return list(pairs[np.argsort(pairs[:, 0] - pairs[:, 1], kind="stable")])
 
     def grown_from(self, start: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Moments that those of a pair confirm, step by step, shape (F,)."""
+        """Moments that those of a pair confirm, step by step, shape (F,).
+
+        If that pair itself is not one whose length confirms an image, no other length counts: what
+        hangs on it alone would be confirmed with the rest.
+        """
+        num_seen = np.bincount(self.moments, minlength=self.num_moments)
+        is_far = bool(np.any(np.all(self.far_pairs == start, axis=1)))
+        is_sound = is_far and bool(np.all(num_seen[start] >= _MIN_POINTS))
+        far_pairs = self.far_pairs if is_sound else self.far_pairs[:0]
         inside: NDArray[np.bool_] = np.zeros(self.num_moments, dtype=bool)
         new = inside.copy()
         new[start] = True
@@ -119,12 +148,14 @@ class _Graph:
             num_points = np.bincount(
                 self.moments[is_known[self.points]], minlength=self.num_moments
             )
-            new = (num_points >= _MIN_POINTS) & (self._num_pairs(inside) >= _MIN_PAIRS) & ~inside
+            new = (num_points >= _MIN_POINTS) & (self._num_of(self.pairs, inside) >= _MIN_PAIRS)
+            hanging = (num_seen >= _MIN_POINTS) & (self._num_of(far_pairs, inside) > 0)
+            new = (new | hanging) & ~inside
         return inside
 
-    def _num_pairs(self, inside: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Agreeing pairs of each moment with those inside, shape (F,)."""
-        one, other = self.pairs.T
+    def _num_of(self, pairs: NDArray[np.int64], inside: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """How many pairs each moment has with those inside, shape (F,)."""
+        one, other = pairs.T
         return np.bincount(one[inside[other]], minlength=self.num_moments) + np.bincount(
             other[inside[one]], minlength=self.num_moments
         )
@@ -149,3 +180,22 @@ def _agrees(pair: PairVerdict, cam_from_world: Mapping[str, Pose]) -> bool:
     sigma = np.nan_to_num(pair.translation_sigma_deg, nan=_UNKNOWN_DIRECTION_DEG)
     error: float = translation_error_deg(placed, pair.cam2_from_cam1)
     return bool(error <= _DIRECTION_DEG + _SIGMAS * sigma)
+
+
+def _as_far(
+    pairs: Sequence[tuple[str, str]],
+    lengths: Mapping[tuple[str, str], float],
+    cam_from_world: Mapping[str, Pose],
+) -> list[tuple[str, str]]:
+    """Pairs whose images are as far from each other in the model as they must be, in its unit."""
+    if len(pairs) < 2:
+        return []
+    centers = {name: pose.inverse().translation for name, pose in cam_from_world.items()}
+    placed = [np.linalg.norm(centers[name1] - centers[name2]) for name1, name2 in pairs]
+    logs = np.log(np.maximum(placed, 1e-12) / [lengths[names] for names in pairs])
+    # The unit of the model is the one with which most agree.
+    order = np.sort(logs)
+    ends = np.searchsorted(order, order + 2 * _LENGTHS_AGREE)
+    first = int(np.argmax(ends - np.arange(len(order))))
+    low, high = order[first], order[ends[first] - 1]
+    return [names for names, log in zip(pairs, logs, strict=True) if low <= log <= high]

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses of all images that accepted pairs hold together, put together from those of the pairs.
+
+COLMAP's mapper places an image by points that others have triangulated, of which there are few from
+room to room. Here the pose of a pair says where the other image is, and what both pairs of an image
+know of its surroundings says how far: points, and surfaces that panoramas share (`common_scale`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.features.warped_patches import Panorama
+from epi360.interop.match_graph import MatchedPair, MatchGraph
+from epi360.jobs.graph.common_scale import common_scale
+from epi360.jobs.graph.place_evidence import grow_both
+from epi360.jobs.graph.shared_points import PosedPair
+from epi360.jobs.graph.surface_evidence import KnownView
+from epi360.jobs.matching.pair_verdicts import PairVerdict
+from epi360.jobs.threads import num_cores, on_threads
+from epi360.odometry.pose_graph import (
+    PoseGraphEdge,
+    diagonal_information,
+    optimize_pose_graph,
+)
+from epi360.odometry.similarity import Similarity
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Names = tuple[str, str]
+PanoramaOf = Callable[[str], Panorama | None]
+
+MOST_PAIRS = 1000  # that are looked at; the surfaces of one take 0.04 s and 0.4 MB
+# Sigmas of poses that were too uncertain to state their own, in degrees; the least ones, in degrees
+# and as a share of a length: no pair is so sure that it outweighs all others.
+_ROTATION_DEG, _DIRECTION_DEG = 0.5, 1.5
+_LEAST_ROTATION_DEG, _LEAST_OFF = 0.2, 0.02
+_SAME_UNIT = 1e-4  # sigma of the logarithm of the scale of an image against another one
+_ROUNDS = 4  # of the adjustment; after each, what contradicts the rest counts less
+_DEGREES_OF_FREEDOM = 7  # of a step
+
+
+@dataclass(frozen=True, eq=False)
+class ComposedPoses:
+    """Poses of images in one world, and the lengths of the pairs that they rest on, by names."""
+
+    cam_from_world: Mapping[str, Pose] = field(default_factory=dict)
+    lengths: Mapping[Names, float] = field(default_factory=dict)
+
+
+def composed_poses(
+    graph: MatchGraph, verdicts: Sequence[PairVerdict], panorama_of: PanoramaOf
+) -> ComposedPoses:
+    """Poses of the largest set of images that accepted pairs with sure lengths hold together.
+
+    ``panorama_of`` gives the picture of a full panorama by its name, None for other images. There
+    is nothing of fewer than three images, of more than 1000 accepted pairs, nor of a rig, which has
+    a unit of its own.
+    """
+    told = {(each.image1, each.image2): each for each in verdicts if each.accepted}
+    if graph.cam_from_rig or not 2 <= len(told) <= MOST_PAIRS:
+        return ComposedPoses()
+    pairs = [pair for pair in graph.pairs if (pair.image1, pair.image2) in told]
+    names = [(pair.image1, pair.image2) for pair in pairs]
+    posed = _posed(graph, pairs, [told[each] for each in names])
+    scale = common_scale(posed, _views(posed, names, panorama_of))
+    sure = np.flatnonzero(scale.is_sure).tolist()
+    lengths = {names[row]: float(np.exp(scale.log_lengths[row])) for row in sure}
+    if len({name for pair in lengths for name in pair}) < 3:
+        return ComposedPoses()
+    return ComposedPoses(
+        _placed([_Step.of(posed[row], lengths[names[row]]) for row in sure], list(graph.images)),
+        lengths,
+    )
+
+
+def _posed(
+    graph: MatchGraph, pairs: Sequence[MatchedPair], verdicts: Sequence[PairVerdict]
+) -> list[PosedPair]:
+    number_of = {name: number for number, name in enumerate(graph.images)}
+    bearings: dict[str, Array] = {}
+    for name in {name for pair in pairs for name in (pair.image1, pair.image2)}:
+        image = graph.images[name]
+        assert image.camera is not None
+        bearings[name] = graph.cameras[image.camera].bearings_from_pixels(image.keypoints)
+    found = []
+    for pair, verdict in zip(pairs, verdicts, strict=True):
+        assert pair.geometry is not None
+        rows1, rows2 = pair.geometry.inliers.T
+        found.append(
+            PosedPair(
+                (number_of[pair.image1], number_of[pair.image2]),
+                pair.geometry.cam2_from_cam1,
+                (rows1, rows2),
+                (bearings[pair.image1][rows1], bearings[pair.image2][rows2]),
+                verdict.noise_deg,
+                float(np.nan_to_num(verdict.rotation_sigma_deg, nan=_ROTATION_DEG)),
+                float(np.nan_to_num(verdict.translation_sigma_deg, nan=_DIRECTION_DEG)),
+            )
+        )
+    return found
+
+
+def _views(
+    posed: Sequence[PosedPair], names: Sequence[Names], panorama_of: PanoramaOf
+) -> dict[tuple[int, int], KnownView]:
+    """Surfaces that the pairs of panoramas know in both views."""
+
+    def grown(row: int) -> tuple[KnownView, KnownView] | None:
+        first, second = (panorama_of(name) for name in names[row])
+        if first is None or second is None:
+            return None
+        pair = posed[row]
+        here, there = grow_both(pair, (first, second))
+        return KnownView.of(here, pair.other_from(0)), KnownView.of(there, pair.other_from(1))
+
+    found = {}
+    for row, views in on_threads(grown, range(len(posed)), num_cores()):
+        if views is not None:
+            found[row, 0], found[row, 1] = views
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """The way from one image to another, in the common unit, and how sure it is."""
+
+    images: tuple[int, int]
+    cam2_from_cam1: Pose
+    num_inliers: int
+    rotation_sigma_rad: float
+    translation_sigma: float
+
+    @classmethod
+    def of(cls, pair: PosedPair, length: float) -> _Step:
+        """The way that a pair says."""
+        pose = pair.cam2_from_cam1
+        off = max(np.radians(pair.translation_sigma_deg), _LEAST_OFF)
+        return cls(
+            pair.images,
+            Pose(pose.rotation, length * pose.translation),
+            len(pair.keypoints[0]),
+            float(np.radians(max(pair.rotation_sigma_deg, _LEAST_ROTATION_DEG))),
+            length * float(off),
+        )
+
+    def edge(self, rows: Mapping[int, int], weight: float) -> PoseGraphEdge:
+        """What the adjustment is told of it."""
+        known = diagonal_information(self.rotation_sigma_rad, self.translation_sigma, _SAME_UNIT)
+        first, second = (rows[image] for image in self.images)
+        return PoseGraphEdge(
+            first, second, Similarity.from_pose(self.cam2_from_cam1), weight * known
+        )
+
+
+def _placed(steps: Sequence[_Step], names: Sequence[str]) -> dict[str, Pose]:
+    """Poses cam_from_world that agree best with all steps; the first image is the world."""
+    start = _chained(steps)
+    rows = {image: row for row, image in enumerate(start)}
+    nodes = [Similarity.from_pose(pose) for pose in start.values()]
+    weights = np.ones(len(steps))
+    for _ in range(_ROUNDS):
+        edges = [step.edge(rows, weight) for step, weight in zip(steps, weights, strict=True)]
+        found = optimize_pose_graph(nodes, edges)
+        nodes = found.node_from_world
+        weights = 1 / (1 + found.edge_costs / np.maximum(weights, 1e-12) / _DEGREES_OF_FREEDOM)
+    return {names[image]: nodes[row].pose() for image, row in rows.items()}
+
+
+def _chained(steps: Iterable[_Step]) -> dict[int, Pose]:
+    """Poses along the surest steps, from the image on that most of them lead to."""
+    around: dict[int, list[tuple[tuple[float, int], int, Pose]]] = {}
+    for step in steps:
+        first, second = step.images
+        doubt = step.rotation_sigma_rad, -step.num_inliers
+        around.setdefault(first, []).append((doubt, second, step.cam2_from_cam1))
+        around.setdefault(second, []).append((doubt, first, step.cam2_from_cam1.inverse()))
+    world = max(around, key=lambda image: (len(around[image]), -image))
+    found: dict[int, Pose] = {}
+    order = count()  # poses cannot be compared
+    ways = [((0.0, 0), next(order), world, Pose(np.eye(3), np.zeros(3)))]
+    while ways:
+        _, _, image, pose = heappop(ways)
+        if image not in found:
+            found[image] = pose
+            for doubt, other, other_from_image in around[image]:
+                if other not in found:
+                    heappush(ways, (doubt, next(order), other, other_from_image @ pose))
+    return found
