@@ -33,6 +33,16 @@ def test_matches_to_pose_prints_only_what_the_matches_determine(monkeypatch, cap
     assert len(errors) == 3 and max(errors) < 0.3
 
 
+def test_matches_of_a_place_tell_twin_rooms_apart(monkeypatch, capsys):
+    lines = printed_by("04_matches_of_a_place.py", monkeypatch, capsys).splitlines()
+    for line in lines[:15]:
+        first, second = line.split(":")[0].split()
+        assert ("accepted" in line) == (first[0] == second[0])
+    assert lines[15] == "Verified      15 pairs"
+    with pytest.raises(SystemExit, match=re.escape("[FOLDER]")):
+        printed_by("04_matches_of_a_place.py", monkeypatch, capsys, "a", "b")
+
+
 def test_paper_methods_prints_a_row_for_every_method(monkeypatch, capsys):
     lines = printed_by("03_paper_methods.py", monkeypatch, capsys, "3").splitlines()
     assert lines[0].startswith("median of 3 problems")

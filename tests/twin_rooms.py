@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Panoramas of two bedrooms of a home that are copies of each other, rendered once."""
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -11,21 +10,12 @@ from rendered_views import write_png
 from epi360.cameras import Equirectangular
 from epi360.jobs.folder.image_set import find_images
 from epi360.poses import Pose, rotation_from_vector
-from epi360_scenes.home import HomeView, twin_home
-from epi360_scenes.rendering import RayCaster
+from epi360_scenes.home import twin_home
 
 CAMERA = Equirectangular(768, 384)
 # In the frame of either room: x, z and heading.
 PLACES = [(-0.9, -0.2, 0.3), (-0.3, 0.6, 1.4), (0.2, -0.3, -0.8)]
 HEIGHT_M = 1.5
-
-
-@dataclass(frozen=True)
-class Caster(RayCaster):
-    view: HomeView
-
-    def cast(self, rays):
-        return self.view.cast(rays)
 
 
 @cache
@@ -39,7 +29,7 @@ def rooms():
             place = np.array(room.place.to_world((x, -HEIGHT_M, z)))
             turn = rotation_from_vector([0.0, heading + room.place.yaw, 0.0])
             pose = Pose(turn, place)
-            picture = Caster(home.seen_from(place)).render(CAMERA, pose).image
+            picture = home.seen_from(place).render(CAMERA, pose).image
             found[f"{letter}{number}.png"] = (pose, picture)
     return found
 

@@ -15,8 +15,7 @@ from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360.synthetic.landmarks import rotation_from_heading
-from epi360_scenes.home import Home, HomeView, twin_home
-from epi360_scenes.rendering import RayCaster, Rays
+from epi360_scenes.home import Home, twin_home
 from epi360_scenes.room import Room, demo_poses, furnished_room
 
 Picture = NDArray[np.uint8]
@@ -58,16 +57,6 @@ EXAMPLES = {
         "Twin rooms", "Rooms furnished alike: two pictures alone cannot tell them apart.", PANORAMA
     ),
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class _Seen(RayCaster):
-    """A home from one place, with what takes pictures of it."""
-
-    view: HomeView
-
-    def cast(self, rays: Rays) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.intp]]:
-        return self.view.cast(rays)
 
 
 @dataclass(frozen=True)
@@ -115,8 +104,8 @@ def _home_views(name: str) -> tuple[tuple[Picture, Picture], None]:
         tried = np.array([room.place.to_world((x, -1.5, z)) for x, z in _PLACES_TRIED])
         place = tried[np.argmax(home.solids_of(room).distances(tried))]
         heading = rotation_from_heading(np.array([0.0, 0.2 + room.place.yaw, 0.0]))
-        seen = _Seen(home.seen_from(place))
-        pictures.append(seen.render(PANORAMA, Pose(heading, place)).image)
+        seen = home.seen_from(place).render(PANORAMA, Pose(heading, place))
+        pictures.append(seen.image)
     return (pictures[0], pictures[1]), None
 
 

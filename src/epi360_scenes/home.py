@@ -15,7 +15,7 @@ from epi360_scenes.home_pieces import CEILING_M
 from epi360_scenes.home_plan import PlannedRoom, plan_home
 from epi360_scenes.home_rooms import RoomJob, furnish_room
 from epi360_scenes.raycast import Solids, nearest_hits
-from epi360_scenes.rendering import Rays
+from epi360_scenes.rendering import RayCaster, Rays
 from epi360_scenes.room import _developed
 from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces
 from epi360_scenes.textures import TextureAtlas
@@ -89,7 +89,7 @@ class Home:
 
 
 @dataclass(frozen=True)
-class HomeView:
+class HomeView(RayCaster):
     """A home as it is seen from one place.
 
     Attributes

@@ -13,17 +13,11 @@ from epi360.odometry.similarity import Similarity
 from epi360.poses import Pose
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.home import twin_home
-from epi360_scenes.rendering import RayCaster
 
 CAMERA = Equirectangular(768, 384)
 # Places of the camera in a bedroom, in metres to the right and ahead of a free one.
 FIRST_VISIT = [(0.0, 0.0), (0.2, 0.1), (0.35, 0.25)]
 SECOND_VISIT = [(0.3, -0.1), (0.15, 0.1), (0.0, 0.25)]
-
-
-class _Seen(RayCaster):
-    def __init__(self, view):
-        self.cast = view.cast
 
 
 @cache
@@ -64,8 +58,7 @@ def visit(number, offsets, heading):
     views = []
     for offset in offsets:
         pose = _world_from_cam(room, offset, heading)
-        scene = _Seen(_home().seen_from(pose.translation))
-        image = scene.render(CAMERA, pose, supersample=1).image
+        image = _home().seen_from(pose.translation).render(CAMERA, pose, supersample=1).image
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         views.append((pose.inverse(), extract_binary_features(grey, CAMERA)))
     return views
