@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import re
 import sys
 import tempfile
 import time
@@ -16,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from _data import data_folder, read_poses
@@ -26,6 +28,8 @@ from _summary import markdown_table, text_table
 from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
 from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.mapping import map_folder
+from epi360.jobs.mapping.composed_poses import ComposedPoses
 from epi360.jobs.mapping.map_folder import MapOptions, map_images
 from epi360.poses import Pose, rotation_error_deg
 from epi360.report.files import check_writable
@@ -36,11 +40,13 @@ from epi360_scenes.tours import render_tour
 PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 ROOM_VIEWS, ROOM_STEP_FRAMES, ROOM_SEED = 12, 10, 3  # 0.4 m apart
 # The folder of the images of a real one.
-SCENES = {"theta_flat": "images", "living_room": "", "studio": "", "zind_tour": "panos", "home": ""}
+SCENES = {"theta_flat": "images", "living_room": "", "studio": "", "zind_tour": "panos"}
+HOME = re.compile(r"home_(level|tilted)_(\d+)")  # rendered ones with twin rooms, by their seeds
+FAR_M = 0.3
 HEADER = (
-    "scene", "method", "registered", "points", "track", "error px", "position rms %",
-    "position max %", "rotation mean deg", "rotation max deg", "matching s", "mapping s", "total s",
-    "CPU s",
+    "scene", "method", "registered", "over 0.3 m off", "points", "track", "error px",
+    "position rms %", "position max %", "rotation mean deg", "rotation max deg", "matching s",
+    "mapping s", "total s", "CPU s",
 )  # fmt: skip
 
 
@@ -73,6 +79,7 @@ class Run:
     method: str
     num_images: int
     num_registered: int
+    num_far: int
     num_points: int
     mean_track_length: float
     mean_error_px: float
@@ -91,6 +98,7 @@ class Run:
             self.scene,
             self.method,
             f"{self.num_registered}/{self.num_images}",
+            f"{self.num_far}",
             f"{self.num_points}",
             f"{self.mean_track_length:.2f}",
             f"{self.mean_error_px:.3f}",
@@ -114,9 +122,9 @@ def main() -> int:
                 check_writable(path, name=name)
         check_picture(options.picture)
         names = options.scenes.split(",")
-        if unknown := set(names) - set(SCENES):
-            raise ValueError(f"unknown scene {', '.join(sorted(unknown))}")
-        real = data_folder(options.data) if any(SCENES[name] for name in names) else None
+        if unknown := [name for name in names if name not in SCENES and not HOME.fullmatch(name)]:
+            raise ValueError(f"unknown scene {', '.join(unknown)}")
+        real = data_folder(options.data) if any(map(SCENES.get, names)) else None
     except ValueError as error:
         print(f"mapping.py: {error}", file=sys.stderr)
         return 2
@@ -139,8 +147,13 @@ def main() -> int:
 def _parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Folders of panoramas to models.")
     parser.add_argument("--data", help="folder of the sets; $EPI360_DATA, else ../shared/data")
-    parser.add_argument("--scenes", default=",".join(SCENES), help="comma-separated, of these")
-    parser.add_argument("--methods", default=",".join(METHODS), help="comma-separated, of these")
+    scenes = ",".join([*SCENES, "home_level_0"])
+    parser.add_argument(
+        "--scenes", default=scenes, help="of these, and other home_level_N, home_tilted_N"
+    )
+    parser.add_argument(
+        "--methods", default="epi360,epi360 global,pycolmap", help=f"of {','.join(METHODS)}"
+    )
     parser.add_argument("--width", type=int, default=1024, help="of the rendered panoramas")
     parser.add_argument("--repeat", type=int, default=1, help="runs of each; medians are shown")
     parser.add_argument("--json", type=Path, help="file for every figure")
@@ -150,8 +163,9 @@ def _parse_options() -> argparse.Namespace:
 
 
 def _load(name: str, data: Path | None, scratch: Path, width: int) -> Sequence360:
-    if name == "home":
-        tour = render_tour(scratch / name, 0, is_level=True, width=width)
+    if home := HOME.fullmatch(name):
+        kind, seed = home.groups()
+        tour = render_tour(scratch / name, int(seed), is_level=kind == "level", width=width)
         return Sequence360(name, tour.folder, {o.name: o.world_from_cam for o in tour.panoramas})
     if not SCENES[name]:
         return _render(name, scratch / name, width)
@@ -190,6 +204,12 @@ def _epi360(folder: Path, output: Path, mapper: str = "incremental") -> Model:
 def _epi360_global(folder: Path, output: Path) -> Model:
     """`epi360 map --mapper global`."""
     return _epi360(folder, output, "global")
+
+
+def _epi360_mappers(folder: Path, output: Path) -> Model:
+    """`epi360 map` without the poses of the pairs: COLMAP's mappers alone."""
+    with patch.object(map_folder, "composed_poses", lambda *_: ComposedPoses()):
+        return _epi360(folder, output)
 
 
 def _pycolmap(folder: Path, output: Path) -> Model:
@@ -231,6 +251,7 @@ def _pycolmap(folder: Path, output: Path) -> Model:
 METHODS: dict[str, Callable[[Path, Path], Model]] = {
     "epi360": _epi360,
     "epi360 global": _epi360_global,
+    "epi360 mappers alone": _epi360_mappers,
     "pycolmap": _pycolmap,
 }
 
@@ -249,6 +270,7 @@ def _measure(
         name,
         len(scene.world_from_cam),
         len(model.world_from_cam),
+        num_far(model.world_from_cam, scene.world_from_cam),
         model.num_points,
         model.mean_track_length,
         model.mean_error_px,
@@ -288,6 +310,34 @@ def aligned_errors(
     return np.linalg.norm(true - scale * ours, axis=1) / path, np.array(degrees)
 
 
+def num_far(world_from_cam: Mapping[str, Pose], truth: Mapping[str, Pose]) -> int:
+    """Images that lie over 0.3 m from the truth, where most of the others fit it.
+
+    Of the similarities through three images each, the one with the smallest median of the
+    distances is taken, and fitted to what lies within three times of it.
+    """
+    names = [name for name in truth if name in world_from_cam]
+    if len(names) < 3:
+        return 0
+    ours = np.array([world_from_cam[name].translation for name in names])
+    true = np.array([truth[name].translation for name in names])
+    rng = np.random.default_rng(0)
+    some = [rng.choice(len(names), 3, replace=False) for _ in range(300)]
+    best = min((_distances(ours, true, rows) for rows in some), key=np.median)
+    near = np.flatnonzero(best <= max(3 * np.median(best), 0.05))
+    return int(np.sum(_distances(ours, true, near if len(near) >= 3 else some[0]) > FAR_M))
+
+
+def _distances(ours: np.ndarray, true: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Distances of all places after the similarity that fits those of some rows."""
+    centre, true_centre = ours[rows].mean(axis=0), true[rows].mean(axis=0)
+    U, S, Vt = np.linalg.svd((true[rows] - true_centre).T @ (ours[rows] - centre))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    R = (U * signs) @ Vt
+    scale = (S * signs).sum() / max(float(((ours[rows] - centre) ** 2).sum()), 1e-12)
+    return np.linalg.norm(scale * (ours - centre) @ R.T + true_centre - true, axis=1)
+
+
 def _medians(runs: Sequence[Run]) -> list[Run]:
     """Median of each figure over the repeats of a scene and method."""
     groups: dict[tuple[str, str], list[Run]] = {}
@@ -320,6 +370,7 @@ def _report(
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
         write_file(options.markdown, f"{lines}\n\n{markdown_table(rows)}\n".encode())
     fields = (
+        ("Images over 0.3 m off", "images", lambda run: float(run.num_far), False),
         ("Images with a pose", "%", lambda run: 100.0 * run.num_registered / run.num_images, False),
         ("Position error, rms", "% of the path", lambda run: run.position_rms_percent, True),
         ("Rotation error, mean", "degrees", lambda run: run.rotation_mean_deg, True),
