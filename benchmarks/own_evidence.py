@@ -141,19 +141,10 @@ def _accepted(graph: MatchGraph) -> Iterator[tuple[tuple[str, str], PosedPair]]:
     numbers = {name: number for number, name in enumerate(graph.images)}
     for pair in graph.pairs:
         if pair.geometry is not None and pair.geometry.status == "ok":
-            names, (rows1, rows2) = (pair.image1, pair.image2), pair.geometry.inliers.T
-            yield (
-                names,
-                PosedPair(
-                    images=(numbers[pair.image1], numbers[pair.image2]),
-                    cam2_from_cam1=pair.geometry.cam2_from_cam1,
-                    keypoints=(rows1, rows2),
-                    bearings=(bearings[pair.image1][rows1], bearings[pair.image2][rows2]),
-                    noise_deg=0.0,
-                    rotation_sigma_deg=0.0,
-                    translation_sigma_deg=0.0,
-                ),
-            )
+            names = (pair.image1, pair.image2)
+            images = (numbers[pair.image1], numbers[pair.image2])
+            pose, inliers = pair.geometry.cam2_from_cam1, pair.geometry.inliers
+            yield names, PosedPair.of(images, pose, inliers, [bearings[name] for name in names])
 
 
 def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:

@@ -73,6 +73,10 @@ def view_of(pair, side, factor=1.0):
     )
 
 
+def views_of(pairs):
+    return {(row, side): view_of(pair, side) for row, pair in enumerate(pairs) for side in (0, 1)}
+
+
 def test_points_that_pairs_share_say_how_long_all_are():
     points = some_points(80)
     pairs = [posed_pair(*ends, points) for ends in combinations(range(5), 2)]
@@ -100,11 +104,8 @@ def test_the_order_of_pairs_and_images_does_not_matter():
 
 def test_surfaces_say_it_where_no_points_are_shared():
     pairs = [posed_pair(0, k, some_points(20, seed=k)) for k in range(1, 5)]
-    assert not common_scale(
-        [replace(p, keypoints=p.keypoints) for p in pairs[:1]], {}
-    ).is_sure.any()
-    views = {(row, side): view_of(pair, side) for row, pair in enumerate(pairs) for side in (0, 1)}
-    found = common_scale(pairs, views)
+    assert not common_scale(pairs, {}).is_sure.any()
+    found = common_scale(pairs, views_of(pairs))
     assert found.is_sure.all()
     assert_right(found, pairs, 0.05)
 
@@ -113,8 +114,7 @@ def test_what_contradicts_the_others_is_not_believed():
     """One pair takes its surroundings for four times as large."""
     points = some_points(80)
     pairs = [posed_pair(*ends, points) for ends in combinations(range(4), 2)]
-    views = {(row, side): view_of(pair, side) for row, pair in enumerate(pairs) for side in (0, 1)}
-    views[0, 0] = view_of(pairs[0], 0, factor=4.0)
+    views = {**views_of(pairs), (0, 0): view_of(pairs[0], 0, factor=4.0)}
     found = common_scale(pairs, views)
     assert found.is_sure.all()
     assert_right(found, pairs, 0.05)

@@ -78,7 +78,6 @@ def fake(num_images, error_px=0.5):
     return SimpleNamespace(
         num_reg_images=lambda: num_images,
         compute_mean_reprojection_error=lambda: error_px,
-        reg_image_ids=list,
     )
 
 
@@ -165,19 +164,27 @@ def test_a_clip_too_slow_for_the_incremental_mapper_is_mapped_all_the_same(tmp_p
     assert position < 0.01 and degrees < 0.05  # 0.02 pixels over 88 mm, points at 2 to 8 m
 
 
-def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_path):
-    truth = {f"{k}": pose for k, pose in enumerate(room_poses(6)[:6])}
+def right_model(folder, count):
+    """A graph of so many images with its verdicts, their true poses, and the model of these."""
+    truth = {f"{k}": pose for k, pose in enumerate(room_poses(count)[:count])}
     graph, verdicts = exact_graph(truth, points_around())
-    write_colmap_database(tmp_path / "database.db", graph)
+    write_colmap_database(folder / "database.db", graph)
     cam_from_world = {name: pose.inverse() for name, pose in truth.items()}
-    model = model_from_poses(tmp_path / "database.db", cam_from_world, MapperOptions())
-    for image in model.images.values():
-        if image.name == "4":
-            pose = cam_from_world["4"]
-            moved = pycolmap.Rigid3d(
-                pycolmap.Rotation3d(pose.rotation), pose.translation + [0.0, 3.0, 0.0]
-            )
-            model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
+    model = model_from_poses(folder / "database.db", cam_from_world, MapperOptions())
+    return graph, verdicts, truth, model
+
+
+def move(model, name, truth):
+    """Put an image of a model 3 m off its true place."""
+    (image,) = (each for each in model.images.values() if each.name == name)
+    pose = truth[name].inverse()
+    moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation + [0.0, 3.0, 0.0])
+    model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
+
+
+def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_path):
+    graph, verdicts, truth, model = right_model(tmp_path, 6)
+    move(model, "4", truth)
     models = [model]
     lost = map_attempts._without_unconfirmed(
         models, graph, verdicts, ComposedPoses, MapperOptions()
@@ -190,30 +197,20 @@ def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_
 
 
 def test_places_of_panoramas_that_nothing_confirms_are_doubted_where_lengths_are_known(tmp_path):
-    truth = {f"{k}": pose for k, pose in enumerate(room_poses(6)[:6])}
-    graph, verdicts = exact_graph(truth, points_around())
-    write_colmap_database(tmp_path / "database.db", graph)
-    cam_from_world = {name: pose.inverse() for name, pose in truth.items()}
-    model = model_from_poses(tmp_path / "database.db", cam_from_world, MapperOptions())
+    graph, verdicts, truth, model = right_model(tmp_path, 6)
     known = ComposedPoses({}, {("0", "1"): 1.0})
 
     def is_doubtful(composed):
         return map_attempts._is_doubtful([model], graph, verdicts, lambda: composed)
 
     assert not is_doubtful(known)  # all is confirmed
-    (image,) = (each for each in model.images.values() if each.name == "4")
-    pose = cam_from_world["4"]
-    moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.rotation), pose.translation + [0, 3.0, 0])
-    model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
+    move(model, "4", truth)
     assert is_doubtful(known) and not is_doubtful(ComposedPoses())
 
 
 def test_a_model_that_nothing_confirms_is_dropped(tmp_path):
-    truth = {f"{k}": pose for k, pose in enumerate(room_poses(4)[:4])}
-    graph, _ = exact_graph(truth, points_around())
-    write_colmap_database(tmp_path / "database.db", graph)
-    cam_from_world = {name: pose.inverse() for name, pose in truth.items()}
-    models = [model_from_poses(tmp_path / "database.db", cam_from_world, MapperOptions())]
+    graph, _, truth, model = right_model(tmp_path, 4)
+    models = [model]
     lost = map_attempts._without_unconfirmed(models, graph, [], ComposedPoses, MapperOptions())
     assert models == []
     assert lost == sorted(truth)
@@ -260,16 +257,18 @@ def test_an_image_that_hangs_on_one_pair_is_placed_by_the_poses_of_the_pairs(tmp
     assert place < 0.02 and rotation < 0.2
 
 
-def test_what_was_found_is_counted_again_where_images_were_taken_out(monkeypatch, many):
+def test_what_was_found_is_counted_after_images_were_taken_out(monkeypatch, many, tmp_path):
     """They may all be in another model, so that none of them is lost."""
     graph, verdicts = many
-    model = fake(6)
 
     def shrink(models, *_):
         models[0].num_reg_images = lambda: 3
         return []
 
+    monkeypatch.setattr(map_attempts, "run_mapper", lambda *_, **__: [fake(6)])
+    monkeypatch.setattr(map_attempts, "_is_doubtful", lambda *_: True)
     monkeypatch.setattr(map_attempts, "_without_unconfirmed", shrink)
-    found = map_attempts._attempted("a way", [model])
-    found = map_attempts._confirmed(found, graph, verdicts, ComposedPoses, MapperOptions())
-    assert found.attempts[0].num_registered == 3
+    mapped = map_by_attempts(
+        tmp_path / "none.db", MapperOptions(), graph, verdicts, colors=grey(graph)
+    )
+    assert mapped.attempts[0].num_registered == 3

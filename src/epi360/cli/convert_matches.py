@@ -48,8 +48,9 @@ def tell_of_matches(
     elif target_name == "colmap-database":
         _warn_of_unverified(written)
     elif num_refused := len(given.pairs) - len(written.pairs):
-        pairs = "1 pair is" if num_refused == 1 else f"{num_refused} pairs are"
-        print(f"{pairs} left out: other pairs speak against what their matches say")
+        print(
+            f"{_pairs_are(num_refused)} left out: other pairs speak against what their matches say"
+        )
 
 
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
@@ -76,9 +77,12 @@ def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
 def _warn_of_unverified(graph: MatchGraph) -> None:
     count = len(unverified_pairs(graph))
     if count:
-        pairs = "pair is" if count == 1 else "pairs are"
         print(
-            f"epi360: {count} {pairs} not verified: COLMAP's mapper and triangulation skip them; "
-            "convert with --verify, or run pycolmap.verify_matches on the database",
+            f"epi360: {_pairs_are(count)} not verified: COLMAP's mapper and triangulation skip "
+            "them; convert with --verify, or run pycolmap.verify_matches on the database",
             file=sys.stderr,
         )
+
+
+def _pairs_are(count: int) -> str:
+    return "1 pair is" if count == 1 else f"{count} pairs are"

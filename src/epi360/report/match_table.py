@@ -124,21 +124,20 @@ def describe_level(judged: JudgedPairs) -> list[str]:
         known += f", one height within {judged.level.elevation_sigma_deg:.1f} degrees"
     if not judged.num_gained and not judged.num_lost:
         return [f"The panoramas are level ({known})."]
-    gained = "1 more pair was" if judged.num_gained == 1 else f"{judged.num_gained} more pairs were"
-    line = f"The panoramas are level ({known}): {gained} accepted with that"
+    line = f"The panoramas are level ({known}): {_more_pairs(judged.num_gained)} accepted with that"
     return [line + (f", {judged.num_lost} not any more." if judged.num_lost else ".")]
 
 
 def describe_others(judged: JudgedPairs) -> list[str]:
     """A line that says what pairs say about others; none where that brought nothing."""
-    if not judged.num_by_others:
+    count = judged.num_by_others
+    if not count:
         return []
-    more = (
-        "1 more pair was"
-        if judged.num_by_others == 1
-        else f"{judged.num_by_others} more pairs were"
-    )
-    return [f"{more} accepted because of what other pairs know of the place."]
+    return [f"{_more_pairs(count)} accepted because of what other pairs know of the place."]
+
+
+def _more_pairs(count: int) -> str:
+    return "1 more pair was" if count == 1 else f"{count} more pairs were"
 
 
 def groups_of(joined: Iterable[tuple[str, str]]) -> list[int]:

@@ -21,16 +21,14 @@ from epi360.jobs.graph.shared_points import (
     PosedPair,
     cloud_of,
     scale_between,
-    scale_of,
 )
-from epi360.jobs.graph.surface_evidence import NEIGHBOURS_PER_WITNESS, KnownView
+from epi360.jobs.graph.surface_evidence import KnownView, log_scale_to
 
 Array = NDArray[np.float64]
 
 _LEAST_PARALLAX_DEG = 1.0  # of points that tell a scale
 # Of 95 scales that two pairs share on a real tour, a tenth is wrong by more than 6 (points) or 8 %.
 _LEAST_SIGMA = 0.05
-_FEWEST_CELLS = 12  # that tell a scale
 _CELLS_OF_POINTS, _CELLS_OF_FEW = 100, 40  # points that tell one well, or less so, are worth these
 # A length is sure if pairs with sure ones agree with it by a factor of 1.2, by so many cells in
 # all; one of them alone must share as many as _ALONE.
@@ -81,23 +79,17 @@ def _all_told(
     for ends in at.values():
         clouds = {end: cloud_of(pairs[end[0]], end[1], _LEAST_PARALLAX_DEG) for end in ends}
         for number, one in enumerate(ends):
+            own = views[one].as_map() if one in views else None
             for other in ends[number + 1 : number + 1 + MOST_WITNESSES]:
                 rows = one[0], other[0]
-                if one in views and other in views:
-                    yield from _by_surfaces(rows, views[one], views[other])
+                if own is not None and other in views:
+                    surfaces = log_scale_to(own, views[other])
+                    if surfaces is not None:
+                        yield _Told(rows, *surfaces)
                 scale = scale_between(clouds[one], clouds[other])
                 if scale is not None:
                     worth = _CELLS_OF_POINTS if scale[1] < _LEAST_SIGMA else _CELLS_OF_FEW
                     yield _Told(rows, float(np.log(scale[0])), scale[1], worth)
-
-
-def _by_surfaces(rows: tuple[int, int], one: KnownView, other: KnownView) -> Iterator[_Told]:
-    ratios = np.log(one.as_map()[other.cells] / other.depths)
-    ratios = ratios[~np.isnan(ratios)]
-    if len(ratios) >= _FEWEST_CELLS:
-        scale = scale_of(ratios, len(ratios) / NEIGHBOURS_PER_WITNESS)
-        if scale is not None:
-            yield _Told(rows, *scale, len(ratios))
 
 
 def _solved(count: int, told: Sequence[_Told]) -> Array:

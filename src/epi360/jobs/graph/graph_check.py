@@ -19,7 +19,7 @@ _LINK_PROBABILITY = 0.95
 _FLOOR_PROBABILITY = 0.999
 # Sigmas of a pose that rests on too few places to state its own: triangles close to 3 degrees in
 # rotation and 7 in direction.
-_DOUBTED_ROTATION_DEG, _DOUBTED_DIRECTION_DEG = 0.5, 1.5
+DOUBTED_ROTATION_DEG, DOUBTED_DIRECTION_DEG = 0.5, 1.5
 # A pose under this is not even confirmed by others; under _LINK_PROBABILITY two triangles must
 # close with it.
 _DOUBTED_PROBABILITY = 0.6
@@ -106,8 +106,8 @@ def believed(verdict: SomeVerdict) -> SomeVerdict:
         verdict,
         status="ok",
         cam2_from_cam1=verdict.doubted,
-        rotation_sigma_deg=_DOUBTED_ROTATION_DEG,
-        translation_sigma_deg=_DOUBTED_DIRECTION_DEG,
+        rotation_sigma_deg=DOUBTED_ROTATION_DEG,
+        translation_sigma_deg=DOUBTED_DIRECTION_DEG,
     )
 
 

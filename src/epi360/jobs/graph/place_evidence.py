@@ -35,6 +35,7 @@ from epi360.jobs.graph.surface_evidence import (
     Sibling,
     SurfaceSightings,
     SurfaceWitnesses,
+    known_views,
 )
 
 Array = NDArray[np.float64]
@@ -130,12 +131,8 @@ class Surroundings:
     def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], OwnEvidence]:
         """What the surfaces that a pair shares say about its views, and about itself."""
         pair = self.pairs[row]
-        first, second = grow_both(pair, [self.panorama_of(image) for image in pair.images])
-        views = (
-            KnownView.of(first, pair.other_from(0)),
-            KnownView.of(second, pair.other_from(1)),
-        )
-        return views, OwnEvidence.of(pair, (first, second))
+        grown = grow_both(pair, [self.panorama_of(image) for image in pair.images])
+        return known_views(pair, grown), OwnEvidence.of(pair, grown)
 
     def of_points(self, row: int) -> Evidence:
         """Look for points that are known of the views of a pair."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +43,33 @@ class PosedPair:
     noise_deg: float
     rotation_sigma_deg: float
     translation_sigma_deg: float
+
+    @classmethod
+    def of(
+        cls,
+        images: tuple[int, int],
+        pose: Pose,
+        inliers: Indices,
+        bearings: Sequence[Array],
+        *,
+        noise_deg: float = 0.0,
+        rotation_sigma_deg: float = 0.0,
+        translation_sigma_deg: float = 0.0,
+    ) -> PosedPair:
+        """A pair whose inliers (N, 2) are rows of all key points of both images.
+
+        ``bearings`` are where the key points of both look.
+        """
+        first, second = inliers.T
+        return cls(
+            images,
+            pose,
+            (first, second),
+            (bearings[0][first], bearings[1][second]),
+            noise_deg,
+            rotation_sigma_deg,
+            translation_sigma_deg,
+        )
 
     def other_from(self, side: int) -> Pose:
         """Pose of the other camera in the frame of the camera of a side."""

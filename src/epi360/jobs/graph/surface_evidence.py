@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
 _MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
 _MOST_OF_ONE = 500  # of one witness
 _FEWEST_SHARED = 12  # cells that put two pairs into one scale
-NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
+_NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
 _DEPTH_NOISE_DEG, _LEAST_PARALLAX_DEG = 0.15, 2.0
 # A surface is sure if it is this alike, and if so many of its neighbours lie at its depth.
 _SURE, _FEWEST_BESIDE, _ONE_SURFACE = 0.9, 3, 0.15
@@ -119,6 +120,35 @@ class KnownView:
         depths = np.full(NUM_CELLS, np.nan)
         depths[self.cells] = self.depths
         return depths
+
+
+class LogScale(NamedTuple):
+    """Logarithm of the factor between two pairs' units, its sigma, and how many cells say so."""
+
+    log_scale: float
+    sigma: float
+    num_cells: int
+
+
+def log_scale_to(own: Array, other: KnownView) -> LogScale | None:
+    """How large the units of another pair of a panorama are in ours, by what both know of it.
+
+    ``own`` are our depths of all cells, see `KnownView.as_map`. None where too little says it.
+    """
+    ratios = np.log(own[other.cells] / other.depths)
+    ratios = ratios[~np.isnan(ratios)]
+    if len(ratios) < _FEWEST_SHARED:
+        return None
+    scale = scale_of(ratios, len(ratios) / _NEIGHBOURS_PER_WITNESS)
+    return None if scale is None else LogScale(*scale, len(ratios))
+
+
+def known_views(
+    pair: PosedPair, surfaces: tuple[SharedSurfaces, SharedSurfaces]
+) -> tuple[KnownView, KnownView]:
+    """What a pair knows of both its views, by the surfaces that have grown in them."""
+    first, second = surfaces
+    return KnownView.of(first, pair.other_from(0)), KnownView.of(second, pair.other_from(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,13 +316,9 @@ class SurfaceWitnesses:
             if other == row or len(found) == MOST_WITNESSES:
                 continue
             view = self.views[other, other_side]
-            ratios = np.log(own[view.cells] / view.depths)
-            ratios = ratios[~np.isnan(ratios)]
-            if len(ratios) < _FEWEST_SHARED:
-                continue
-            scale = scale_of(ratios, len(ratios) / NEIGHBOURS_PER_WITNESS)
-            if scale is not None:
-                found.append(_Witness(other, view, *scale))
+            told = log_scale_to(own, view)
+            if told is not None:
+                found.append(_Witness(other, view, told.log_scale, told.sigma))
         return found
 
     def _hidden(

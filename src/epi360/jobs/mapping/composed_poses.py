@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph
 from epi360.jobs.graph.common_scale import common_scale
+from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.graph.place_evidence import grow_both
 from epi360.jobs.graph.shared_points import PosedPair
-from epi360.jobs.graph.surface_evidence import KnownView
+from epi360.jobs.graph.surface_evidence import KnownView, known_views
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.odometry.pose_graph import (
@@ -37,9 +38,7 @@ Names = tuple[str, str]
 PanoramaOf = Callable[[str], Panorama | None]
 
 MOST_PAIRS = 1000  # that are looked at; the surfaces of one take 0.04 s and 0.4 MB
-# Sigmas of poses that were too uncertain to state their own, in degrees; the least ones, in degrees
-# and as a share of a length: no pair is so sure that it outweighs all others.
-_ROTATION_DEG, _DIRECTION_DEG = 0.5, 1.5
+# Least sigmas, in degrees and as a share of a length: no pair is so sure that it outweighs others.
 _LEAST_ROTATION_DEG, _LEAST_OFF = 0.2, 0.02
 _SAME_UNIT = 1e-4  # sigma of the logarithm of the scale of an image against another one
 _ROUNDS = 4  # of the adjustment; after each, what contradicts the rest counts less
@@ -92,16 +91,18 @@ def _posed(
     found = []
     for pair, verdict in zip(pairs, verdicts, strict=True):
         assert pair.geometry is not None
-        rows1, rows2 = pair.geometry.inliers.T
+        names = pair.image1, pair.image2
+        rotation_sigma = np.nan_to_num(verdict.rotation_sigma_deg, nan=DOUBTED_ROTATION_DEG)
+        direction_sigma = np.nan_to_num(verdict.translation_sigma_deg, nan=DOUBTED_DIRECTION_DEG)
         found.append(
-            PosedPair(
+            PosedPair.of(
                 (number_of[pair.image1], number_of[pair.image2]),
                 pair.geometry.cam2_from_cam1,
-                (rows1, rows2),
-                (bearings[pair.image1][rows1], bearings[pair.image2][rows2]),
-                verdict.noise_deg,
-                float(np.nan_to_num(verdict.rotation_sigma_deg, nan=_ROTATION_DEG)),
-                float(np.nan_to_num(verdict.translation_sigma_deg, nan=_DIRECTION_DEG)),
+                pair.geometry.inliers,
+                [bearings[name] for name in names],
+                noise_deg=verdict.noise_deg,
+                rotation_sigma_deg=float(rotation_sigma),
+                translation_sigma_deg=float(direction_sigma),
             )
         )
     return found
@@ -116,9 +117,7 @@ def _views(
         first, second = (panorama_of(name) for name in names[row])
         if first is None or second is None:
             return None
-        pair = posed[row]
-        here, there = grow_both(pair, (first, second))
-        return KnownView.of(here, pair.other_from(0)), KnownView.of(there, pair.other_from(1))
+        return known_views(posed[row], grow_both(posed[row], (first, second)))
 
     found = {}
     for row, views in on_threads(grown, range(len(posed)), num_cores()):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -13,14 +14,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.interop.colmap_database import CONFIG_OF_STATUS
 from epi360.interop.colmap_rigs import quiet
 from epi360.interop.match_graph import MatchGraph
+from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, color_points, run_mapper
 from epi360.jobs.mapping.composed_poses import ComposedPoses
 from epi360.jobs.mapping.given_poses import adjust_model, model_from_poses
@@ -78,8 +78,8 @@ def map_by_attempts(
     the pairs, the other mapper, and the incremental one with small angles between rays. Images that
     anything but the incremental mapper with its usual angles has placed must be confirmed, see
     `confirmed_images`; so must its own panoramas, if it is known how long the translations of pairs
-    are. If two ways place equally many, the one that was asked for is kept,
-    and else the one with the smaller error.
+    are. If two ways place equally many, the one that was asked for is kept, and else the one with
+    the smaller error.
     """
     needed = (1 - _MOST_LEFT_OUT) * _num_connected(graph)
     composed = cache(compose)
@@ -88,15 +88,18 @@ def map_by_attempts(
         database, options, graph, colors, initial, composed, progress
     ):
         begun = time.perf_counter()
-        found = _attempted(how, find())
-        if not is_trusted or _is_doubtful(found.models, graph, pairs, composed):
+        models = find()
+        lost: list[str] = []
+        if not is_trusted or _is_doubtful(models, graph, pairs, composed):
             # Lengths take a while to find, and a sequence that is tracked needs none.
             is_given = initial is not None and bool(initial[1]) and not tried
             known = ComposedPoses if is_given else composed
-            found = _confirmed(found, graph, pairs, known, options)
-        seconds = time.perf_counter() - begun
-        tried.append(replace(found, attempts=(replace(found.attempts[0], seconds=seconds),)))
-        if found.attempts[0].num_registered >= needed:
+            lost = _without_unconfirmed(models, graph, pairs, known, options)
+        error = models[0].compute_mean_reprojection_error() if models else None
+        placed = models[0].num_reg_images() if models else 0
+        attempt = Attempt(how, placed, len(lost), error, time.perf_counter() - begun)
+        tried.append(Mapped(models, (attempt,), tuple(lost)))
+        if placed >= needed:
             break
     best = max(range(len(tried)), key=lambda k: (*_rank(tried[k].attempts[0], k == 0), -k))
     attempts = tuple(replace(each.attempts[0], kept=k == best) for k, each in enumerate(tried))
@@ -116,29 +119,6 @@ def _is_doubtful(
     if len(confirmed_images(placed, pairs)) == len(placed.cam_from_world):
         return False
     return bool(composed().lengths)
-
-
-def _attempted(how: str, models: list[Any], lost: Sequence[str] = ()) -> Mapped:
-    """What one way has found."""
-    error = models[0].compute_mean_reprojection_error() if models else None
-    placed = models[0].num_reg_images() if models else 0
-    return Mapped(models, (Attempt(how, placed, len(lost), error, 0.0),), tuple(lost))
-
-
-def _confirmed(
-    found: Mapped,
-    graph: MatchGraph,
-    pairs: Sequence[PairVerdict],
-    composed: Callable[[], ComposedPoses],
-    options: MapperOptions,
-) -> Mapped:
-    """What one way has found, without images that nothing confirms."""
-    (attempt,) = found.attempts
-    lost = _without_unconfirmed(found.models, graph, pairs, composed, options)
-    kept = {image.name for model in found.models for image in _registered(model)}
-    all_lost = sorted({*found.unconfirmed, *lost} - kept)
-    checked = _attempted(attempt.how, found.models, all_lost)
-    return replace(checked, attempts=(replace(checked.attempts[0], seconds=attempt.seconds),))
 
 
 def _rank(attempt: Attempt, was_asked: bool) -> tuple[int, bool, float]:
@@ -199,17 +179,12 @@ def _from_poses(
 
 def _num_connected(graph: MatchGraph) -> int:
     """Images in the largest part of the graph that pairs hold together; 0 if nothing can be won."""
-    row_of = {name: row for row, name in enumerate(graph.images)}
-    used = [
-        (row_of[pair.image1], row_of[pair.image2])
+    used = (
+        (pair.image1, pair.image2)
         for pair in graph.pairs
         if pair.geometry is not None and pair.geometry.status in CONFIG_OF_STATUS
-    ]
-    if not used:
-        return 0
-    rows, columns = np.array(used).T
-    adjacency = coo_array((np.ones(len(used)), (rows, columns)), shape=(len(row_of),) * 2)
-    size = int(np.bincount(connected_components(adjacency, directed=False)[1]).max())
+    )
+    size = max(Counter(groups_by(used).values()).values(), default=0)
     return size if size >= _FEWEST_IMAGES else 0
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
@@ -27,8 +28,6 @@ _MIN_PARALLAX_RAD = np.radians(0.5)
 _ROTATION_DEG, _DIRECTION_DEG, _SIGMAS = 3.0, 5.0, 4.0
 # Logarithms of lengths in the model over those by what pairs share are so near to their middle.
 _LENGTHS_AGREE = 0.15
-# Sigmas of a pose that was too uncertain to state its own, and that triangles confirm.
-_UNKNOWN_ROTATION_DEG, _UNKNOWN_DIRECTION_DEG = 0.5, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,13 +170,13 @@ def _agrees(pair: PairVerdict, cam_from_world: Mapping[str, Pose]) -> bool:
     if not pair.accepted and (pair.status != "pure_rotation" or pair.refused):
         return False
     placed = cam_from_world[pair.image2] @ cam_from_world[pair.image1].inverse()
-    rotation_sigma = np.nan_to_num(pair.rotation_sigma_deg, nan=_UNKNOWN_ROTATION_DEG)
+    rotation_sigma = np.nan_to_num(pair.rotation_sigma_deg, nan=DOUBTED_ROTATION_DEG)
     limit = _ROTATION_DEG + _SIGMAS * rotation_sigma
     if rotation_error_deg(placed, pair.cam2_from_cam1) > limit:
         return False
     if not np.isfinite(pair.cam2_from_cam1.translation).all():
         return True  # a pure rotation
-    sigma = np.nan_to_num(pair.translation_sigma_deg, nan=_UNKNOWN_DIRECTION_DEG)
+    sigma = np.nan_to_num(pair.translation_sigma_deg, nan=DOUBTED_DIRECTION_DEG)
     error: float = translation_error_deg(placed, pair.cam2_from_cam1)
     return bool(error <= _DIRECTION_DEG + _SIGMAS * sigma)
 

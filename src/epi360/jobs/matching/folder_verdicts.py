@@ -107,7 +107,9 @@ def _with_level(
     folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
 ) -> Mapping[Keys, Verdict]:
     """Verdicts of which some are replaced by those with the prior of the level folder."""
-    again = folder.verify_again(pairs, finished, level)
+    usable = full_panoramas(folder, pairs)
+    wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
+    again = folder.verify_again(wanted, level)
     kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
     return {**finished, **kept}
 

@@ -13,7 +13,6 @@ from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.match_engines import MatchEngine
 from epi360.jobs.matching.pair_work import PairWork
-from epi360.jobs.matching.verified_folder import full_panoramas
 from epi360.jobs.matching.verified_matches import Matched
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import (
@@ -91,15 +90,11 @@ class MatchJob:
             num_done += tried
             self.progress("pairs", num_done, total)
 
-    def verify_again(
-        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
-    ) -> dict[Keys, Verdict]:
-        """Verdicts with the prior of a level folder on the pairs that ask for it.
+    def verify_again(self, wanted: Mapping[Keys, Pair], level: Level) -> dict[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on wanted pairs.
 
         They are made from the matches that `verify` has left.
         """
-        usable = full_panoramas(self, pairs)
-        wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
         again = {
             pair.keys: pair.verdict
             for pair in read_parts(self.output, level.store)

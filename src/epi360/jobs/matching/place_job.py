@@ -115,15 +115,13 @@ def _of_each(
 
 def posed_pair(folder: VerifiedFolder, pair: Pair, verified: VerifiedPair) -> PosedPair:
     """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
-    first, second = verified.matches[verified.inlier_mask].T
-    bearings1, bearings2 = (folder.bearings_of(index) for index in pair)
     verdict = verified.verdict if verified.verdict.accepted else believed(verified.verdict)
-    return PosedPair(
+    return PosedPair.of(
         pair,
         verdict.cam2_from_cam1,
-        (first, second),
-        (bearings1[first], bearings2[second]),
-        verdict.noise_deg,
-        verdict.rotation_sigma_deg,
-        verdict.translation_sigma_deg,
+        verified.matches[verified.inlier_mask],
+        [folder.bearings_of(index) for index in pair],
+        noise_deg=verdict.noise_deg,
+        rotation_sigma_deg=verdict.rotation_sigma_deg,
+        translation_sigma_deg=verdict.translation_sigma_deg,
     )

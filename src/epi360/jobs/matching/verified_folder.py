@@ -55,10 +55,8 @@ class VerifiedFolder(Protocol):
     ) -> Iterator[VerifiedPair]:
         """Wanted pairs with their matches and the verdicts that count, ``settled``."""
 
-    def verify_again(
-        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
-    ) -> Mapping[Keys, Verdict]:
-        """Verdicts with the prior of a level folder on the pairs that ask for it."""
+    def verify_again(self, wanted: Mapping[Keys, Pair], level: Level) -> Mapping[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on wanted pairs."""
 
     def estimated(
         self, matched: Sequence[tuple[Pair, Matched]], prior: str

@@ -22,11 +22,10 @@ from epi360.epipolar.residuals import pose_residuals
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
-from epi360.jobs.graph.graph_check import believed
+from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
-from epi360.jobs.matching.verified_folder import full_panoramas
 from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
@@ -89,7 +88,7 @@ def verify_pairs(
     refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
     pairs of full panoramas are compared, see `judge_places`, and some get the pose that others
     imply, see `find_implied`. Pairs that have a geometry keep it; if it is "ok", they have a say
-    about the others, with the errors that are assumed of `believed` poses.
+    about the others, with the errors that are assumed of doubted poses.
 
     ``progress`` is told of the stages "verifying pairs", "level pairs" and "places".
 
@@ -187,15 +186,9 @@ class _GraphFolder:
             self._alone[self.keys_of(pair)] = self._with_a_say(pair)
         return {keys: pair.verdict for keys, pair in self._alone.items()}
 
-    def verify_again(
-        self, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
-    ) -> Mapping[Keys, Verdict]:
-        """Verdicts with the prior of a level folder on the pairs that ask for it."""
-        asked = [
-            pair
-            for keys, pair in full_panoramas(self, pairs).items()
-            if pair in self._matches and level.asks_again(finished[keys])
-        ]
+    def verify_again(self, wanted: Mapping[Keys, Pair], level: Level) -> Mapping[Keys, Verdict]:
+        """Verdicts with the prior of a level folder on wanted pairs, but for those with a pose."""
+        asked = [pair for pair in wanted.values() if pair in self._matches]
         self._level = self._verified(asked, _STAGE_AGAIN, level)
         return {keys: pair.verdict for keys, pair in self._level.items()}
 
@@ -245,14 +238,16 @@ class _GraphFolder:
         seen = self._matched(pair, inliers)
         residuals = np.abs(pose_residuals(pose, seen.bearings1, seen.bearings2, "angular"))
         verdict = Verdict(
-            status="too_few_inliers",
+            status="ok",
             num_matches=len(inliers),
             num_inliers=len(inliers),
+            rotation_sigma_deg=DOUBTED_ROTATION_DEG,
+            translation_sigma_deg=DOUBTED_DIRECTION_DEG,
             noise_deg=float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5),
-            doubted=pose,
+            cam2_from_cam1=pose,
         )
         everyone = np.ones(len(inliers), dtype=bool)
-        return VerifiedPair(self.keys_of(pair), believed(verdict), inliers, everyone)
+        return VerifiedPair(self.keys_of(pair), verdict, inliers, everyone)
 
     def _read_panorama(self, index: int) -> Panorama:
         """Picture of a panorama."""
