@@ -159,9 +159,10 @@ def _workers(num_workers: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         for process in set(active_children()) - before:
             process.terminate()
+        # Without waiting, the end of Python would wake a thread that is closing what wakes it.
+        pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
 
