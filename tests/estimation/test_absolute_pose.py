@@ -87,6 +87,19 @@ def test_shared_error_widens_the_covariance_to_what_it_does():
     assert np.mean(naive) > 10.0 and np.mean(squares) < 3.0
 
 
+@pytest.mark.parametrize("num_points", [12, 18, 40])
+def test_few_bearings_may_be_wrong_together_too(num_points):
+    """Too few to show what they share; so the least is assumed, and fewer are never surer."""
+    pose, points, bearings = scene(0, num_points, 5e-4)
+    shared, independent = (
+        estimate_absolute_pose(bearings, points, shared_error=s) for s in (1.0, 0.0)
+    )
+    assert shared.success
+    wider = np.linalg.eigvalsh(shared.covariance - independent.covariance)
+    assert wider.min() > 0.0
+    assert np.trace(shared.covariance) > 2.0 * np.trace(independent.covariance)
+
+
 @pytest.mark.parametrize("num_points", [20, 60, 300, 1500])
 def test_random_matches_are_never_accepted(num_points):
     for seed in range(25):

@@ -87,10 +87,40 @@ def sampson_with_gradients(b1, b2, R, t):
 @pytest.mark.parametrize("strength_deg", [0.0, 0.1])
 @pytest.mark.parametrize("seed", range(5))
 def test_the_core_equals_the_formula(seed, strength_deg, least):
-    b1, b2, _ = stitched_pair(seed, strength_deg)
+    b1, b2, pose = inliers_of_stitched_pair(seed, strength_deg)
+    compare(b1, b2, pose, least)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_matches_in_few_cells_may_be_wrong_together_too(seed):
+    b1, b2, pose = inliers_of_stitched_pair(seed, 0.1, num_matches=4000)
+    near = b2[:, 2] > np.cos(np.radians(25.0))
+    assert near.sum() >= 50
+    found = compare(b1[near], b2[near], pose, least=1.0)
+    assert np.trace(found) > 0.0
+    assert not compare(b1[near], b2[near], pose, least=0.0).any()
+
+
+def test_few_cells_tell_less_than_many():
+    """The sigma of a pose that rests on a part of the sphere is not smaller than with all of it."""
+    b1, b2, _ = stitched_pair(0, 0.0, num_matches=4000)
+    options = epi360.RansacOptions(shared_error=1.0)
+    radii, sigmas = (25.0, 40.0, 70.0, 180.0), []
+    for radius_deg in radii:
+        near = b2[:, 2] >= np.cos(np.radians(radius_deg))
+        result = epi360.estimate_relative_pose(b1[near], b2[near], options=options)
+        sigmas.append(np.sqrt(np.trace(result.covariance[:3, :3])))
+    assert sigmas == sorted(sigmas, reverse=True)
+
+
+def inliers_of_stitched_pair(seed, strength_deg, num_matches=300):
+    b1, b2, _ = stitched_pair(seed, strength_deg, num_matches)
     result = epi360.estimate_relative_pose(b1, b2)
-    b1, b2 = b1[result.inlier_mask], b2[result.inlier_mask]
-    pose = result.cam2_from_cam1
+    return b1[result.inlier_mask], b2[result.inlier_mask], result.cam2_from_cam1
+
+
+def compare(b1, b2, pose, least):
+    """What the core gives, after it was found equal to the formula."""
     residuals, gradients, J = linearised(b1, b2, pose)
     scale = 1e-3
     expected = shared_error_covariance((b1, b2), gradients, residuals, J, scale=scale, least=least)
@@ -102,6 +132,7 @@ def test_the_core_equals_the_formula(seed, strength_deg, least):
     np.testing.assert_allclose(
         np.linalg.eigvalsh(found), np.linalg.eigvalsh(expected), rtol=1e-5, atol=1e-16
     )
+    return found
 
 
 def test_independent_errors_leave_the_covariance_alone():

@@ -16,7 +16,7 @@ namespace {
 constexpr double kReachOfShared = 45.0 * kDegree;
 // Matches of one cell of view 2, of 15 degrees, are one observation of the field.
 constexpr int kBandsOfShared = 12, kSectorsOfShared = 16;
-constexpr std::size_t kFewestGroups = 20;
+constexpr std::size_t kFewestGroups = 20;  // that the field is estimated from
 // Standard deviations; once in sixty by chance, as a few long waves make up most of the sum.
 constexpr double kSignificant = 4.0;
 
@@ -122,7 +122,6 @@ Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_
                                 const Linearisation& at, double scale, double least) {
   const Groups groups = grouped(m, cam2_from_cam1, at);
   const std::size_t size = groups.size();
-  if (size < kFewestGroups) return Matrix5::Zero();
   const auto& J = groups.jacobian;
   const Eigen::VectorXd& residuals = groups.residuals;
   const Eigen::Map<const Eigen::VectorXd> roots(groups.roots.data(),
@@ -156,9 +155,9 @@ Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_
   const double expected = -variance * (H * A).trace();
   const double slope =
       squares - 2.0 * (H * (KJ.transpose() * KJ)).trace() + (A * H * A * H).trace();
-  if (!(slope > 0.0)) return Matrix5::Zero();
   const double excess = observed - expected;
-  const bool shows = excess > kSignificant * variance * std::sqrt(2.0 * slope);
+  const bool shows = size >= kFewestGroups && slope > 0.0 &&
+                     excess > kSignificant * variance * std::sqrt(2.0 * slope);
   const double tau2 = std::max(shows ? excess / slope : 0.0, least * least * variance);
   return tau2 * H * (A + own) * H;
 }

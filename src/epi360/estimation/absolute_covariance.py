@@ -28,6 +28,7 @@ _SINGULAR, _ROUNDING_STEPS = 1e-11, 10.0
 # Of the error that neighbouring bearings share, as with pairs of views: it falls to 1 / e.
 _REACH = np.radians(45.0)
 _SHARED_SAMPLE, _SIGNIFICANT = 400, 4.0
+_FEWEST_SHARED = 20  # bearings that it is estimated from; of fewer, the least is assumed
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def refined_pose(
     weights = _weights(noise, spread)
     information = _information(pose, at, weights, level)
     own = bounded_inverse(information)
-    if shared_error > 0.0 and len(bearings) >= 20:
+    if shared_error > 0.0:
         own = own + _shared(bearings, at, weights, own, noise, shared_error)
     return Refined(pose, noise, own, _is_determined(information, _rounding(pose, points)))
 
@@ -237,7 +238,8 @@ def _shared(
     slope = squares - 2.0 * float(np.trace(G @ np.einsum("mik,mil->kl", KJ, KJ)))
     slope += float(np.trace(A @ G @ A @ G))
     excess = observed - expected
-    shows = slope > 0.0 and excess > _SIGNIFICANT * variance * np.sqrt(2.0 * slope)
+    enough = count >= _FEWEST_SHARED and slope > 0.0
+    shows = enough and excess > _SIGNIFICANT * variance * np.sqrt(2.0 * slope)
     tau2 = max(excess / slope if shows else 0.0, (least * noise) ** 2)
     # How the pose moves with the errors: H J^T W, here with the weights.
     JW = np.einsum("nik,nij,njl->nlk", at.jacobian, weights, np.swapaxes(at.basis, 1, 2))[::step]

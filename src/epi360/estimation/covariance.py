@@ -92,6 +92,7 @@ def reweighting_influence(
 SHARED_ERROR_REACH_RAD = np.radians(45.0)  # as a chord: there the correlation has fallen to 1 / e
 SIGNIFICANT = 4.0  # standard deviations: once in sixty by chance
 BANDS, SECTORS = 12, 16  # of the sphere: the matches of one cell are one observation of the field
+FEWEST_CELLS = 20  # that the field is estimated from
 
 
 def shared_error_covariance(
@@ -122,7 +123,8 @@ def shared_error_covariance(
     -----
     Each view has a random field of displacements with standard deviation tau, whose correlation
     falls off exponentially with the distance on the sphere. tau^2 follows from the residuals by the
-    method of moments, as a variance component does (Searle, "Linear Models", 1971).
+    method of moments, as a variance component does (Searle, "Linear Models", 1971). Where matches
+    lie in fewer cells than ``FEWEST_CELLS``, the least is assumed.
     """
     lengths = np.sqrt(sum((g**2).sum(axis=1) for g in gradients))
     group = _groups(bearings[1])
@@ -146,7 +148,8 @@ def shared_error_covariance(
     KP = K - K @ J @ H @ J.T
     slope = float(np.trace(KP @ KP))
     excess = observed + scale**2 * float(np.trace(H @ A))
-    shows = excess > SIGNIFICANT * scale**2 * np.sqrt(2.0 * slope)
+    enough = len(J) >= FEWEST_CELLS and slope > 0.0
+    shows = enough and excess > SIGNIFICANT * scale**2 * np.sqrt(2.0 * slope)
     tau2 = max(excess / slope if shows else 0.0, (least * scale) ** 2)
     return np.asarray(tau2 * H @ (A + (J.T * own) @ J) @ H)
 
