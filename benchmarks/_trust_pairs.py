@@ -170,6 +170,7 @@ def _judged_ones(
             *errors_of(_found_pose(verdict), truth_of(verdict.image1, verdict.image2)),
             verdict.rotation_sigma_deg,
             verdict.translation_sigma_deg,
+            pose=_found_pose(verdict),
         )
 
 
@@ -283,6 +284,7 @@ def _judge_alone(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
         result.num_inliers,
         *errors_of(found_pose(result), task.truth),
         *sigmas_of(result.covariance),
+        pose=found_pose(result),
     )
 
 
@@ -307,4 +309,5 @@ def _judge_peer(task: _PeerTask, *, gate_px: float, seed: int) -> Judged:
         math.nan,
         found.num_inliers,
         *errors_of(found.cam2_from_cam1, task.truth),
+        pose=found.cam2_from_cam1,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,8 @@ class Judged:
         Share that both views see, NaN where it is not known.
     relation : str
         How the rooms of a rendered pair are related; `LISTED` for a pair that its set lists.
+    pose : Pose, optional
+        What was found, be it with a refusal; it is not part of the record.
     """
 
     set: str
@@ -58,6 +60,7 @@ class Judged:
     translation_sigma_deg: float = math.nan
     overlap: float = math.nan
     relation: str = ""
+    pose: Pose | None = None
 
     @property
     def has_pose(self) -> bool:
@@ -86,8 +89,12 @@ class Judged:
 
     def record(self) -> dict[str, Any]:
         """Values for JSON; NaN is None."""
-        values = asdict(self).items()
-        return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in values}
+        values = asdict(replace(self, pose=None))
+        del values["pose"]
+        return {
+            key: None if isinstance(value, float) and math.isnan(value) else value
+            for key, value in values.items()
+        }
 
 
 def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from _data import data_folder
 from _machine import fact_lines, load_average, machine_facts
 from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
+from _trust_coherence import coherence_rows
 from _trust_pairs import (
     FOLDER,
     OURS,
@@ -154,6 +155,8 @@ def _run(
             trials += done
             for table in _tables([], done):
                 print(f"\n{text_table(table)}", flush=True)
+    for table in _shown([coherence_rows(judged)]):
+        print(f"\n{text_table(table)}", flush=True)
     return judged, trials
 
 
@@ -166,6 +169,11 @@ def _trials(name: str, plan: Plan, options: argparse.Namespace) -> Iterator[Tria
 def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:
     tables = [make(judged) for make in (count_rows, relation_rows, precision_rows)]
     tables += [trial_rows(trials), held_rows(held(stated_probabilities(judged, trials)))]
+    return _shown(tables)
+
+
+def _shown(tables: list[list[list[str]]]) -> list[list[list[str]]]:
+    """Tables that have more than a header."""
     return [table for table in tables if len(table) > 1]
 
 
@@ -189,7 +197,8 @@ def _write(
         draw_reliability(held(stated_probabilities(judged, trials)), options.reliability)
     if options.markdown is not None:
         lines = "\n".join(f"- {line}" for line in fact_lines(facts))
-        blocks = [lines, *(markdown_table(table) for table in _tables(judged, trials))]
+        tables = [*_tables(judged, trials), *_shown([coherence_rows(judged)])]
+        blocks = [lines, *map(markdown_table, tables)]
         write_file(options.markdown, ("\n\n".join(blocks) + "\n").encode())
     write_picture(
         options.picture,
