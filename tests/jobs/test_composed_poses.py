@@ -8,7 +8,8 @@ import pytest
 from colmap_graphs import panoramas_of_points
 from test_mapping import aligned_errors
 
-from epi360.jobs.mapping.composed_poses import composed_poses
+from epi360.jobs.graph.graph_check import groups_by
+from epi360.jobs.mapping.composed_poses import composed_poses, hold_together
 from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose, rotation_from_vector
 
@@ -84,6 +85,46 @@ def test_two_images_are_no_map(count):
     _, graph = panoramas_of_points(count)
     found = composed_poses(graph, verdicts_of(graph), nobody)
     assert len(found.cam_from_world) == (0 if count == 2 else 3)
+
+
+def test_of_many_pairs_those_are_kept_that_hold_the_images_together():
+    _, graph = panoramas_of_points(8)
+    for most in (7, 14, 27, 28, 40):
+        kept = hold_together(graph.pairs, most)
+        assert len(kept) == min(most, 28)
+        assert kept == [pair for pair in graph.pairs if pair in kept]  # in their order
+        groups = groups_by((pair.image1, pair.image2) for pair in kept)
+        assert len(set(groups.values())) == 1 and len(groups) == 8
+
+
+def test_the_pairs_with_most_inliers_hold_images_together():
+    _, graph = panoramas_of_points(5)
+    first = graph.pairs[0].image1
+    weak = [
+        pair
+        if first in (pair.image1, pair.image2)
+        else replace(pair, geometry=replace(pair.geometry, inliers=pair.geometry.inliers[:20]))
+        for pair in graph.pairs
+    ]
+    star = [pair for pair in weak if first in (pair.image1, pair.image2)]
+    assert hold_together(weak, 4) == star
+    assert hold_together([*weak[5:], *weak[:5]], 2) == star[:2]
+
+
+def test_a_folder_of_many_pairs_is_placed_by_some_of_them(monkeypatch):
+    truth, graph = panoramas_of_points(8)
+    monkeypatch.setattr("epi360.jobs.mapping.composed_poses.MOST_PAIRS", 14)
+    found = composed_poses(graph, verdicts_of(graph), nobody)
+    assert set(found.cam_from_world) == set(truth)
+    assert 7 <= len(found.lengths) <= 14
+    assert errors(found, truth)[0] < 0.02
+
+
+def test_who_waits_for_lengths_is_told():
+    _, graph = panoramas_of_points(4)
+    told = []
+    composed_poses(graph, verdicts_of(graph), nobody, progress=lambda *each: told.append(each))
+    assert told == [("lengths", count, 6) for count in range(7)]
 
 
 def test_a_rig_has_a_unit_of_its_own():

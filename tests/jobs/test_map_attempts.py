@@ -90,8 +90,7 @@ def tried(monkeypatch, many, tmp_path, *found, **options):
         return [] if model is None else [model]
 
     monkeypatch.setattr(map_attempts, "run_mapper", run)
-    monkeypatch.setattr(map_attempts, "_without_unconfirmed", lambda *_: [])
-    monkeypatch.setattr(map_attempts, "_is_doubtful", lambda *_: False)
+    monkeypatch.setattr(map_attempts, "_without_unconfirmed", lambda *_, **__: [])
     graph, verdicts = many
     return map_by_attempts(
         tmp_path / "none.db", MapperOptions(**options), graph, verdicts, colors=grey(graph)
@@ -182,38 +181,52 @@ def move(model, name, truth):
     model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
 
 
+def taken_out(models, graph, verdicts, lengths=None, *, is_trusted=False):
+    return map_attempts._without_unconfirmed(
+        models, graph, verdicts, lambda: lengths or {}, MapperOptions(), is_trusted=is_trusted
+    )
+
+
 def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_path):
     graph, verdicts, truth, model = right_model(tmp_path, 6)
     move(model, "4", truth)
     models = [model]
-    lost = map_attempts._without_unconfirmed(
-        models, graph, verdicts, ComposedPoses, MapperOptions()
-    )
-    assert lost == ["4"]
+    assert taken_out(models, graph, verdicts) == ["4"]
     found = poses_in(models[0])
     assert found.keys() == truth.keys() - {"4"}
     position, degrees = aligned_errors(found, truth)
     assert position < 1e-4 and degrees < 1e-3  # exact key points, in single precision
 
 
-def test_places_of_panoramas_that_nothing_confirms_are_doubted_where_lengths_are_known(tmp_path):
+def test_a_trusted_way_is_doubted_only_where_lengths_are_known(tmp_path):
     graph, verdicts, truth, model = right_model(tmp_path, 6)
-    known = ComposedPoses({}, {("0", "1"): 1.0})
-
-    def is_doubtful(composed):
-        return map_attempts._is_doubtful([model], graph, verdicts, lambda: composed)
-
-    assert not is_doubtful(known)  # all is confirmed
+    places = {name: pose.translation for name, pose in truth.items()}
+    lengths = {
+        (each.image1, each.image2): float(np.linalg.norm(places[each.image1] - places[each.image2]))
+        for each in verdicts
+    }
+    assert taken_out([model], graph, verdicts, lengths, is_trusted=True) == []
     move(model, "4", truth)
-    assert is_doubtful(known) and not is_doubtful(ComposedPoses())
+    assert taken_out([model], graph, verdicts, is_trusted=True) == []
+    assert model.num_reg_images() == 6
+    assert taken_out([model], graph, verdicts, lengths, is_trusted=True) == ["4"]
+    assert model.num_reg_images() == 5
+
+
+def test_of_a_trusted_way_what_is_beside_a_sound_model_stays(tmp_path):
+    (tmp_path / "few").mkdir()
+    graph, verdicts, _, model = right_model(tmp_path, 6)
+    _, _, _, few = right_model(tmp_path / "few", 2)
+    models = [model, few]
+    assert taken_out(models, graph, verdicts, {("0", "1"): 1.0}, is_trusted=True) == []
+    assert models == [model, few]
 
 
 def test_a_model_that_nothing_confirms_is_dropped(tmp_path):
     graph, _, truth, model = right_model(tmp_path, 4)
     models = [model]
-    lost = map_attempts._without_unconfirmed(models, graph, [], ComposedPoses, MapperOptions())
+    assert taken_out(models, graph, []) == sorted(truth)
     assert models == []
-    assert lost == sorted(truth)
 
 
 def hanging_on_one_pair(truth, num_matches=40):
@@ -261,12 +274,11 @@ def test_what_was_found_is_counted_after_images_were_taken_out(monkeypatch, many
     """They may all be in another model, so that none of them is lost."""
     graph, verdicts = many
 
-    def shrink(models, *_):
+    def shrink(models, *_, **__):
         models[0].num_reg_images = lambda: 3
         return []
 
     monkeypatch.setattr(map_attempts, "run_mapper", lambda *_, **__: [fake(6)])
-    monkeypatch.setattr(map_attempts, "_is_doubtful", lambda *_: True)
     monkeypatch.setattr(map_attempts, "_without_unconfirmed", shrink)
     mapped = map_by_attempts(
         tmp_path / "none.db", MapperOptions(), graph, verdicts, colors=grey(graph)

@@ -7,7 +7,10 @@ point, and correlated there within half a degree. So nothing needs to be detecte
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -27,6 +30,10 @@ _STEP = _RADIUS_DEG / _HALF
 _PIXEL_DEG = 360.0 / WIDTH
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
+_IN_MEMORY = 128  # panoramas, of 2 MB
+
+Name = TypeVar("Name", str, int)
+Found = TypeVar("Found", bound="Panorama | None")
 
 
 def _grid(half_x: int, half_y: int) -> Array:
@@ -65,6 +72,11 @@ class Panorama:
             rows = levels == level
             found[rows] = _looked_up(self.levels[level], rays[rows])
         return found
+
+
+def remembered(panorama_of: Callable[[Name], Found]) -> Callable[[Name], Found]:
+    """The same panoramas; the last ones that were asked for stay in memory."""
+    return lru_cache(_IN_MEMORY)(panorama_of)
 
 
 def _looked_up(grey: NDArray[np.uint8], rays: Array) -> Floats:

@@ -8,13 +8,14 @@ know of its surroundings says how far: points, and surfaces that panoramas share
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
-from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 
 from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph
@@ -32,11 +33,13 @@ from epi360.odometry.pose_graph import (
 )
 from epi360.odometry.similarity import Similarity
 from epi360.poses import Pose
+from epi360.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 Names = tuple[str, str]
 PanoramaOf = Callable[[str], Panorama | None]
 
+STAGE = "lengths"
 MOST_PAIRS = 1000  # that are looked at; the surfaces of one take 0.04 s and 0.4 MB
 # Least sigmas, in degrees and as a share of a length: no pair is so sure that it outweighs others.
 _LEAST_ROTATION_DEG, _LEAST_OFF = 0.2, 0.02
@@ -54,21 +57,28 @@ class ComposedPoses:
 
 
 def composed_poses(
-    graph: MatchGraph, verdicts: Sequence[PairVerdict], panorama_of: PanoramaOf
+    graph: MatchGraph,
+    verdicts: Sequence[PairVerdict],
+    panorama_of: PanoramaOf,
+    *,
+    progress: Progress = no_progress,
 ) -> ComposedPoses:
     """Poses of the largest set of images that accepted pairs with sure lengths hold together.
 
-    ``panorama_of`` gives the picture of a full panorama by its name, None for other images. There
-    is nothing of fewer than three images, of more than 1000 accepted pairs, nor of a rig, which has
-    a unit of its own.
+    ``panorama_of`` gives the picture of a full panorama by its name, None for other images. Of more
+    than 1000 accepted pairs those are looked at that `hold_together` names. There is nothing of
+    fewer than three images, nor of a rig, which has a unit of its own.
+
+    ``progress`` is told of the stage "lengths".
     """
     told = {(each.image1, each.image2): each for each in verdicts if each.accepted}
-    if graph.cam_from_rig or not 2 <= len(told) <= MOST_PAIRS:
+    if graph.cam_from_rig or len(told) < 2:
         return ComposedPoses()
-    pairs = [pair for pair in graph.pairs if (pair.image1, pair.image2) in told]
+    accepted = [pair for pair in graph.pairs if (pair.image1, pair.image2) in told]
+    pairs = hold_together(accepted, MOST_PAIRS)
     names = [(pair.image1, pair.image2) for pair in pairs]
     posed = _posed(graph, pairs, [told[each] for each in names])
-    scale = common_scale(posed, _views(posed, names, panorama_of))
+    scale = common_scale(posed, _views(posed, names, panorama_of, progress))
     sure = np.flatnonzero(scale.is_sure).tolist()
     lengths = {names[row]: float(np.exp(scale.log_lengths[row])) for row in sure}
     if len({name for pair in lengths for name in pair}) < 3:
@@ -77,6 +87,26 @@ def composed_poses(
         _placed([_Step.of(posed[row], lengths[names[row]]) for row in sure], list(graph.images)),
         lengths,
     )
+
+
+def hold_together(pairs: Sequence[MatchedPair], most: int) -> list[MatchedPair]:
+    """As many pairs at most, in their order: those that hold the images together, and that often.
+
+    First come the pairs with most inliers that join all images that can be joined, without a loop;
+    then those that would do so without them, and so on.
+    """
+    left = sorted(pairs, key=lambda pair: -_num_inliers(pair))
+    chosen: set[Names] = set()
+    while len(pairs) > most > len(chosen):
+        groups = DisjointSet({name for pair in left for name in (pair.image1, pair.image2)})
+        joining = [pair for pair in left if groups.merge(pair.image1, pair.image2)]
+        chosen.update((pair.image1, pair.image2) for pair in joining[: most - len(chosen)])
+        left = [pair for pair in left if (pair.image1, pair.image2) not in chosen]
+    return [pair for pair in pairs if not chosen or (pair.image1, pair.image2) in chosen]
+
+
+def _num_inliers(pair: MatchedPair) -> int:
+    return 0 if pair.geometry is None else len(pair.geometry.inliers)
 
 
 def _posed(
@@ -109,9 +139,13 @@ def _posed(
 
 
 def _views(
-    posed: Sequence[PosedPair], names: Sequence[Names], panorama_of: PanoramaOf
+    posed: Sequence[PosedPair],
+    names: Sequence[Names],
+    panorama_of: PanoramaOf,
+    progress: Progress,
 ) -> dict[tuple[int, int], KnownView]:
     """Surfaces that the pairs of panoramas know in both views."""
+    progress(STAGE, 0, len(posed))
 
     def grown(row: int) -> tuple[KnownView, KnownView] | None:
         first, second = (panorama_of(name) for name in names[row])
@@ -120,7 +154,10 @@ def _views(
         return known_views(posed[row], grow_both(posed[row], (first, second)))
 
     found = {}
-    for row, views in on_threads(grown, range(len(posed)), num_cores()):
+    for count, (row, views) in enumerate(
+        on_threads(grown, range(len(posed)), num_cores()), start=1
+    ):
+        progress(STAGE, count, len(posed))
         if views is not None:
             found[row, 0], found[row, 1] = views
     return found
@@ -182,7 +219,7 @@ def _chained(steps: Iterable[_Step]) -> dict[int, Pose]:
         around.setdefault(second, []).append((doubt, first, step.cam2_from_cam1.inverse()))
     world = max(around, key=lambda image: (len(around[image]), -image))
     found: dict[int, Pose] = {}
-    order = count()  # poses cannot be compared
+    order = itertools.count()  # poses cannot be compared
     ways = [((0.0, 0), next(order), world, Pose(np.eye(3), np.zeros(3)))]
     while ways:
         _, _, image, pose = heappop(ways)

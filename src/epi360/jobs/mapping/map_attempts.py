@@ -22,7 +22,7 @@ from epi360.interop.colmap_rigs import quiet
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, color_points, run_mapper
-from epi360.jobs.mapping.composed_poses import ComposedPoses
+from epi360.jobs.mapping.composed_poses import ComposedPoses, Names
 from epi360.jobs.mapping.given_poses import adjust_model, model_from_poses
 from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
 from epi360.jobs.matching.match_folder import PairVerdict
@@ -89,12 +89,10 @@ def map_by_attempts(
     ):
         begun = time.perf_counter()
         models = find()
-        lost: list[str] = []
-        if not is_trusted or _is_doubtful(models, graph, pairs, composed):
-            # Lengths take a while to find, and a sequence that is tracked needs none.
-            is_given = initial is not None and bool(initial[1]) and not tried
-            known = ComposedPoses if is_given else composed
-            lost = _without_unconfirmed(models, graph, pairs, known, options)
+        # Lengths take a while to find, and a sequence that is tracked needs none.
+        is_given = initial is not None and bool(initial[1]) and not tried
+        lengths = _no_lengths if is_given else lambda: composed().lengths
+        lost = _without_unconfirmed(models, graph, pairs, lengths, options, is_trusted=is_trusted)
         error = models[0].compute_mean_reprojection_error() if models else None
         placed = models[0].num_reg_images() if models else 0
         attempt = Attempt(how, placed, len(lost), error, time.perf_counter() - begun)
@@ -106,19 +104,8 @@ def map_by_attempts(
     return replace(tried[best], attempts=attempts)
 
 
-def _is_doubtful(
-    models: Sequence[Any],
-    graph: MatchGraph,
-    pairs: Sequence[PairVerdict],
-    composed: Callable[[], ComposedPoses],
-) -> bool:
-    """Whether a model of panoramas has places that nothing confirms, and lengths can judge them."""
-    if not models or not all(map(is_full_panorama, graph.cameras.values())):
-        return False
-    placed = _placed(models[0], graph)
-    if len(confirmed_images(placed, pairs)) == len(placed.cam_from_world):
-        return False
-    return bool(composed().lengths)
+def _no_lengths() -> Mapping[Names, float]:
+    return {}
 
 
 def _rank(attempt: Attempt, was_asked: bool) -> tuple[int, bool, float]:
@@ -192,17 +179,30 @@ def _without_unconfirmed(
     models: list[Any],
     graph: MatchGraph,
     pairs: Sequence[PairVerdict],
-    composed: Callable[[], ComposedPoses],
+    lengths: Callable[[], Mapping[Names, float]],
     options: MapperOptions,
+    *,
+    is_trusted: bool,
 ) -> list[str]:
-    """Take images out of models if nothing confirms their places; their names."""
+    """Take images out of models if nothing confirms their places; their names.
+
+    Of a way that is trusted, only panoramas are taken out, and only if there are such images in its
+    largest model and lengths can judge them.
+    """
+    if is_trusted and not all(map(is_full_panorama, graph.cameras.values())):
+        return []
     pycolmap = extra_library("pycolmap", extra="colmap", purpose="maps")
     lost: list[str] = []
-    for model in list(models):
+    for number, model in enumerate(list(models)):
         placed = _placed(model, graph)
         confirmed = confirmed_images(placed, pairs)
         if len(confirmed) < len(placed.cam_from_world):
-            confirmed = confirmed_images(placed, pairs, composed().lengths)
+            known = lengths()
+            if is_trusted and not known:
+                return []
+            confirmed = confirmed_images(placed, pairs, known)
+        elif is_trusted and number == 0:
+            return []
         wrong = [image for image in _registered(model) if image.name not in confirmed]
         lost += [image.name for image in wrong]
         if not confirmed:

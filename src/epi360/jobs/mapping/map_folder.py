@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,9 @@ import numpy as np
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.features import read_image
-from epi360.features.warped_patches import Panorama
+from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
-from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
@@ -32,11 +30,16 @@ from epi360.jobs.mapping.colmap_mapper import (
     mapper_settings,
     turn_upright,
 )
-from epi360.jobs.mapping.composed_poses import composed_poses
+from epi360.jobs.mapping.composed_poses import ComposedPoses, composed_poses
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
-from epi360.jobs.mapping.sequence_start import has_one_camera, may_be_sequence, track_sequence
+from epi360.jobs.mapping.sequence_start import (
+    SequenceStart,
+    has_one_camera,
+    may_be_sequence,
+    track_sequence,
+)
 from epi360.jobs.matching.match_folder import (
     MatchOptions,
     MatchRun,
@@ -51,7 +54,6 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
 DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
-_PANORAMAS_IN_MEMORY = 128  # of 2 MB
 TRACKED_POSES = "the poses of the odometry"
 
 
@@ -147,8 +149,6 @@ def map_images(
         colmap_camera(camera)  # COLMAP has no double sphere
     output = Path(output)
     record = _read_record(output)
-    # A folder that only looked like a sequence is mapped without a word, as it always was.
-    was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     given = None if initial is None else _poses_of(images, initial)
     tracked = None
     if given is None and _is_tried_as_sequence(images, options, video):
@@ -163,47 +163,34 @@ def map_images(
             progress=progress,
         )
     start = time.perf_counter()
-    first_pairs: list[Pair] = []
-    if tracked is not None and tracked.cam_from_world and options.match.pairs == "auto":
-        first_pairs = trajectory_pairs(images.images, tracked.cam_from_world, tracked.depth)
     matched = match_images(
-        images, output, options.match, first_pairs=first_pairs, restart=restart, progress=progress
+        images,
+        output,
+        options.match,
+        first_pairs=_first_pairs(images, options.match, tracked),
+        restart=restart,
+        progress=progress,
     )
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
-    seed = options.match.seed % 2**31  # COLMAP takes no others
-    mapper = MapperOptions(options.mapper, options.refine_cameras, options.mapper_threads, seed)
     poses = given or ({} if tracked is None else tracked.cam_from_world)
-    made_from = _fingerprint(graph, mapper, poses)
-    was_mapped = record.get("fingerprint") == made_from and _has_models(output, record)
-    descriptors = descriptors_of(output) if options.descriptors else _no_descriptors
-    if was_mapped:
-        progress(STAGE, len(graph.images), len(graph.images))
-        if record.get("descriptors") != options.descriptors or not (output / DATABASE).is_file():
-            _write_database(output / DATABASE, graph, descriptors)
-    else:
-        how = "the given poses" if given else TRACKED_POSES
-        made = _map(
-            images, graph, matched, colors, output, mapper, (how, poses), descriptors, progress
-        )
-        record = {"fingerprint": made_from, **made}
-    record["descriptors"] = options.descriptors
+    work = _Work(images, graph, matched, colors, output, options, progress)
+    record, was_mapped = work.mapped(record, "the given poses" if given else TRACKED_POSES, poses)
     record["track"] = None if tracked is None else tracked.summary()
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
     models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
+    # A folder that only looked like a sequence is mapped without a word, as it always was.
+    was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
+    tracking = {"tracking": tracked.seconds} if tracked is not None and poses else {}
     return MapRun(
         matched,
         models,
         _reasons(images, matched, models, record["unconfirmed"]),
         len(images.images),
-        {
-            **({"tracking": tracked.seconds} if tracked is not None and poses else {}),
-            "matching": matching_s,
-            "mapping": record["seconds"],
-        },
+        {**tracking, "matching": matching_s, "mapping": record["seconds"]},
         remarks,
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
         record["track"] if was_asked or poses else None,
@@ -211,13 +198,97 @@ def map_images(
     )
 
 
+def _first_pairs(
+    images: ImageSet, options: MatchOptions, tracked: SequenceStart | None
+) -> list[Pair]:
+    """Pairs of a sequence whose way is known."""
+    if tracked is None or not tracked.cam_from_world or options.pairs != "auto":
+        return []
+    return trajectory_pairs(images.images, tracked.cam_from_world, tracked.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """Matched images, and how they are mapped."""
+
+    images: ImageSet
+    graph: MatchGraph
+    matched: MatchRun
+    colors: Colors
+    output: Path
+    options: MapOptions
+    progress: Progress
+
+    def mapped(
+        self, record: Mapping[str, Any], how: str, poses: Mapping[str, Pose]
+    ) -> tuple[dict[str, Any], bool]:
+        """Map, unless an earlier run has; the record of it, and whether it was there.
+
+        ``poses`` are tried first, and ``how`` says in words where they come from.
+        """
+        made_from = _fingerprint(self.graph, self._mapper, poses)
+        if record.get("fingerprint") == made_from and _has_models(self.output, record):
+            count = len(self.graph.images)
+            self.progress(STAGE, count, count)
+            has_them = record.get("descriptors") == self.options.descriptors
+            if not has_them or not (self.output / DATABASE).is_file():
+                self._write_database()
+            return {**record, "descriptors": self.options.descriptors}, True
+        made = self._map(how, poses)
+        return {"fingerprint": made_from, **made, "descriptors": self.options.descriptors}, False
+
+    @property
+    def _mapper(self) -> MapperOptions:
+        given = self.options
+        seed = given.match.seed % 2**31  # COLMAP takes no others
+        return MapperOptions(given.mapper, given.refine_cameras, given.mapper_threads, seed)
+
+    def _write_database(self) -> None:
+        path = self.output / DATABASE
+        path.unlink(missing_ok=True)
+        wanted = descriptors_of(self.output) if self.options.descriptors else _no_descriptors
+        write_colmap_database(path, self.graph, descriptors=wanted)
+
+    def _map(self, how: str, poses: Mapping[str, Pose]) -> dict[str, Any]:
+        """Write database and models; returns what the record says of them."""
+        start = time.perf_counter()
+        write_record(self.output / RECORD, {})  # from here on database and models are ours
+        (self.output / TRANSFORMS).unlink(missing_ok=True)
+        self._write_database()
+        mapped = map_by_attempts(
+            self.output / DATABASE,
+            self._mapper,
+            self.graph,
+            self.matched.verdicts,
+            colors=self.colors,
+            initial=(how, poses),
+            compose=self._composed,
+            progress=self.progress,
+        )
+        if how == TRACKED_POSES:  # the world of poses that the caller gave is theirs
+            for model in mapped.models:
+                turn_upright(model)
+        shutil.rmtree(self.output / MODELS, ignore_errors=True)
+        if mapped.models:
+            with whole_folder(self.output / MODELS) as temporary:
+                for number, model in enumerate(mapped.models):
+                    (temporary / str(number)).mkdir()
+                    model.write_binary(temporary / str(number))
+        return {
+            "seconds": time.perf_counter() - start,
+            "mean_error_px": [model.compute_mean_reprojection_error() for model in mapped.models],
+            "attempts": [vars(attempt) for attempt in mapped.attempts],
+            "unconfirmed": list(mapped.unconfirmed),
+        }
+
+    def _composed(self) -> ComposedPoses:
+        return composed_poses(
+            self.graph, self.matched.verdicts, _panoramas(self.images), progress=self.progress
+        )
+
+
 def _no_descriptors(name: str) -> None:
     return None
-
-
-def _write_database(path: Path, graph: MatchGraph, descriptors: DescriptorsOf) -> None:
-    path.unlink(missing_ok=True)
-    write_colmap_database(path, graph, descriptors=descriptors)
 
 
 def _is_tried_as_sequence(images: ImageSet, options: MapOptions, video: Path | None) -> bool:
@@ -283,54 +354,11 @@ def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, 
     return fingerprint(*pieces)
 
 
-def _map(
-    images: ImageSet,
-    graph: MatchGraph,
-    matched: MatchRun,
-    colors: Colors,
-    output: Path,
-    options: MapperOptions,
-    initial: tuple[str, Mapping[str, Pose]],
-    descriptors: DescriptorsOf,
-    progress: Progress,
-) -> dict[str, Any]:
-    """Write database and models; returns what the record says of them."""
-    start = time.perf_counter()
-    write_record(output / RECORD, {})  # from here on database and models are ours
-    (output / TRANSFORMS).unlink(missing_ok=True)
-    _write_database(output / DATABASE, graph, descriptors)
-    mapped = map_by_attempts(
-        output / DATABASE,
-        options,
-        graph,
-        matched.verdicts,
-        colors=colors,
-        initial=initial,
-        compose=partial(composed_poses, graph, matched.verdicts, _panoramas(images)),
-        progress=progress,
-    )
-    if initial[0] == TRACKED_POSES:  # the world of poses that the caller gave is theirs
-        for model in mapped.models:
-            turn_upright(model)
-    shutil.rmtree(output / MODELS, ignore_errors=True)
-    if mapped.models:
-        with whole_folder(output / MODELS) as temporary:
-            for number, model in enumerate(mapped.models):
-                (temporary / str(number)).mkdir()
-                model.write_binary(temporary / str(number))
-    return {
-        "seconds": time.perf_counter() - start,
-        "mean_error_px": [model.compute_mean_reprojection_error() for model in mapped.models],
-        "attempts": [vars(attempt) for attempt in mapped.attempts],
-        "unconfirmed": list(mapped.unconfirmed),
-    }
-
-
 def _panoramas(images: ImageSet) -> Callable[[str], Panorama | None]:
     """Pictures by name, None of what is no full panorama or cannot be read any more."""
     image_of = {image.name: image for image in images.images}
 
-    @lru_cache(_PANORAMAS_IN_MEMORY)
+    @remembered
     def panorama_of(name: str) -> Panorama | None:
         image = image_of[name]
         if not is_full_panorama(images.cameras[image.camera]):

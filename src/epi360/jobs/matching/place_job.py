@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from typing import TypeVar
 
+from epi360.features.warped_patches import remembered
 from epi360.jobs.graph.graph_check import awaits_confirmation, believed
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
@@ -20,7 +20,6 @@ from epi360.jobs.threads import on_threads
 
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
 FEWEST_PAIRS, MOST_PAIRS = 3, 10_000
-_PANORAMAS_IN_MEMORY = 128  # of 2 MB
 
 Found = TypeVar("Found")
 
@@ -46,7 +45,7 @@ def check_places(
         each.keys: posed_pair(folder, usable[each.keys], each)
         for each in folder.settled_pairs(asked, settled, level)
     }
-    panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(folder.panorama_of)
+    panorama_of = remembered(folder.panorama_of)
 
     def around(keys: Sequence[Keys]) -> Surroundings:
         num_heard = sum(each in accepted for each in keys)

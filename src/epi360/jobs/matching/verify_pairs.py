@@ -20,7 +20,7 @@ from epi360.cameras import Camera
 from epi360.cameras.upright import is_full_panorama
 from epi360.epipolar.residuals import pose_residuals
 from epi360.features import read_image
-from epi360.features.warped_patches import Panorama
+from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.graph.level_folder import Level
@@ -36,7 +36,6 @@ from epi360.runs.inside import inside
 _STAGE, _STAGE_AGAIN = "verifying pairs", "level pairs"
 _PAIRS_AT_ONCE = 256  # whose bearings are in memory
 _IMAGES_IN_MEMORY = 64  # with the bearings of all their key points
-_PANORAMAS_IN_MEMORY = 128  # of 2 MB
 _SIGMAS_OF_MEDIAN = 1.4826  # standard deviation of what has a median of 1, without signs
 
 
@@ -158,7 +157,7 @@ class _GraphFolder:
             index: self._camera(index) for index in sorted({i for pair in self.pairs for i in pair})
         }
         self._bearings = lru_cache(_IMAGES_IN_MEMORY)(self._find_bearings)
-        self.panorama_of = lru_cache(_PANORAMAS_IN_MEMORY)(self._read_panorama)
+        self.panorama_of = remembered(self._read_panorama)
 
     @property
     def names(self) -> tuple[str, ...]:
