@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import epi360
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt
+from epi360.estimation.result import pose_sigmas_deg
 from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 
@@ -77,7 +78,7 @@ class Epi360:
         keypoints1: NDArray[np.float64],
         keypoints2: NDArray[np.float64],
     ) -> Estimate:
-        variances = np.diag(result.covariance)
+        rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
         return Estimate(
             cam2_from_cam1=result.cam2_from_cam1,
             accepted=result.success,
@@ -86,8 +87,8 @@ class Epi360:
             num_matches=result.num_matches,
             keypoints1=keypoints1,
             keypoints2=keypoints2,
-            rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
-            translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
+            rotation_sigma_deg=rotation_sigma_deg,
+            translation_sigma_deg=translation_sigma_deg,
         )
 
 

@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 from _data import Matches, load_set, read_poses
 from _methods import Pycolmap
-from _trust_records import LISTED, Judged, errors_of, found_pose, sigmas_of
+from _trust_records import LISTED, Judged, errors_of, found_pose
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
+from epi360.estimation.result import pose_sigmas_deg
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import (
@@ -283,7 +284,7 @@ def _judge_alone(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
         float(getattr(result, "probability", math.nan)),
         result.num_inliers,
         *errors_of(found_pose(result), task.truth),
-        *sigmas_of(result.covariance),
+        *pose_sigmas_deg(result),
         pose=found_pose(result),
     )
 

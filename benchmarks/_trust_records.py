@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from epi360.estimation import RelativePoseResult
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
@@ -107,14 +106,6 @@ def found_pose(result: RelativePoseResult) -> Pose:
     if result.status == "too_few_inliers" and result.alternatives:
         return result.alternatives[0]
     return result.cam2_from_cam1
-
-
-def sigmas_of(covariance: NDArray[np.float64]) -> tuple[float, float]:
-    """One sigma in degrees of rotation and direction, over all axes."""
-    variances = np.diag(covariance)
-    with np.errstate(invalid="ignore"):
-        rotation, direction = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
-    return float(rotation), float(direction)
 
 
 def count_rows(judged: Sequence[Judged]) -> list[list[str]]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from epi360.estimation import RelativePoseResult
+from epi360.estimation.result import pose_sigmas_deg
 
 # One sigma, over all components, shared errors included, which more key points do not lessen.
 _PRECISE_ROTATION_DEG, _PRECISE_DIRECTION_DEG = 0.25, 0.75
@@ -31,11 +30,9 @@ def has_hope(status: str, probability: float) -> bool:
 
 def is_precise(result: RelativePoseResult) -> bool:
     """Whether larger images would hardly change the pose: it has small sigmas and no warning."""
-    variances = np.diag(result.covariance)
-    rotation_deg = np.degrees(np.sqrt(variances[:3].sum()))
+    rotation_deg, direction_deg = pose_sigmas_deg(result)
     if result.status == "pure_rotation":
-        return bool(rotation_deg < _PRECISE_ROTATION_DEG)
-    direction_deg = np.degrees(np.sqrt(variances[3:].sum()))
+        return rotation_deg < _PRECISE_ROTATION_DEG
     precise = rotation_deg < _PRECISE_ROTATION_DEG and direction_deg < _PRECISE_DIRECTION_DEG
     return bool(result.success and not result.warnings and precise)
 

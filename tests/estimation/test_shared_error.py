@@ -88,7 +88,7 @@ def sampson_with_gradients(b1, b2, R, t):
 @pytest.mark.parametrize("seed", range(5))
 def test_the_core_equals_the_formula(seed, strength_deg, least):
     b1, b2, pose = inliers_of_stitched_pair(seed, strength_deg)
-    compare(b1, b2, pose, least)
+    assert_equals_the_formula(b1, b2, pose, least)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -96,9 +96,9 @@ def test_matches_in_few_cells_may_be_wrong_together_too(seed):
     b1, b2, pose = inliers_of_stitched_pair(seed, 0.1, num_matches=4000)
     near = b2[:, 2] > np.cos(np.radians(25.0))
     assert near.sum() >= 50
-    found = compare(b1[near], b2[near], pose, least=1.0)
+    found = assert_equals_the_formula(b1[near], b2[near], pose, least=1.0)
     assert np.trace(found) > 0.0
-    assert not compare(b1[near], b2[near], pose, least=0.0).any()
+    assert not assert_equals_the_formula(b1[near], b2[near], pose, least=0.0).any()
 
 
 def test_few_cells_tell_less_than_many():
@@ -119,7 +119,7 @@ def inliers_of_stitched_pair(seed, strength_deg, num_matches=300):
     return b1[result.inlier_mask], b2[result.inlier_mask], result.cam2_from_cam1
 
 
-def compare(b1, b2, pose, least):
+def assert_equals_the_formula(b1, b2, pose, least):
     """What the core gives, after it was found equal to the formula."""
     residuals, gradients, J = linearised(b1, b2, pose)
     scale = 1e-3

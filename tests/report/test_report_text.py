@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from epi360.cameras import Equirectangular
 from epi360.estimation import Explanations
+from epi360.estimation.result import pose_sigmas_deg
 from epi360.poses import Pose
 from epi360.report.text import (
     describe_direction,
     describe_explanations,
     describe_pair,
     describe_status,
-    pose_sigmas_deg,
     rotation_axis_angle,
 )
 

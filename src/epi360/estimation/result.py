@@ -153,3 +153,10 @@ class ImagePairResult(RelativePoseResult):
 
     keypoints1: NDArray[np.float64]
     keypoints2: NDArray[np.float64]
+
+
+def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
+    """Expected root mean square errors of the rotation and of the translation's direction."""
+    variances = np.diag(result.covariance)
+    rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
+    return float(rotation), float(translation)

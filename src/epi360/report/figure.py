@@ -20,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.estimation.result import ImagePairResult
+from epi360.estimation.result import ImagePairResult, pose_sigmas_deg
 from epi360.features.picture_writing import encode_figure
 from epi360.report.curves import epipolar_curve, match_residuals_deg, spread_matches
 from epi360.report.files import check_figure_name, check_writable
@@ -29,7 +29,6 @@ from epi360.report.text import (
     STATUS_SENTENCES,
     describe_direction,
     describe_explanations,
-    pose_sigmas_deg,
     rotation_axis_angle,
 )
 from epi360.runs.whole_files import PathLike, write_file

@@ -5,13 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import Pose
 from epi360.report.text import (
     STATUS_SENTENCES,
     describe_direction,
     describe_explanations,
-    pose_sigmas_deg,
     rotation_axis_angle,
 )
 

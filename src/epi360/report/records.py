@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from epi360.estimation.result import ImagePairResult, RelativePoseResult
+from epi360.estimation.result import ImagePairResult, RelativePoseResult, pose_sigmas_deg
 from epi360.extras import package_version
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
-from epi360.report.text import CONVENTION, STATUS_SENTENCES, pose_sigmas_deg
+from epi360.report.text import CONVENTION, STATUS_SENTENCES
 from epi360.runs.whole_files import PathLike, write_file
 
 PIXEL_CONVENTION = "continuous pixels, the centre of the top-left pixel is (0.5, 0.5)"

@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation.result import Explanations, RelativePoseResult, Status
+from epi360.estimation.result import Explanations, RelativePoseResult, Status, pose_sigmas_deg
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
@@ -115,13 +115,6 @@ def rotation_axis_angle(rotation: Array) -> tuple[Array, float]:
     # Below 1e-6 degrees the vector part is rounding of the matrix.
     axis = vector / length if length > 1e-8 else np.full(3, np.nan)
     return axis, float(np.degrees(2.0 * np.arctan2(length, w)))
-
-
-def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
-    """Expected root mean square errors of the rotation and of the translation's direction."""
-    variances = np.diag(result.covariance)
-    rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
-    return float(rotation), float(translation)
 
 
 def _pose_rows(result: RelativePoseResult) -> list[tuple[str, str]]:

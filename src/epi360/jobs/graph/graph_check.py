@@ -170,20 +170,43 @@ class _Triangles:
         )[0]
 
 
-def groups_by(edges: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Name of the group of each node that has an edge: one of the nodes that edges connect."""
-    parent: dict[str, str] = {}
+class _Groups:
+    """Nodes that edges connect, while edges are added."""
 
-    def root(node: str) -> str:
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
+
+    def join(self, end1: str, end2: str) -> bool:
+        """Add an edge; whether it connects what no other one did."""
+        root1, root2 = self._root(end1), self._root(end2)
+        self._parent[root1] = root2
+        return root1 != root2
+
+    def by_node(self) -> dict[str, str]:
+        """Name of the group of each node: one of its nodes."""
+        return {node: self._root(node) for node in self._parent}
+
+    def _root(self, node: str) -> str:
+        parent = self._parent
         parent.setdefault(node, node)
         while parent[node] != node:
             parent[node] = parent[parent[node]]
             node = parent[node]
         return node
 
+
+def groups_by(edges: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Name of the group of each node that has an edge: one of the nodes that edges connect."""
+    groups = _Groups()
     for end1, end2 in edges:
-        parent[root(end1)] = root(end2)
-    return {node: root(node) for node in parent}
+        groups.join(end1, end2)
+    return groups.by_node()
+
+
+def joining(edges: Iterable[tuple[str, str]]) -> list[int]:
+    """Rows of the edges that connect what those before them do not: none closes a loop."""
+    groups = _Groups()
+    return [row for row, (end1, end2) in enumerate(edges) if groups.join(end1, end2)]
 
 
 def links(edges: Sequence[tuple[str, str]]) -> list[int]:

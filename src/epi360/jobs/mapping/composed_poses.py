@@ -15,12 +15,11 @@ from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import DisjointSet
 
 from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph
 from epi360.jobs.graph.common_scale import common_scale
-from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
+from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG, joining
 from epi360.jobs.graph.place_evidence import grow_both
 from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import KnownView, known_views
@@ -95,13 +94,13 @@ def hold_together(pairs: Sequence[MatchedPair], most: int) -> list[MatchedPair]:
     First come the pairs with most inliers that join all images that can be joined, without a loop;
     then those that would do so without them, and so on.
     """
-    left = sorted(pairs, key=lambda pair: -_num_inliers(pair))
+    strongest = sorted(pairs, key=lambda pair: -_num_inliers(pair))
+    left = [(pair.image1, pair.image2) for pair in strongest]
     chosen: set[Names] = set()
     while len(pairs) > most > len(chosen):
-        groups = DisjointSet({name for pair in left for name in (pair.image1, pair.image2)})
-        joining = [pair for pair in left if groups.merge(pair.image1, pair.image2)]
-        chosen.update((pair.image1, pair.image2) for pair in joining[: most - len(chosen)])
-        left = [pair for pair in left if (pair.image1, pair.image2) not in chosen]
+        tree = [left[row] for row in joining(left)]
+        chosen.update(tree[: most - len(chosen)])
+        left = [names for names in left if names not in chosen]
     return [pair for pair in pairs if not chosen or (pair.image1, pair.image2) in chosen]
 
 

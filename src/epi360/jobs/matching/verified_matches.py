@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.upright import is_full_panorama
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
+from epi360.estimation.result import pose_sigmas_deg
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.jobs.graph.shared_points import floor_share
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
@@ -71,7 +72,7 @@ def verified_matches(
 
 def _verified(pair: MatchedViews, result: RelativePoseResult, prior: str) -> VerifiedPair:
     result = noise_in_pixels(result, pair.pixel_deg)
-    variances = np.diag(result.covariance)
+    rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     floor = pair.matched.floor_share(result.inlier_mask) if pair.sees_all_around else np.nan
     verdict = Verdict(
         status=result.status,
@@ -80,8 +81,8 @@ def _verified(pair: MatchedViews, result: RelativePoseResult, prior: str) -> Ver
         num_inliers=result.num_inliers,
         noise_deg=result.noise_deg,
         parallax_deg=result.parallax_deg,
-        rotation_sigma_deg=float(np.degrees(np.sqrt(variances[:3].sum()))),
-        translation_sigma_deg=float(np.degrees(np.sqrt(variances[3:].sum()))),
+        rotation_sigma_deg=rotation_sigma_deg,
+        translation_sigma_deg=translation_sigma_deg,
         probability=result.probability,
         explanations=result.explanations,
         floor_share=floor,
