@@ -15,6 +15,7 @@ import epi360
 import epi360_demo
 import epi360_paper
 import epi360_scenes
+from epi360.extras import package_version
 
 PACKAGE = Path(epi360.__file__).parent
 OTHERS = {"epi360_scenes", "epi360_paper", "epi360_demo"}
@@ -226,6 +227,7 @@ def loaded_by(statement: str) -> set[str]:
 
 def test_public_names_exist_and_are_listed_once():
     assert len(set(epi360.__all__)) == len(epi360.__all__)
+    assert epi360.__version__ == package_version()
     assert [name for name in epi360.__all__ if not hasattr(epi360, name)] == []
 
 

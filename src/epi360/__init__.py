@@ -102,6 +102,8 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name == "epipolar":
         return import_module("epi360.epipolar")
+    if name == "__version__":
+        return import_module("epi360.extras").package_version()
     if name in _HOME_OF:
         return getattr(import_module(_HOME_OF[name]), name)
     raise AttributeError(f"module 'epi360' has no attribute {name!r}")
