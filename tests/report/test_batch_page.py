@@ -76,6 +76,7 @@ def test_the_sentences_count_the_pairs_and_add_up_what_may_be_wrong(tmp_path):
     assert sentences[0] == "30 of 40 (75.0%) pairs have a pose that can be used."
     # Four uncertain ones of 40 %, and 26 of 0.01 %.
     assert "about 2 of these 30 poses should be wrong" in sentences[2]
+    assert "rooms that look alike are not counted in that" in sentences[3]
 
 
 def test_what_is_odd_about_ok_pairs_is_counted_and_explained(tmp_path):

@@ -91,6 +91,13 @@ placeholder="1"></label></div>
 <p><button name="more">Show more pairs</button></p></div>"""
 
 
+ALONE = (
+    "Each pair was judged by itself, and two images cannot tell a place from its copy: rooms that "
+    "look alike are not counted in that. Images of one place judge each other with epi360 match, "
+    "or with epi360 convert --verify."
+)
+
+
 def batch_sentences(rows: BatchRows) -> list[str]:
     """Return what became of the pairs in whole sentences."""
     count, ok = len(rows.statuses), rows.is_ok
@@ -115,6 +122,7 @@ def batch_sentences(rows: BatchRows) -> list[str]:
             f"By the probabilities that they state, {amount} of these {len(known):,} poses should "
             "be wrong."
         )
+        sentences.append(ALONE)
     return sentences
 
 
