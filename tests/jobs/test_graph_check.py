@@ -12,6 +12,7 @@ from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.report.match_table import describe_match, pairs_csv
 
+ONLY = "with a probability of only"
 # Four corners of a square, and a fifth camera behind the last.
 PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3), "e": (1, 0, 7)}
 
@@ -69,13 +70,16 @@ def test_a_pair_that_alone_joins_two_groups_needs_a_higher_probability():
     pairs["cd"] = replace(pairs["cd"], probability=0.9157)
     pairs["de"] = replace(pairs["de"], probability=0.95)
     found = refusals(pairs)
-    assert found.pop("cd") == "joins two groups alone, with a probability of only 0.915"
+    assert (
+        found.pop("cd")
+        == "joins two groups alone, with a probability of only 0.915 by its own matches"
+    )
     assert set(found.values()) == {""}
 
 
 def test_a_probability_that_is_not_known_refuses_nothing():
     assert set(refusals(graph("ab cd", ab={"probability": np.nan})).values()) == {
-        "", "joins two groups alone, with a probability of only 0.9",
+        "", f"joins two groups alone, {ONLY} 0.9 by its own matches",
     }  # fmt: skip
     lost = {"ab": Verdict(status="too_few_inliers", probability=0.1)}
     assert refusals(lost) == {"ab": ""}
@@ -102,7 +106,9 @@ def test_in_a_level_folder_a_floor_alone_is_not_enough():
     pairs = graph("ab bc cd da", ab=FLOOR)
     assert refusals(pairs)["ab"] == ""
     found = refusals(pairs, is_level=True)
-    assert found["ab"] == "lies on the floor only, with a probability of only 0.998"
+    assert (
+        found["ab"] == "lies on the floor only, with a probability of only 0.998 by its own matches"
+    )
     assert found["bc"].startswith("joins two groups alone")  # the circle is open now
 
 

@@ -269,7 +269,8 @@ def _refusal(why: str, verdict: Verdict, needed: float) -> str:
     """Why a pair is not accepted; empty if it is probable enough."""
     if not verdict.probability < needed:
         return ""
-    return f"{why}, with a probability of only {_rounded_down(verdict.probability)}"
+    by_itself = _rounded_down(verdict.probability)
+    return f"{why}, with a probability of only {by_itself} by its own matches"
 
 
 def _rounded_down(probability: float) -> str:

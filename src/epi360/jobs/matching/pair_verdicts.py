@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epi360.jobs.graph.graph_check import believed, check_graph, closing, groups_by
+from epi360.jobs.graph.graph_check import CONFIRMED, believed, check_graph, closing, groups_by
 from epi360.jobs.graph.place_check import (
     ANOTHER_PLACE,
     COPY,
@@ -16,7 +16,7 @@ from epi360.jobs.graph.place_check import (
     PLACE_CONFIRMED,
     PlaceVerdict,
 )
-from epi360.jobs.matching.implied_job import PRIOR, ImpliedPair
+from epi360.jobs.matching.implied_job import IMPLIED, PRIOR, ImpliedPair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.poses import Pose
 
@@ -60,6 +60,12 @@ class PairVerdict(Verdict):
     def by_others(self) -> bool:
         """Whether it is accepted because of what other pairs know of the place."""
         return self.accepted and (self.prior == PRIOR or PLACE_AGREES in self.warnings)
+
+    @property
+    def accepted_for(self) -> str:
+        """What it is accepted for, if its own matches alone leave a doubt; else empty."""
+        told = (why for why in (IMPLIED, PLACE_AGREES, CONFIRMED) if why in self.warnings)
+        return next(told, "") if self.accepted else ""
 
 
 def checked(
