@@ -324,7 +324,7 @@ def test_a_source_without_images_is_refused(run, tmp_path):
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "convert", "--images", "--camera", "--format", "--features", "--pairs",
-        "--fps", "--verify", "--verify-again", "--no-descriptors",
+        "--fps", "--verify", "--verify-again", "--no-descriptors", "--table", "--report",
     )  # fmt: skip
 
 
@@ -348,9 +348,8 @@ def test_matches_of_hloc_say_that_they_need_verification_or_get_it(run, tmp_path
     assert code == 0 and "not verified" not in err
     geometry = read_colmap_database("b.db").pairs[0].geometry
     assert geometry.status == "ok" and len(geometry.inliers) > 50
-    refused(
-        run("a.db", "n.h5", "--features", "g.h5", "--verify"), "--verify and --verify-again are"
-    )
+    (tmp_path / "transforms.json").write_text('{"frames": []}')
+    refused(run("transforms.json", "model", "--verify"), "--verify and --verify-again are for")
 
 
 def test_refused_pairs_are_left_out_of_files_without_poses(run, tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Matches that nobody has verified: poses for their pairs, and what COLMAP does with them."""
 
+import csv
 import dataclasses
 import shutil
 
@@ -14,6 +15,7 @@ from epi360.cli import main
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs, without_geometries
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
+from epi360.report.folder_page import NO_PICTURES
 from epi360.report.match_table import describe_verified
 
 
@@ -170,8 +172,9 @@ def test_level_panoramas_are_noticed(rooms):
 
 def test_a_picture_that_is_missing_is_named(rooms, tmp_path):
     _, _, graph = rooms
-    with pytest.raises(FileNotFoundError, match=r"must hold the pictures by the names.*a0\.png"):
-        verify_pairs(graph, pictures=tmp_path)
+    for folder in (tmp_path, str(tmp_path)):
+        with pytest.raises(FileNotFoundError, match=r"must hold the pictures by .*a0\.png"):
+            verify_pairs(graph, pictures=folder)
 
 
 @pytest.mark.parametrize(
@@ -279,5 +282,90 @@ def test_pairs_that_have_a_pose_are_verified_again_when_that_is_asked(tmp_path, 
         pairs = read_colmap_database(tmp_path / f"{name}.db").pairs
         (found,) = [p for p in pairs if [p.image1, p.image2] == wrong]
         assert found.geometry.status == expected
-    assert main([*words, str(tmp_path / "m.h5"), "--features", "f.h5", "--verify-again"]) == 2
-    assert "--verify and --verify-again are for a COLMAP database" in capsys.readouterr().err
+
+
+def test_a_pair_that_was_refused_does_not_come_back_through_files_of_hloc(tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    pytest.importorskip("h5py")
+    from epi360.interop import read_hloc, write_colmap_database
+
+    poses, graph = panoramas_of_points(5)
+    wrong = without_geometries(with_a_wrong_pair(graph, poses))
+    write_colmap_database(tmp_path / "a.db", wrong)
+
+    def converted(source, name, *options):
+        words = ["convert", str(tmp_path / source), str(tmp_path / f"{name}.h5"), "--features"]
+        assert main([*words, str(tmp_path / f"{name}-f.h5"), *options]) == 0
+        pairs = read_hloc(tmp_path / f"{name}-f.h5", tmp_path / f"{name}.h5").pairs
+        return {frozenset((pair.image1, pair.image2)) for pair in pairs}
+
+    everyone = {frozenset((pair.image1, pair.image2)) for pair in wrong.pairs}
+    refused = frozenset((wrong.pairs[0].image1, wrong.pairs[0].image2))
+    assert converted("a.db", "verified", "--verify") == everyone - {refused}
+    assert "1 pair is left out: other pairs speak against" in capsys.readouterr().out
+    assert main(["convert", str(tmp_path / "a.db"), str(tmp_path / "b.db"), "--verify"]) == 0
+    assert converted("b.db", "unaware") == everyone
+    assert "1 pair is without a pose in the database" in capsys.readouterr().err
+    assert converted("b.db", "again", "--verify-again") == everyone - {refused}
+
+
+def test_verdicts_are_written_as_a_table_and_a_page(rooms, tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    from epi360.interop import write_colmap_database
+
+    folder, _, graph = rooms
+    write_colmap_database(tmp_path / "a.db", graph)
+    table, page = tmp_path / "a.csv", tmp_path / "a.html"
+    words = ["convert", str(tmp_path / "a.db"), str(tmp_path / "b.db"), "--table", str(table)]
+    words += ["--report", str(page)]
+    assert main(words) == 2
+    assert "--table and --report are for --verify" in capsys.readouterr().err
+    words += ["--verify", "--images", str(folder / "a")]
+    assert main(words) == 0
+    assert f"wrote {table}\nwrote {page}\n" in capsys.readouterr().out
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 15
+    for row in rows:
+        right = row["image1"][0] == row["image2"][0]
+        assert (row["accepted"] == "yes") == right
+        assert right or row["reason"].startswith("shows another place")
+        assert (row["rotation_sigma_deg"] != "") >= right
+    text = page.read_text(encoding="utf-8")
+    assert "6 images gave 15 pairs (matched beforehand), and 6 pairs are accepted." in text
+    assert "data:image/" in text and NO_PICTURES not in text
+    assert main(words) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "path", "message"),
+    [
+        ("--table", "a.txt", "--table must end in .csv"),
+        ("--report", "a.txt", "--report must end in .html"),
+        ("--table", "none/a.csv", "none does not exist; create it first"),
+    ],
+)
+def test_where_verdicts_cannot_be_written_is_said_before_the_work(
+    tmp_path, capsys, option, path, message
+):
+    pytest.importorskip("pycolmap")
+    from epi360.interop import write_colmap_database
+
+    write_colmap_database(tmp_path / "a.db", panoramas_of_points(3)[1])
+    words = ["convert", str(tmp_path / "a.db"), str(tmp_path / "b.db"), "--verify-again"]
+    assert main([*words, option, str(tmp_path / path)]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "b.db").exists()
+
+
+@pytest.mark.parametrize(
+    ("factor", "message"), [(2.0, "lie outside its 2000x1000 pixels"), (0.5, "upper left quarters")]
+)
+def test_key_points_of_a_picture_of_another_size_are_refused(factor, message):
+    _, graph = panoramas_of_points(3)
+    images = {
+        name: dataclasses.replace(image, keypoints=factor * image.keypoints)
+        for name, image in graph.images.items()
+    }
+    with pytest.raises(ValueError, match=message):
+        verify_pairs(without_geometries(dataclasses.replace(graph, images=images)))

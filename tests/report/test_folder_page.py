@@ -18,13 +18,16 @@ from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometr
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.jobs.folder.image_set import ImageSet, SourceImage
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
+from epi360.jobs.matching.verify_pairs import GIVEN, VerifiedGraph
 from epi360.poses import Pose
 from epi360.report import folder_page
 from epi360.report.folder_page import (
+    NO_PICTURES,
     MapShown,
     match_page,
     summary_sentences,
     write_match_report,
+    write_verified_report,
 )
 from epi360.report.match_table import describe_match
 from epi360.report.model_scene import model_scene
@@ -34,7 +37,7 @@ CAMERA = Equirectangular(width=512, height=256)
 HOSTILE = "<img src=x onerror=window.broken=1>&.png"
 ROWS = "return [...document.querySelectorAll('.pairs tbody tr')].map(row => row.innerText)"
 INLIERS = (
-    "return [...document.querySelectorAll('.pairs td.c3')].map(cell => Number(cell.innerText))"
+    "return [...document.querySelectorAll('.pairs td.c5')].map(cell => Number(cell.innerText))"
 )
 
 
@@ -171,7 +174,7 @@ def test_the_text_says_what_a_verdict_means_and_into_which_groups_a_folder_falls
 
 def test_the_table_sorts_by_a_column_and_turns_round(browser, make_run, tmp_path):
     opened(browser, tmp_path, make_run(12, 5))
-    button = "document.querySelectorAll('.pairs th button')[3].click();"
+    button = "document.querySelectorAll('.pairs th button')[5].click();"
     browser.execute_script(button)
     rising = browser.execute_script(INLIERS)
     assert rising == sorted(rising) and rising[0] < rising[-1]
@@ -226,6 +229,37 @@ def test_a_pair_is_one_click_away_with_both_pictures_and_its_curve(browser, make
     assert title == "view 0.png and view 3.png"
     browser.find_element(By.CSS_SELECTOR, "button[name=close]").click()
     assert not browser.execute_script("return document.querySelector('dialog').open")
+    assert errors(browser) == []
+
+
+@pytest.mark.parametrize("has_pictures", [False, True])
+def test_given_matches_have_a_page_with_their_pictures_or_without(
+    browser, make_run, tmp_path, has_pictures
+):
+    run, images = make_run(4, 3, name="{}.png")
+    verified = VerifiedGraph(
+        images=run.images,
+        verdicts=run.verdicts[:-1],
+        how=GIVEN,
+        kept=(run.images[-2:],),
+        graph=folder_page.load_matches(None),
+        num_panoramic=6,
+        looked_around=False,
+    )
+    pictures = images.folder if has_pictures else None
+    path = tmp_path / "report.html"
+    write_verified_report(path, verified, pictures, name="m.h5")
+    show(browser, path)
+    text = path.read_text(encoding="utf-8")
+    assert "<h1>Pairs of m.h5</h1>" in text
+    assert "4 images gave 5 pairs (matched beforehand)" in text
+    assert "1 more pair has the pose that was there before, and no verdict." in text
+    assert (NO_PICTURES in text) != has_pictures
+    browser.execute_script("folder.open(0)")
+    assert browser.execute_script("return document.querySelector('.words').innerText") != ""
+    drawn = "return document.querySelector('dialog .picture') !== null"
+    assert browser.execute_script(drawn) == has_pictures
+    assert "could not be read" not in browser.execute_script("return document.body.innerText")
     assert errors(browser) == []
 
 

@@ -7,12 +7,14 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
 from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed
+from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.interop import MatchGraph, Reconstruction
@@ -31,6 +33,37 @@ FormatName = Literal[
 MATCH_FOLDER = "epi360"  # what `epi360 match` writes; it is read, not written
 
 
+@Parameter(name="*", group=Group("Verdicts", sort_key=1))
+@dataclass(frozen=True)
+class Verdicts:
+    """Whether the pairs of matches are judged, and where the verdicts are written."""
+
+    verify: Flag = False
+    """Estimate the pose of each pair of matches that has none, and judge all of them together:
+    COLMAP's mapper and its triangulation use verified pairs only."""
+    verify_again: Flag = False
+    """The same for all pairs of matches, also for those that have a pose."""
+    table: Path | None = None
+    """Write a row for each pair that was judged, with the columns that epi360 match gives its
+    pairs.csv: verdict, reason, pose, sigmas and probability; .csv."""
+    report: Path | None = None
+    """Write a page that a browser opens offline: the graph of the pairs, a table that sorts and
+    filters, and each pair; with --images the matches in its pictures, too; .html."""
+
+    @property
+    def are_wanted(self) -> bool:
+        """Whether pairs are judged."""
+        return self.verify or self.verify_again
+
+    @property
+    def files(self) -> list[Path]:
+        """What is written of them."""
+        return [path for path in (self.table, self.report) if path is not None]
+
+
+NO_VERDICTS = Verdicts()
+
+
 @app.command(group=FILES, sort_key=3)
 def convert(
     source: Path,
@@ -42,8 +75,7 @@ def convert(
     output_format: Annotated[FormatName | None, Parameter(name="--format")] = None,
     features: Path | None = None,
     pairs: Path | None = None,
-    verify: Flag = False,
-    verify_again: Flag = False,
+    verdicts: Verdicts = NO_VERDICTS,
     no_descriptors: Flag = False,
     fps: float | None = None,
 ) -> int:
@@ -76,18 +108,13 @@ def convert(
     pairs
         hloc's file of the pairs that were matched, beside the others; read or written. Without it
         the names of the matches must say which images they are of: hloc writes "-" for "/".
-    verify
-        Estimate the pose of each pair of matches that has none, and judge all of them together:
-        COLMAP's mapper and its triangulation use verified pairs only.
-    verify_again
-        The same for all pairs of matches, also for those that have a pose.
     no_descriptors
         Leave the descriptors out: a seventh of the size or less, but new images cannot be matched
         with these.
     fps
         Frames a second: times for a TUM trajectory of images without, in the order of their names.
     """
-    from epi360.cli.convert_matches import judged_matches, tell_of_matches
+    from epi360.cli.convert_matches import judged_matches, tell_of_matches, write_verdicts
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import format_of_name
     from epi360.interop.reconstruction import Reconstruction
@@ -98,15 +125,15 @@ def convert(
     with as_file(source) as file:  # a pipe gives its content once: to find the format, or to read
         source_name = _format_of_source(file)
         _check_kinds(source, source_name, target, target_name)
-        verify = verify or verify_again
+        verify = verdicts.are_wanted
         named = None if verify else images  # pictures to compare, not a part of the target
         _check_options((source_name, target_name), named, camera, features, pairs)
         if fps is not None and target_name != "tum":
             raise ValueError("--fps is for a TUM trajectory, whose rows have times")
-        _check_free(files_written(target, target_name, features, pairs), target_name)
         _check_match_options(target_name, verify=verify, no_descriptors=no_descriptors)
-        if verify:
-            _check_verify(source_name, images, again=verify_again)
+        _check_verdicts(verdicts, source_name, images)
+        outputs = [*files_written(target, target_name, features, pairs), *verdicts.files]
+        _check_free(outputs, target_name)
         keeps_descriptors = not no_descriptors
         content = _read(
             file, source_name, target_name, folder, camera, features, pairs, keeps_descriptors
@@ -119,32 +146,48 @@ def convert(
         print(_summary(target, target_name, content))
         return SUCCESS
     graph, verified = judged_matches(
-        content, target_name, images=images, verify=verify, again=verify_again
+        content, target_name, images=images, verify=verify, again=verdicts.verify_again
     )
     descriptors = _descriptors(source, source_name, keeps_descriptors)
     write_matches(
         target, target_name, graph, features=features, pairs=pairs, descriptors=descriptors
     )
     print(_summary(target, target_name, graph))
-    tell_of_matches(content, graph, verified, target_name, images)
+    tell_of_matches(content, graph, verified, (source_name, target_name), images)
+    if verified is not None:
+        write_verdicts(verified, verdicts.table, verdicts.report, images, source)
     return SUCCESS
 
 
 def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool) -> None:
     from epi360.interop.formats import FORMATS
 
-    if verify and target_name != "colmap-database":
+    if verify and FORMATS[target_name].kind != "matches":
         raise ValueError(
-            "--verify and --verify-again are for a COLMAP database; the other formats hold no poses"
+            "--verify and --verify-again are for matches; the poses of a reconstruction are not "
+            "judged"
         )
     if no_descriptors and FORMATS[target_name].kind != "matches":
         raise ValueError("--no-descriptors is for matches; a reconstruction has none")
 
 
-def _check_verify(source_name: str, images: str | None, *, again: bool) -> None:
+def _check_verdicts(verdicts: Verdicts, source_name: str, images: str | None) -> None:
+    """Raise where pairs cannot be judged, or the verdicts not be written."""
+    from epi360.report.files import check_writable
+
+    if not verdicts.are_wanted:
+        if verdicts.files:
+            raise ValueError("--table and --report are for --verify, which judges the pairs")
+        return
+    if verdicts.table is not None:
+        if verdicts.table.suffix.lower() != ".csv":
+            raise ValueError(f"--table must end in .csv, got {str(verdicts.table)!r}")
+        check_writable(verdicts.table, name="--table")
+    if verdicts.report is not None:
+        check_report(verdicts.report)
     if images is not None and not Path(images).is_dir():
         raise ValueError(f"--images must be the folder of the pictures; {images} is none")
-    if again and source_name == MATCH_FOLDER:
+    if verdicts.verify_again and source_name == MATCH_FOLDER:
         raise ValueError(
             "--verify-again is for the matches of others; epi360 match has judged its own, with "
             "their pictures"

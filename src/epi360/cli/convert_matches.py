@@ -8,6 +8,7 @@ from pathlib import Path
 
 from epi360.cli.command import show_bars
 from epi360.interop.convert import without_refused
+from epi360.interop.formats import FORMATS
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.matching.place_job import FEWEST_PAIRS, MOST_PAIRS
 from epi360.jobs.matching.verify_pairs import (
@@ -16,7 +17,10 @@ from epi360.jobs.matching.verify_pairs import (
     verify_pairs,
     without_geometries,
 )
-from epi360.report.match_table import describe_verified
+from epi360.report.match_table import describe_verified, pairs_csv
+from epi360.runs.whole_files import write_file
+
+_WITH_POSE = ("ok", "planar_ambiguous", "pure_rotation")
 
 
 def judged_matches(
@@ -26,37 +30,66 @@ def judged_matches(
 
     Without poses of pairs, as in hloc's files, refused ones are left out.
     """
+    verified = None
     if verify:
         pictures = None if images is None else Path(images)
         unverified = without_geometries(graph) if again else graph
         with show_bars() as progress:
             verified = verify_pairs(unverified, pictures=pictures, progress=progress)
-        return verified.graph, verified
-    return (without_refused(graph) if target_name == "hloc" else graph), None
+        graph = verified.graph
+    return (without_refused(graph) if target_name == "hloc" else graph), verified
 
 
 def tell_of_matches(
     given: MatchGraph,
     written: MatchGraph,
     verified: VerifiedGraph | None,
-    target_name: str,
+    formats: tuple[str, str],
     images: str | None,
 ) -> None:
-    """Print what became of the pairs, and what could be done for them."""
-    if verified is not None:
+    """Print what became of the pairs, and what could be done for them.
+
+    ``formats`` are the names of those that were read and written.
+    """
+    if verified is not None and not verified.verdicts:
+        anew = (
+            "--verify-again judges them anew"
+            if formats[0] in FORMATS
+            else "epi360 match judged them"
+        )
+        print(f"All pairs have a verdict already; {anew}.")
+    elif verified is not None:
         _tell_of_verified(verified, images)
-    elif target_name == "colmap-database":
+    elif formats[1] == "colmap-database":
         _warn_of_unverified(written)
-    elif num_refused := len(given.pairs) - len(written.pairs):
+    elif formats[0] == "colmap-database":
+        _warn_of_refused(written)
+    if num_refused := len(given.pairs) - len(written.pairs):
         print(
             f"{_pairs_are(num_refused)} left out: other pairs speak against what their matches say"
         )
 
 
+def write_verdicts(
+    verified: VerifiedGraph,
+    table: Path | None,
+    report: Path | None,
+    images: str | None,
+    source: Path,
+) -> None:
+    """Write the verdicts on the matches of the source as a table and as a page, and say so."""
+    if table is not None:
+        write_file(table, pairs_csv(verified))
+        print(f"wrote {table}")
+    if report is not None:
+        from epi360.report.folder_page import write_verified_report
+
+        pictures = None if images is None else Path(images)
+        write_verified_report(report, verified, pictures, name=source.resolve().name)
+        print(f"wrote {report}")
+
+
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
-    if not verified.verdicts:
-        print("All pairs have a verdict already; --verify-again judges them anew.")
-        return
     print(describe_verified(verified))
     if verified.num_panoramic < FEWEST_PAIRS:
         return
@@ -80,6 +113,21 @@ def _warn_of_unverified(graph: MatchGraph) -> None:
         print(
             f"epi360: {_pairs_are(count)} not verified: COLMAP's mapper and triangulation skip "
             "them; convert with --verify, or run pycolmap.verify_matches on the database",
+            file=sys.stderr,
+        )
+
+
+def _warn_of_refused(graph: MatchGraph) -> None:
+    """A database does not say which of these the other pairs have refused."""
+    count = sum(
+        pair.geometry is not None and pair.geometry.status not in _WITH_POSE
+        for pair in graph.pairs
+        if len(pair.matches)
+    )
+    if count:
+        print(
+            f"epi360: {_pairs_are(count)} without a pose in the database, which hloc's files "
+            "cannot say; other pairs may have refused them: --verify-again leaves those out",
             file=sys.stderr,
         )
 

@@ -72,7 +72,8 @@ class MatchGraph:
     ------
     ValueError
         If a pair names an unknown image, is listed twice or matches a key point that does not
-        exist, an image names an unknown camera, or a name is empty or no text.
+        exist, an image names an unknown camera, a name is empty or no text, or key points or
+        matches have another shape.
     """
 
     cameras: Mapping[str, Camera]
@@ -84,6 +85,11 @@ class MatchGraph:
         num_keypoints = {}
         for name, image in self.images.items():
             check_image(image.name, image.camera, self.cameras)
+            if image.keypoints.ndim != 2 or image.keypoints.shape[1] != 2:
+                raise ValueError(
+                    f"image {name}: key points must be pixels of shape (N, 2), got "
+                    f"{image.keypoints.shape}"
+                )
             num_keypoints[name] = len(image.keypoints)
         listed: set[frozenset[str]] = set()
         for pair in self.pairs:
@@ -94,6 +100,7 @@ class MatchGraph:
             if names in listed:
                 raise ValueError(f"{what} is there twice")
             listed.add(names)
+            _check_matches(what, pair.matches)
             for column, name in enumerate((pair.image1, pair.image2)):
                 if name not in num_keypoints:
                     raise ValueError(f"{what}: there is no image {name}")
@@ -103,3 +110,11 @@ class MatchGraph:
                         f"{what} must match key points 0 to {count - 1} of {name}, "
                         f"got {indices.min()} to {indices.max()}"
                     )
+
+
+def _check_matches(what: str, matches: NDArray[np.int64]) -> None:
+    if matches.ndim != 2 or matches.shape[1] != 2 or not np.issubdtype(matches.dtype, np.integer):
+        raise ValueError(
+            f"{what}: matches must be numbers of key points, whole and of shape (M, 2), got "
+            f"{matches.dtype} {matches.shape}"
+        )

@@ -1,50 +1,44 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The report of a folder: its images, the graph of its pairs, and every pair one click away."""
 
-import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from pathlib import Path
 
 from epi360.cameras import Camera
-from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.features import read_image
-from epi360.interop import MatchedPair, MatchGraph, Reconstruction
+from epi360.interop import MatchGraph, Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
-from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
-from epi360.jobs.matching.match_folder import MatchRun, PairVerdict, load_matches
-from epi360.poses import Pose
+from epi360.jobs.matching.folder_verdicts import JudgedPairs
+from epi360.jobs.matching.match_folder import MatchRun, load_matches
+from epi360.jobs.matching.verify_pairs import VerifiedGraph
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (
     REJECTIONS,
     describe_level,
     describe_others,
     groups_sentence,
+    joined_images,
+    not_used,
     rejection,
-    verdict_reason,
 )
 from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
-from epi360.report.text import counted, describe_explanations
+from epi360.report.pair_records import pair_records
+from epi360.report.text import counted
 from epi360.report.webgl import MISSING, find_webgl_library
+from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike, write_file
 
-Array = NDArray[np.float64]
-
 SCRIPTS = ("geometry.js", "sphere.js", "pair_view.js", "scene.js", "table.js", "folder.js")
-# The pictures of all images together, and the matches of all pairs, stay below these.
-_PICTURE_BYTES = 18_000_000
+NO_PICTURES = (
+    "Without the pictures no matches are shown: give the folder of the images to see them."
+)
+_PICTURE_BYTES = 18_000_000  # of all images together
 _PICTURE_SIZES = ((1600, 80), (1280, 78), (1024, 75), (768, 72), (512, 68), (384, 62), (256, 60))
-_MATCHES = 200_000
-_MOST_MATCHES, _FEWEST_MATCHES = 300, 20  # of one pair
-_SCALE = 65535  # places in a picture, and residuals up to three times the gate, are 16 bits
 _NAMED = 10  # images of one kind that the page names
-_GATE_SIGMAS = 3.0  # the residuals of a pair are coloured up to so many times its noise
 
 
 @dataclass(frozen=True)
@@ -70,29 +64,93 @@ def write_match_report(
     write_file(path, match_page(run, images, shown_map, name=name).encode())
 
 
+def write_verified_report(
+    path: PathLike, verified: VerifiedGraph, pictures: Path | None, *, name: str
+) -> None:
+    """Write the report of `verify_pairs` on the matches of that name.
+
+    Their images are shown where they are found in the folder of the ``pictures``.
+    """
+    write_file(path, verified_page(verified, pictures, name=name).encode())
+
+
 def match_page(
     run: MatchRun, images: ImageSet, shown_map: MapShown | None = None, *, name: str | None = None
 ) -> Page:
     """Return the page of a folder, with its map where it was mapped."""
+    shown = _Images(
+        images.cameras,
+        {image.name: image.camera for image in images.images},
+        {image.name: image.path for image in images.images},
+    )
+    words = summary_sentences(run, images.skipped)
+    title = f"{'Map' if shown_map else 'Pairs'} of {name or images.folder.resolve().name}"
+    return _page(title, words, run, load_matches(run.folder), shown, shown_map)
+
+
+def verified_page(verified: VerifiedGraph, pictures: Path | None, *, name: str) -> Page:
+    """Return the page of given matches."""
+    graph = verified.graph
+    camera_of = {each: graph.images[each].camera for each in verified.images}
+    paths = {} if pictures is None else _paths_below(pictures, verified.images)
+    shown = _Images(
+        graph.cameras, {each: key for each, key in camera_of.items() if key is not None}, paths
+    )
+    words = summary_sentences(verified)
+    if not paths:
+        words.append(NO_PICTURES)
+    return _page(f"Pairs of {name}", words, verified, graph, shown, None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Images:
+    """Cameras by their keys, the camera of each image, and its picture where there is one."""
+
+    cameras: Mapping[str, Camera]
+    camera_of: Mapping[str, str]
+    paths: Mapping[str, Path]
+
+
+def _paths_below(folder: Path, names: Sequence[str]) -> dict[str, Path]:
+    paths = {}
+    for name in names:
+        try:
+            path = inside(folder, name)
+        except ValueError:  # such a picture is not read
+            continue
+        if path.is_file():
+            paths[name] = path
+    return paths
+
+
+def _page(
+    title: str,
+    words: Sequence[str],
+    judged: JudgedPairs,
+    graph: MatchGraph,
+    images: _Images,
+    shown_map: MapShown | None,
+) -> Page:
     models = shown_map.models if shown_map else ()
     webgl = find_webgl_library() if models else None
-    graph = load_matches(run.folder)
-    names = list(run.images)
-    camera_of = {image.name: image.camera for image in images.images}
     keys = list(images.cameras)
     data = {
         "images": [
-            {"name": name, "camera": keys.index(camera_of[name]) if name in camera_of else None}
-            for name in names
+            {
+                "name": name,
+                "camera": keys.index(images.camera_of[name]) if name in images.camera_of else None,
+                "unreadable": name in judged.unreadable,
+            }
+            for name in judged.images
         ],
-        "pictures": _pictures(names, images),
+        "pictures": _pictures(judged.images, images.paths),
         "cameras": [camera_record(camera) for camera in images.cameras.values()],
-        "pairs": _pair_records(run, graph, images, names),
+        "pairs": pair_records(judged, graph),
         "scene": model_scene(models[0]) if models and webgl else None,
     }
-    title = f"{'Map' if shown_map else 'Pairs'} of {name or images.folder.resolve().name}"
-    scene = _map_section(shown_map, len(names), webgl is not None) if shown_map else ""
-    return Page(title, _body(title, run, images, scene), data, SCRIPTS, webgl)
+    scene = _map_section(shown_map, len(judged.images), webgl is not None) if shown_map else ""
+    has_pose = any(verdict.accepted for verdict in judged.verdicts)
+    return Page(title, _body(title, words, scene, has_pose=has_pose), data, SCRIPTS, webgl)
 
 
 def _map_section(shown_map: MapShown, num_images: int, has_webgl: bool) -> str:
@@ -118,10 +176,10 @@ def _map_section(shown_map: MapShown, num_images: int, has_webgl: bool) -> str:
     )
 
 
-def _body(title: str, run: MatchRun, images: ImageSet, scene: str) -> str:
-    summary = "".join(f"<p>{escaped(text)}</p>" for text in summary_sentences(run, images.skipped))
+def _body(title: str, words: Sequence[str], scene: str, *, has_pose: bool) -> str:
+    summary = "".join(f"<p>{escaped(text)}</p>" for text in words)
     hint = "Point at a picture to see the match there"
-    kind = " ok" if any(verdict.accepted for verdict in run.verdicts) else ""
+    kind = " ok" if has_pose else ""
     return f"""<h1>{escaped(title)}</h1>
 <section class="verdict{kind}">{summary}</section>
 {scene}
@@ -149,68 +207,29 @@ its matches have a pose <i class="none"></i> no pose</p>
 <template>{pictures_html(("", ""), hint + ".")}</template>"""
 
 
-def summary_sentences(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> list[str]:
+def summary_sentences(judged: JudgedPairs, skipped: Sequence[tuple[str, str]] = ()) -> list[str]:
     """Return what became of the images and pairs of a folder, in whole sentences."""
-    accepted = [verdict for verdict in run.verdicts if verdict.accepted]
-    images, pairs = counted(len(run.images), "image"), counted(len(run.verdicts), "pair")
+    accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
+    images, pairs = counted(len(judged.images), "image"), counted(len(judged.verdicts), "pair")
     taken = f"{counted(len(accepted), 'pair')} {'is' if len(accepted) == 1 else 'are'} accepted"
-    sentences = [f"{images} gave {pairs} ({run.how}), and {taken}."]
-    counts = Counter(rejection(verdict) for verdict in run.verdicts if not verdict.accepted)
+    sentences = [f"{images} gave {pairs} ({judged.how}), and {taken}."]
+    counts = Counter(rejection(verdict) for verdict in judged.verdicts if not verdict.accepted)
     for words, count in counts.most_common():
         refused = f"{'was' if count == 1 else 'were'} refused: {words}"
         sentences.append(f"Of the others, {count} {REJECTIONS.get(words, refused)}.")
-    joined = [(verdict.image1, verdict.image2) for verdict in accepted]
-    sentences.append(groups_sentence(run.images, joined))
-    not_used = sorted([*run.unreadable.items(), *skipped])
-    sentences += [f"Not used: {name}: {why}." for name, why in not_used[:_NAMED]]
-    if len(not_used) > _NAMED:
-        sentences.append(f"Not used: {len(not_used) - _NAMED} more.")
-    return sentences + describe_level(run) + describe_others(run)
+    if judged.kept:
+        had = "1 more pair has" if len(judged.kept) == 1 else f"{len(judged.kept)} more pairs have"
+        sentences.append(f"{had} the pose that was there before, and no verdict.")
+    sentences.append(groups_sentence(judged.images, joined_images(judged)))
+    unused = not_used(judged, skipped)
+    sentences += [f"Not used: {name}: {why}." for name, why in unused[:_NAMED]]
+    if len(unused) > _NAMED:
+        sentences.append(f"Not used: {len(unused) - _NAMED} more.")
+    return sentences + describe_level(judged) + describe_others(judged)
 
 
-def pair_sentences(verdict: PairVerdict, run: MatchRun) -> list[str]:
-    """Return the verdict on one pair of a folder, and how certain it is."""
-    reason = verdict_reason(verdict, run)
-    because = f": {reason}" if reason else ""
-    sentences = [f"This pair is {_kind(verdict)}{because}."]
-    if _kind(verdict) == "no pose":
-        sentences = [f"This pair has no pose{because}."]
-    share = f" ({verdict.num_inliers / verdict.num_matches:.0%})" if verdict.num_matches else ""
-    sentences.append(
-        f"{verdict.num_inliers} of {verdict.num_matches} matches{share} agree with one pose."
-    )
-    if np.isfinite(verdict.rotation_sigma_deg) and np.isfinite(verdict.translation_sigma_deg):
-        sentences.append(
-            f"The error to expect is {verdict.rotation_sigma_deg:.2g}° in the rotation and "
-            f"{verdict.translation_sigma_deg:.2g}° in the direction of the translation (one sigma)."
-        )
-    if np.isfinite(verdict.probability):
-        sure = f"{100 * verdict.probability:.1f}" if verdict.probability < 0.999 else "over 99.9"
-        sentences.append(
-            f"The pose, with what its surroundings say, has a probability of {sure} %."
-        )
-    explained = describe_explanations(verdict.explanations)
-    if explained:
-        sentences.append(f"What may explain the matches: {explained}.")
-    if verdict.num_triangles:
-        sentences.append(
-            f"It forms {verdict.num_triangles} triangles with other pairs, and "
-            f"{verdict.num_contradicted or 'none'} of them contradict it."
-        )
-    if verdict.prior and verdict.prior != IMPLIED_PRIOR:  # its warning says that
-        sentences.append(f"What was known beforehand: {verdict.prior}.")
-    return sentences + [f"{text[0].upper()}{text[1:]}." for text in verdict.warnings]
-
-
-def _kind(verdict: PairVerdict) -> str:
-    if verdict.accepted:
-        return "accepted"
-    return "refused" if verdict.contradicted or verdict.refused else "no pose"
-
-
-def _pictures(names: Sequence[str], images: ImageSet) -> list[str | None]:
+def _pictures(names: Sequence[str], paths: Mapping[str, Path]) -> list[str | None]:
     """Return a picture of each image, None where it cannot be read; all together fit the page."""
-    paths = {image.name: image.path for image in images.images}
     share = _PICTURE_BYTES / max(len(names), 1)
 
     def picture(name: str) -> str | None:
@@ -228,97 +247,3 @@ def _pictures(names: Sequence[str], images: ImageSet) -> list[str | None]:
 
     with ThreadPoolExecutor(4) as pool:
         return list(pool.map(picture, names))
-
-
-def _pair_records(
-    run: MatchRun, graph: MatchGraph, images: ImageSet, names: Sequence[str]
-) -> list[dict[str, Any]]:
-    places = {name: index for index, name in enumerate(names)}
-    rows = {(pair.image1, pair.image2): row for row, pair in enumerate(graph.pairs)}
-    most = _MATCHES // max(len(run.verdicts), 1)
-    most = min(max(most, _FEWEST_MATCHES), _MOST_MATCHES)
-    records = []
-    for verdict in run.verdicts:
-        record = {
-            "i": places[verdict.image1],
-            "j": places[verdict.image2],
-            "kind": _kind(verdict),
-            "reason": verdict_reason(verdict, run),
-            "words": pair_sentences(verdict, run),
-            "numbers": [
-                verdict.num_matches,
-                verdict.num_inliers,
-                _rounded(verdict.noise_deg),
-                _rounded(verdict.parallax_deg),
-                _rounded(verdict.probability),
-            ],
-        }
-        row = rows.get((verdict.image1, verdict.image2))
-        if row is not None:
-            record |= _matches_record(graph.pairs[row], verdict, graph, images, most)
-        records.append(record)
-    return records
-
-
-def _matches_record(
-    pair: MatchedPair, verdict: PairVerdict, graph: MatchGraph, images: ImageSet, most: int
-) -> dict[str, Any]:
-    """Return some of the matches, those that agree first, as shares of the pictures."""
-    assert pair.geometry is not None
-    inliers = pair.geometry.inliers
-    agreeing = {(int(a), int(b)) for a, b in inliers}
-    others = np.array(
-        [row for row in pair.matches.tolist() if tuple(row) not in agreeing], dtype=np.int64
-    ).reshape(-1, 2)
-    num_others = min(len(others), most // 3)
-    chosen = [_spread(inliers, most - num_others), _spread(others, num_others)]
-    rows = np.concatenate(chosen)
-    cameras, pixels, shares = [], [], []
-    for column, name in enumerate((pair.image1, pair.image2)):
-        image = graph.images[name]
-        assert image.camera is not None
-        camera = images.cameras[image.camera]
-        cameras.append(camera)
-        pixels.append(image.keypoints[rows[:, column]])
-        shares.append(_sixteen_bits(pixels[-1] / (camera.width, camera.height)))
-    pose = pair.geometry.cam2_from_cam1
-    gate = _GATE_SIGMAS * verdict.noise_deg
-    return {
-        "pixels": shares,
-        "agreeing": len(chosen[0]),
-        **_geometry_record(pose, cameras, pixels, gate),
-    }
-
-
-def _geometry_record(
-    pose: Pose, cameras: Sequence[Camera], pixels: Sequence[Array], gate_deg: float
-) -> dict[str, Any]:
-    """Return E and the residuals in shares of three gates; nothing where there is no pose."""
-    if not (np.isfinite(pose.translation).all() and np.isfinite(gate_deg) and gate_deg > 0):
-        return {}
-    E = essential_from_pose(pose)
-    bearings = [
-        camera.bearings_from_pixels(each) for camera, each in zip(cameras, pixels, strict=True)
-    ]
-    residuals = np.degrees(np.abs(sampson_residuals(E, *bearings)))
-    return {
-        "E": [round(float(value), 7) for value in E.ravel()],
-        "gate": round(gate_deg, 6),
-        "residuals": _sixteen_bits(np.nan_to_num(residuals, nan=np.inf) / (3.0 * gate_deg)),
-    }
-
-
-def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    if len(rows) <= count:
-        return rows
-    return rows[np.linspace(0, len(rows) - 1, count).astype(int)] if count else rows[:0]
-
-
-def _sixteen_bits(shares: Array) -> str:
-    """Return numbers from 0 to 1 as little-endian 16-bit integers in base64."""
-    values = np.round(np.clip(shares, 0.0, 1.0) * _SCALE).astype("<u2")
-    return base64.b64encode(values.tobytes()).decode("ascii")
-
-
-def _rounded(value: float) -> float | None:
-    return float(f"{value:.4g}") if np.isfinite(value) else None

@@ -39,7 +39,7 @@ _MAX_LISTED = 10
 _GROUPS_NAMED = 6
 
 
-def pairs_csv(run: MatchRun) -> bytes:
+def pairs_csv(judged: JudgedPairs) -> bytes:
     """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
 
     ``probability`` is by the matches of the pair and by what other pairs know, those of the
@@ -49,7 +49,7 @@ def pairs_csv(run: MatchRun) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
-    for verdict in run.verdicts:
+    for verdict in judged.verdicts:
         pose = verdict.cam2_from_cam1
         numbers = (verdict.noise_deg, verdict.parallax_deg, *pose.quaternion_wxyz)
         sigmas = (verdict.rotation_sigma_deg, verdict.translation_sigma_deg)
@@ -59,7 +59,7 @@ def pairs_csv(run: MatchRun) -> bytes:
                 verdict.image2,
                 verdict.status,
                 "yes" if verdict.accepted else "no",
-                verdict_reason(verdict, run),
+                verdict_reason(verdict, judged),
                 verdict.num_matches,
                 verdict.num_inliers,
                 *(_number(value) for value in (*numbers, *pose.translation, *sigmas)),
@@ -81,22 +81,18 @@ def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> st
         ("Images", f"{len(run.images)}"),
         ("Pairs", f"{len(run.verdicts)} ({run.how})" + there),
     ]
-    not_used = sorted([*run.unreadable.items(), *skipped])
-    return _described(run, first, _listed("Not used", [f"{name}: {why}" for name, why in not_used]))
+    return _described(run, first, skipped)
 
 
 def describe_verified(judged: VerifiedGraph) -> str:
     """Lines that say how many pairs of given matches have a pose, and why others have none."""
     had_one = f", {len(judged.kept)} more had a pose" if judged.kept else ""
     first = [("Verified", counted(len(judged.verdicts), "pair") + had_one)]
-    return _described(judged, first, [], judged.kept)
+    return _described(judged, first)
 
 
 def _described(
-    judged: JudgedPairs,
-    first: list[Row],
-    not_used: list[Row],
-    kept: Sequence[tuple[str, str]] = (),
+    judged: JudgedPairs, first: list[Row], skipped: Sequence[tuple[str, str]] = ()
 ) -> str:
     accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
     rows = [*first, ("Accepted", f"{len(accepted)}")]
@@ -105,14 +101,25 @@ def _described(
         rows.append(("", f"median of {inliers:.0f} inliers"))
     counts = Counter(rejection(verdict) for verdict in judged.verdicts if not verdict.accepted)
     rows += [("Rejected", f"{count} {_rejected(words)}") for words, count in counts.most_common()]
-    rows += not_used
-    joined = [*((verdict.image1, verdict.image2) for verdict in accepted), *kept]
+    rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used(judged, skipped)])
+    joined = joined_images(judged)
     paired = {name for names in joined for name in names}
     rows += _listed("No pair", [name for name in judged.images if name not in paired])
     if len(groups_of(joined)) > 1:
         rows.append(("Groups", groups_sentence(judged.images, joined)))
     lines = [wrapped(label, value) for label, value in rows]
     return "\n".join([*lines, *describe_level(judged), *describe_others(judged)])
+
+
+def not_used(judged: JudgedPairs, skipped: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Name and reason of each image of no use; ``skipped`` were so before any was paired."""
+    return sorted([*judged.unreadable.items(), *skipped])
+
+
+def joined_images(judged: JudgedPairs) -> list[tuple[str, str]]:
+    """Names of the images of all pairs that have a pose to use."""
+    accepted = (verdict for verdict in judged.verdicts if verdict.accepted)
+    return [*((verdict.image1, verdict.image2) for verdict in accepted), *judged.kept]
 
 
 def describe_level(judged: JudgedPairs) -> list[str]:
@@ -168,16 +175,18 @@ def rejection(verdict: PairVerdict) -> str:
     return verdict.refused.partition(",")[0] or verdict.status
 
 
-def verdict_reason(verdict: PairVerdict, run: MatchRun) -> str:
+def verdict_reason(verdict: PairVerdict, judged: JudgedPairs) -> str:
     """Return why a pair has its verdict, as the table says it; empty where nothing is known."""
     if verdict.contradicted:
         return CONTRADICTED
     if verdict.refused:
         return verdict.refused
+    if verdict.accepted_for:
+        return verdict.accepted_for
     if verdict.status in STATUS_SENTENCES:
         return STATUS_SENTENCES[verdict.status]
     names = (verdict.image1, verdict.image2)
-    return "; ".join(run.unreadable[name] for name in names if name in run.unreadable)
+    return "; ".join(judged.unreadable[name] for name in names if name in judged.unreadable)
 
 
 def _rejected(words: str) -> str:

@@ -8,7 +8,7 @@ and last the poses that accepted pairs imply for others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
@@ -26,6 +26,9 @@ class JudgedPairs:
 
     images: tuple[str, ...]  # names of the images that were to be paired
     verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
+    how: str  # how the pairs were chosen, in words
+    unreadable: Mapping[str, str] = field(default_factory=dict)  # image and why it was of no use
+    kept: tuple[tuple[str, str], ...] = ()  # images of the pairs that had a pose, and no verdict
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level

@@ -99,8 +99,6 @@ class MatchRun(JudgedPairs):
     """What a run of `match_images` found."""
 
     folder: AnyPath  # what `load_matches` takes
-    how: str  # how the pairs were chosen, in words
-    unreadable: Mapping[str, str]  # image to the reason why it could not be used
     num_found: int  # pairs that an earlier run had finished
 
 

@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching.check_keypoints import check_keypoints
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
@@ -33,6 +35,7 @@ from epi360.jobs.threads import num_cores, on_threads
 from epi360.progress import Progress, no_progress
 from epi360.runs.inside import inside
 
+GIVEN = "matched beforehand"  # how the pairs were chosen
 _STAGE, _STAGE_AGAIN = "verifying pairs", "level pairs"
 _PAIRS_AT_ONCE = 256  # whose bearings are in memory
 _IMAGES_IN_MEMORY = 64  # with the bearings of all their key points
@@ -44,13 +47,11 @@ class VerifiedGraph(JudgedPairs):
     """What `verify_pairs` found.
 
     All pairs of ``graph`` that have matches have a geometry. ``verdicts`` are those of the pairs
-    that had none, ``kept`` names the images of the pairs that had a pose, and ``images`` those of
-    both. ``num_panoramic`` pairs are of two full panoramas, and ``looked_around`` says
-    whether their surroundings were compared.
+    that had none; ``images`` are those of the ``kept`` pairs, too. ``num_panoramic`` pairs are of
+    two full panoramas, and ``looked_around`` says whether their surroundings were compared.
     """
 
     graph: MatchGraph
-    kept: tuple[tuple[str, str], ...]
     num_panoramic: int
     looked_around: bool
 
@@ -75,7 +76,7 @@ def without_geometries(graph: MatchGraph) -> MatchGraph:
 def verify_pairs(
     graph: MatchGraph,
     *,
-    pictures: Path | None = None,
+    pictures: str | PathLike[str] | None = None,
     seed: int = 0,
     num_threads: int | None = None,
     progress: Progress = no_progress,
@@ -94,12 +95,14 @@ def verify_pairs(
     Raises
     ------
     ValueError
-        If an image of such a pair has no camera, or the picture of a panorama has another shape or
-        cannot be read.
+        If an image of such a pair has no camera or key points that are no pixels of it, see
+        `check_keypoints`, or the picture of a panorama has another shape or cannot be read.
     FileNotFoundError
         If it is not below ``pictures``.
     """
-    folder = _GraphFolder(graph, pictures, seed, num_threads or num_cores(), progress)
+    below = None if pictures is None else Path(pictures)
+    folder = _GraphFolder(graph, below, seed, num_threads or num_cores(), progress)
+    check_keypoints(graph, folder.names)
     if pictures is not None:
         folder.read_pictures()
     finished = folder.verify()
@@ -112,6 +115,7 @@ def verify_pairs(
     return VerifiedGraph(
         images=folder.names,
         verdicts=tuple(v for v in judged.verdicts if (v.image1, v.image2) in found),
+        how=GIVEN,
         level=judged.level,
         num_gained=judged.num_gained,
         num_lost=judged.num_lost,

@@ -2,7 +2,9 @@
 "use strict";
 // The report of a folder: graph, table, thumbnails, and one pair at a time in a dialog.
 
-const COLUMNS = ["images", "verdict", "matches", "inliers", "noise (°)", "parallax (°)", "probability", "reason"];
+const COLUMNS = ["images", "verdict", "probability", "σ rotation (°)", "σ direction (°)", "inliers", "matches",
+  "noise (°)", "parallax (°)", "reason"];
+const DIGITS = { 3: 2, 4: 2, 7: 3, 8: 1 }; // behind the point, by column
 const SVG = "http://www.w3.org/2000/svg";
 
 function shares(text) {
@@ -63,10 +65,8 @@ class Folder {
 
   static written(value, column) {
     if (value === null) return "–";
-    if (column === 6) return value > 0.999 ? "> 0.999" : value.toFixed(3);
-    if (column === 4) return value.toFixed(3);
-    if (column === 5) return value.toFixed(1);
-    return value;
+    if (column === 2) return value > 0.999 ? "> 0.999" : value.toFixed(3);
+    return column in DIGITS ? value.toFixed(DIGITS[column]) : value;
   }
 
   _graph() {
@@ -103,11 +103,11 @@ class Folder {
     const joined = new Array(this.data.images.length).fill(0);
     for (const pair of this.data.pairs)
       if (pair.kind === "accepted") for (const i of [pair.i, pair.j]) joined[i] += 1;
-    const all = this.data.images.map(({ name }, i) => {
+    const all = this.data.images.map(({ name, unreadable }, i) => {
       const button = made("button"), picture = this.data.pictures[i];
       if (picture) button.append(made("img", undefined, { src: picture, alt: "", loading: "lazy" }));
       const words = joined[i] === 1 ? "1 accepted pair" : `${joined[i]} accepted pairs`;
-      button.append(made("span", name), made("small", picture ? words : "could not be read"));
+      button.append(made("span", name), made("small", unreadable ? "could not be read" : words));
       button.addEventListener("click", () => this.filter(name));
       return button;
     });
