@@ -208,7 +208,7 @@ def _epi360_global(folder: Path, output: Path) -> Model:
 
 def _epi360_mappers(folder: Path, output: Path) -> Model:
     """`epi360 map` without the poses of the pairs: COLMAP's mappers alone."""
-    with patch.object(map_folder, "composed_poses", lambda *_: ComposedPoses()):
+    with patch.object(map_folder, "composed_poses", lambda *_, **__: ComposedPoses()):
         return _epi360(folder, output)
 
 

@@ -2,6 +2,7 @@
 """Poses of all images from those of accepted pairs, and a map that begins with them."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -88,27 +89,25 @@ def test_two_images_are_no_map(count):
 
 
 def test_of_many_pairs_those_are_kept_that_hold_the_images_together():
-    _, graph = panoramas_of_points(8)
+    pairs = [(ends, 200) for ends in combinations("abcdefgh", 2)]
     for most in (7, 14, 27, 28, 40):
-        kept = hold_together(graph.pairs, most)
-        assert len(kept) == min(most, 28)
-        assert kept == [pair for pair in graph.pairs if pair in kept]  # in their order
-        groups = groups_by((pair.image1, pair.image2) for pair in kept)
+        rows = hold_together(pairs, most)
+        assert len(rows) == min(most, 28) and rows == sorted(rows)
+        groups = groups_by(pairs[row][0] for row in rows)
         assert len(set(groups.values())) == 1 and len(groups) == 8
 
 
 def test_the_pairs_with_most_inliers_hold_images_together():
-    _, graph = panoramas_of_points(5)
-    first = graph.pairs[0].image1
-    weak = [
-        pair
-        if first in (pair.image1, pair.image2)
-        else replace(pair, geometry=replace(pair.geometry, inliers=pair.geometry.inliers[:20]))
-        for pair in graph.pairs
-    ]
-    star = [pair for pair in weak if first in (pair.image1, pair.image2)]
-    assert hold_together(weak, 4) == star
-    assert hold_together([*weak[5:], *weak[:5]], 2) == star[:2]
+    pairs = [(ends, 200 if "a" in ends else 20) for ends in combinations("abcde", 2)]
+    star = [row for row, (ends, _) in enumerate(pairs) if "a" in ends]
+    assert hold_together(pairs, 4) == star
+    assert hold_together([*pairs[5:], *pairs[:5]], 4) == [(row + 5) % 10 for row in star]
+
+
+def test_where_too_few_pairs_would_hold_the_images_together_none_are_kept():
+    """The weakest ones lead from room to room: without them every room is alone."""
+    pairs = [(ends, 200) for ends in combinations("abcde", 2)]
+    assert hold_together(pairs, 3) == []
 
 
 def test_a_folder_of_many_pairs_is_placed_by_some_of_them(monkeypatch):

@@ -181,9 +181,12 @@ def move(model, name, truth):
     model.frame(image.frame_id).set_cam_from_world(image.camera_id, moved)
 
 
-def taken_out(models, graph, verdicts, lengths=None, *, is_trusted=False):
+def taken_out(models, graph, verdicts, lengths=None, looked_at=None, *, is_trusted=False):
+    everyone = frozenset((each.image1, each.image2) for each in verdicts)
+    looked_at = everyone if looked_at is None else looked_at
+    known = ComposedPoses(lengths=lengths or {}, looked_at=looked_at)
     return map_attempts._without_unconfirmed(
-        models, graph, verdicts, lambda: lengths or {}, MapperOptions(), is_trusted=is_trusted
+        models, graph, verdicts, lambda: known, MapperOptions(), is_trusted=is_trusted
     )
 
 
@@ -200,17 +203,34 @@ def test_an_image_at_a_wrong_place_is_taken_out_and_the_others_are_adjusted(tmp_
 
 def test_a_trusted_way_is_doubted_only_where_lengths_are_known(tmp_path):
     graph, verdicts, truth, model = right_model(tmp_path, 6)
-    places = {name: pose.translation for name, pose in truth.items()}
-    lengths = {
-        (each.image1, each.image2): float(np.linalg.norm(places[each.image1] - places[each.image2]))
-        for each in verdicts
-    }
+    lengths = lengths_of(truth, verdicts)
     assert taken_out([model], graph, verdicts, lengths, is_trusted=True) == []
     move(model, "4", truth)
     assert taken_out([model], graph, verdicts, is_trusted=True) == []
     assert model.num_reg_images() == 6
     assert taken_out([model], graph, verdicts, lengths, is_trusted=True) == ["4"]
     assert model.num_reg_images() == 5
+
+
+def lengths_of(truth, verdicts):
+    places = {name: pose.translation for name, pose in truth.items()}
+    return {
+        (each.image1, each.image2): float(np.linalg.norm(places[each.image1] - places[each.image2]))
+        for each in verdicts
+    }
+
+
+def test_of_a_trusted_way_images_that_no_length_could_reach_stay(tmp_path):
+    """A length that is not known says nothing where nobody asked for it, or nothing is near."""
+    graph, verdicts, truth, model = right_model(tmp_path, 6)
+    move(model, "4", truth)
+    lengths = lengths_of(truth, verdicts)
+    without = {ends: length for ends, length in lengths.items() if "4" not in ends}
+    room = {ends: without[ends] for ends in combinations("012", 2)}
+    assert taken_out([model], graph, verdicts, room, is_trusted=True) == []
+    some = frozenset(lengths) - {("3", "4")}
+    assert taken_out([model], graph, verdicts, without, some, is_trusted=True) == []
+    assert taken_out([model], graph, verdicts, without, is_trusted=True) == ["4"]
 
 
 def test_of_a_trusted_way_what_is_beside_a_sound_model_stays(tmp_path):

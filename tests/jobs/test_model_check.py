@@ -7,7 +7,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
+from epi360.jobs.mapping.model_check import (
+    PlacedImages,
+    confirmed_groups,
+    confirmed_images,
+    judged_images,
+)
 from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose, rotation_from_vector
 
@@ -250,6 +255,49 @@ def test_one_length_alone_has_no_unit_and_takes_nothing_away():
     lengths = lengths_of(model, pairs)
     alone = {("4", "5"): lengths["4", "5"]}
     assert confirmed_images(model, pairs, alone) == EVERYONE - {"5"}
+    model, pairs = walk()
+    three = [pair for pair in pairs if {pair.image1, pair.image2} <= set("012")]
+    assert confirmed_images(model, three) == set("012")
+    for name1, name2 in combinations("012", 2):
+        assert confirmed_images(model, three, {(name1, name2): 1.0}) == set("012")
+
+
+def test_lengths_of_which_most_disagree_take_nothing_away():
+    model, pairs = walk()
+    lengths = lengths_of(model, pairs)
+    lengths = {ends: 3.0**k * length for k, (ends, length) in enumerate(lengths.items())}
+    assert confirmed_images(model, pairs, lengths) == EVERYONE
+    two = dict(list(lengths.items())[:2])
+    assert confirmed_images(model, pairs, two) == EVERYONE
+
+
+def test_each_group_that_confirms_itself_is_found():
+    """Two walks that nothing joins, the second of four images."""
+    model, pairs = walk()
+    apart = [pair for pair in pairs if (pair.image1 in "01") == (pair.image2 in "01")]
+    apart = [pair for pair in apart if not {pair.image1, pair.image2} <= set("01")]
+    assert confirmed_groups(model, apart) == [set("2345")]
+    both = [pair for pair in pairs if (pair.image1 in "012") == (pair.image2 in "012")]
+    assert sorted(map(sorted, confirmed_groups(model, both))) == [list("012"), list("345")]
+
+
+def test_a_length_reaches_what_others_that_began_before_do_not():
+    """The pair that is farthest apart has no length, and what it leads to holds other pairs."""
+    model, pairs = hanging()
+    lengths = {e: n for e, n in lengths_of(model, pairs).items() if e in (("0", "1"), ("4", "5"))}
+    assert confirmed_images(model, pairs, lengths) == EVERYONE
+
+
+def test_lengths_judge_what_they_reach_and_what_is_beside_them_only():
+    _, pairs = walk()
+    line = [pair for pair in pairs if int(pair.image2) == int(pair.image1) + 1]
+    ends = {(pair.image1, pair.image2) for pair in line}
+    known = {("0", "1"): 1.0, ("3", "4"): 1.0}
+    assert judged_images(EVERYONE, line, known, ends) == EVERYONE
+    assert judged_images(EVERYONE, line, known, ends - {("1", "2")}) == EVERYONE - {"2"}
+    assert judged_images(EVERYONE, line, {("0", "1"): 1.0}, ends) == set("01")
+    assert judged_images(EVERYONE, line, {}, ends) == set()
+    assert judged_images(EVERYONE - {"3"}, line, {("0", "1"): 1.0}, ends) == set("012")
 
 
 def test_a_pair_of_another_direction_is_not_enough_however_long():

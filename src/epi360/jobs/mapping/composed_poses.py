@@ -9,7 +9,7 @@ know of its surroundings says how far: points, and surfaces that panoramas share
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
@@ -49,10 +49,14 @@ _DEGREES_OF_FREEDOM = 7  # of a step
 
 @dataclass(frozen=True, eq=False)
 class ComposedPoses:
-    """Poses of images in one world, and the lengths of the pairs that they rest on, by names."""
+    """Poses of images in one world, and the lengths of the pairs that they rest on, by names.
+
+    ``looked_at`` are all pairs whose lengths were asked for.
+    """
 
     cam_from_world: Mapping[str, Pose] = field(default_factory=dict)
     lengths: Mapping[Names, float] = field(default_factory=dict)
+    looked_at: frozenset[Names] = frozenset()
 
 
 def composed_poses(
@@ -66,15 +70,15 @@ def composed_poses(
 
     ``panorama_of`` gives the picture of a full panorama by its name, None for other images. Of more
     than 1000 accepted pairs those are looked at that `hold_together` names. There is nothing of
-    fewer than three images, nor of a rig, which has a unit of its own.
+    fewer than three images, nor of so many that 1000 pairs do not hold them together, nor of a rig,
+    which has a unit of its own.
 
     ``progress`` is told of the stage "lengths".
     """
     told = {(each.image1, each.image2): each for each in verdicts if each.accepted}
     if graph.cam_from_rig or len(told) < 2:
         return ComposedPoses()
-    accepted = [pair for pair in graph.pairs if (pair.image1, pair.image2) in told]
-    pairs = hold_together(accepted, MOST_PAIRS)
+    pairs = _chosen_pairs(graph, told.keys())
     names = [(pair.image1, pair.image2) for pair in pairs]
     posed = _posed(graph, pairs, [told[each] for each in names])
     scale = common_scale(posed, _views(posed, names, panorama_of, progress))
@@ -85,23 +89,39 @@ def composed_poses(
     return ComposedPoses(
         _placed([_Step.of(posed[row], lengths[names[row]]) for row in sure], list(graph.images)),
         lengths,
+        frozenset(names),
     )
 
 
-def hold_together(pairs: Sequence[MatchedPair], most: int) -> list[MatchedPair]:
-    """As many pairs at most, in their order: those that hold the images together, and that often.
+def _chosen_pairs(graph: MatchGraph, accepted: Set[Names]) -> list[MatchedPair]:
+    """Accepted pairs that are looked at; all others are read one by one and let go."""
+    rows, strengths = [], []
+    for row, pair in enumerate(graph.pairs):
+        if (pair.image1, pair.image2) in accepted:
+            rows.append(row)
+            strengths.append(((pair.image1, pair.image2), _num_inliers(pair)))
+    return [graph.pairs[rows[each]] for each in hold_together(strengths, MOST_PAIRS)]
 
-    First come the pairs with most inliers that join all images that can be joined, without a loop;
-    then those that would do so without them, and so on.
+
+def hold_together(pairs: Sequence[tuple[Names, int]], most: int) -> list[int]:
+    """Rows of as many pairs at most, in order: those that hold the images together, and that often.
+
+    Each pair has the names of its images and its number of inliers. First come the pairs with most
+    inliers that join all images that can be joined, without a loop; then those that would do so
+    without them, and so on. There are none if the first of these would be more than the most: some
+    of them would leave the images in parts that nobody chose.
     """
-    strongest = sorted(pairs, key=lambda pair: -_num_inliers(pair))
-    left = [(pair.image1, pair.image2) for pair in strongest]
-    chosen: set[Names] = set()
-    while len(pairs) > most > len(chosen):
-        tree = [left[row] for row in joining(left)]
+    if len(pairs) <= most:
+        return list(range(len(pairs)))
+    left = sorted(range(len(pairs)), key=lambda row: -pairs[row][1])
+    chosen: set[int] = set()
+    while len(chosen) < most:
+        tree = [left[row] for row in joining([pairs[row][0] for row in left])]
+        if not chosen and len(tree) > most:
+            return []
         chosen.update(tree[: most - len(chosen)])
-        left = [names for names in left if names not in chosen]
-    return [pair for pair in pairs if not chosen or (pair.image1, pair.image2) in chosen]
+        left = [row for row in left if row not in chosen]
+    return sorted(chosen)
 
 
 def _num_inliers(pair: MatchedPair) -> int:

@@ -22,14 +22,19 @@ from epi360.interop.colmap_rigs import quiet
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, color_points, run_mapper
-from epi360.jobs.mapping.composed_poses import ComposedPoses, Names
+from epi360.jobs.mapping.composed_poses import ComposedPoses
 from epi360.jobs.mapping.given_poses import adjust_model, model_from_poses
-from epi360.jobs.mapping.model_check import PlacedImages, confirmed_images
+from epi360.jobs.mapping.model_check import (
+    PlacedImages,
+    confirmed_groups,
+    confirmed_images,
+    judged_images,
+)
 from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 
-RULES = 4  # of the attempts and the check: other rules, other models
+RULES = 5  # of the attempts and the check: other rules, other models
 # Another way is tried if more than this share of the images that pairs connect is left out.
 _MOST_LEFT_OUT = 0.05
 COMPOSED = "the poses of the pairs"
@@ -91,8 +96,8 @@ def map_by_attempts(
         models = find()
         # Lengths take a while to find, and a sequence that is tracked needs none.
         is_given = initial is not None and bool(initial[1]) and not tried
-        lengths = _no_lengths if is_given else lambda: composed().lengths
-        lost = _without_unconfirmed(models, graph, pairs, lengths, options, is_trusted=is_trusted)
+        known = ComposedPoses if is_given else composed
+        lost = _without_unconfirmed(models, graph, pairs, known, options, is_trusted=is_trusted)
         error = models[0].compute_mean_reprojection_error() if models else None
         placed = models[0].num_reg_images() if models else 0
         attempt = Attempt(how, placed, len(lost), error, time.perf_counter() - begun)
@@ -102,10 +107,6 @@ def map_by_attempts(
     best = max(range(len(tried)), key=lambda k: (*_rank(tried[k].attempts[0], k == 0), -k))
     attempts = tuple(replace(each.attempts[0], kept=k == best) for k, each in enumerate(tried))
     return replace(tried[best], attempts=attempts)
-
-
-def _no_lengths() -> Mapping[Names, float]:
-    return {}
 
 
 def _rank(attempt: Attempt, was_asked: bool) -> tuple[int, bool, float]:
@@ -179,15 +180,15 @@ def _without_unconfirmed(
     models: list[Any],
     graph: MatchGraph,
     pairs: Sequence[PairVerdict],
-    lengths: Callable[[], Mapping[Names, float]],
+    composed: Callable[[], ComposedPoses],
     options: MapperOptions,
     *,
     is_trusted: bool,
 ) -> list[str]:
     """Take images out of models if nothing confirms their places; their names.
 
-    Of a way that is trusted, only panoramas are taken out, and only if there are such images in its
-    largest model and lengths can judge them.
+    Of a way that is trusted, only panoramas are taken out, only if there are such images in its
+    largest model, and only those of them that lengths can judge, see `judged_images`.
     """
     if is_trusted and not all(map(is_full_panorama, graph.cameras.values())):
         return []
@@ -197,10 +198,10 @@ def _without_unconfirmed(
         placed = _placed(model, graph)
         confirmed = confirmed_images(placed, pairs)
         if len(confirmed) < len(placed.cam_from_world):
-            known = lengths()
-            if is_trusted and not known:
+            known = composed()
+            if is_trusted and not known.lengths:
                 return []
-            confirmed = confirmed_images(placed, pairs, known)
+            confirmed = _confirmed(placed, pairs, known, is_trusted=is_trusted)
         elif is_trusted and number == 0:
             return []
         wrong = [image for image in _registered(model) if image.name not in confirmed]
@@ -215,6 +216,22 @@ def _without_unconfirmed(
     models.sort(key=lambda model: -model.num_reg_images())
     kept = {image.name for model in models for image in _registered(model)}
     return sorted(set(lost) - kept)
+
+
+def _confirmed(
+    placed: PlacedImages,
+    pairs: Sequence[PairVerdict],
+    known: ComposedPoses,
+    *,
+    is_trusted: bool,
+) -> set[str]:
+    """Images of a model that stay; of a trusted way also those that nobody can judge."""
+    groups = confirmed_groups(placed, pairs, known.lengths)
+    if not is_trusted:
+        return next(iter(groups), set())
+    names = placed.cam_from_world.keys()
+    judged = judged_images(names, pairs, known.lengths, known.looked_at)
+    return set().union(*groups) | (names - judged)
 
 
 def _registered(model: Any) -> list[Any]:

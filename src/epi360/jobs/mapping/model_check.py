@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +51,16 @@ def confirmed_images(
     pairs: Sequence[PairVerdict],
     lengths: Mapping[tuple[str, str], float] | None = None,
 ) -> set[str]:
-    """Names of the images whose places the others confirm; there may be none.
+    """Names of the images of the largest of the `confirmed_groups`; there may be none."""
+    return next(iter(confirmed_groups(model, pairs, lengths)), set())
+
+
+def confirmed_groups(
+    model: PlacedImages,
+    pairs: Sequence[PairVerdict],
+    lengths: Mapping[tuple[str, str], float] | None = None,
+) -> list[set[str]]:
+    """Names of the images that confirm each other's places, group by group, the largest first.
 
     From two images that a pair connects, the rest is confirmed one after the other: an image needs
     15 points of which confirmed ones know the depth, because two of them see it under half a degree
@@ -59,20 +68,49 @@ def confirmed_images(
     direction at a wrong distance is not enough, and wrong images do not confirm each other unless
     three of them agree in all that. Where it is known how long the translations of pairs are, in
     one unit for all ``lengths``, by the names of both images, one such pair that agrees with the
-    model in that too is enough, with 15 points that anyone else sees. What begins at the pair that
-    leads to most images is returned.
+    model in that too is enough, with 15 points that anyone else sees. Each pair that no group holds
+    begins another one.
     """
     graph = _Graph(model, pairs, lengths or {})
     found: list[NDArray[np.bool_]] = []
-    for start in graph.connected():
-        if not any(group[start].all() for group in found):
-            group = graph.grown_from(start)
-            if np.count_nonzero(group) >= _FEWEST_MOMENTS:
-                found.append(group)
-    if not found:
-        return set()
-    best = max(found, key=np.count_nonzero)
-    return {name for name, moment in graph.moment_of.items() if best[moment]}
+    for is_sound, starts in ((True, graph.sound_starts()), (False, graph.connected())):
+        for start in starts:
+            if graph.may_grow_from(start, is_sound=is_sound) and not _holds(found, start):
+                found.append(graph.grown_from(start, is_sound=is_sound))
+    sizes = [np.count_nonzero(group) for group in found]
+    order = sorted(range(len(found)), key=lambda k: -sizes[k])
+    return [
+        {name for name, moment in graph.moment_of.items() if found[k][moment]}
+        for k in order
+        if sizes[k] >= _FEWEST_MOMENTS
+    ]
+
+
+def judged_images(
+    names: Iterable[str],
+    pairs: Sequence[PairVerdict],
+    lengths: Mapping[tuple[str, str], float],
+    looked_at: Set[tuple[str, str]],
+) -> set[str]:
+    """Names of the images of a model that lengths can judge: not to be confirmed tells of them.
+
+    They are the ends of pairs with a known length, and those whose accepted pairs in the model were
+    all looked at and lead to such ends: if one of these had a sure length, they would have it too.
+    """
+    placed = set(names)
+    reached = {name for ends in lengths for name in ends}
+    beside: dict[str, list[bool]] = {}
+    for pair in pairs:
+        ends = pair.image1, pair.image2
+        if pair.accepted and placed.issuperset(ends):
+            for name, other in (ends, ends[::-1]):
+                beside.setdefault(name, []).append(ends in looked_at and other in reached)
+    return placed & (reached | {name for name, told in beside.items() if all(told)})
+
+
+def _holds(groups: Sequence[NDArray[np.bool_]], start: NDArray[np.int64]) -> bool:
+    """Whether a group has both moments of a pair: nothing that begins there is larger."""
+    return any(group[start].all() for group in groups)
 
 
 class _Graph:
@@ -104,9 +142,14 @@ class _Graph:
         ]
         known = [names for names in agreeing if names in lengths]
         as_far = _as_far(known, lengths, model.cam_from_world)
-        wrong = set(known) - set(as_far)
+        wrong = set(known) - set(as_far) if as_far else set()
         self.pairs = self._moments_of([names for names in agreeing if names not in wrong])
         self.far_pairs = self._moments_of(as_far)
+        self.num_seen = np.bincount(self.moments, minlength=self.num_moments)
+        self.beside: dict[int, set[int]] = {}  # moments with an agreeing pair with each
+        for one, other in self.pairs.tolist():
+            self.beside.setdefault(one, set()).add(other)
+            self.beside.setdefault(other, set()).add(one)
 
     def _moments_of(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.int64]:
         """Moments (N, 2) of pairs of images, the earlier one first."""
@@ -118,18 +161,25 @@ class _Graph:
 
         In a sequence, the nearest ones see points under too small an angle to begin with.
         """
-        pairs = np.unique(self.pairs[self.pairs[:, 0] < self.pairs[:, 1]], axis=0)
-        return list(pairs[np.argsort(pairs[:, 0] - pairs[:, 1], kind="stable")])
+        return _farthest_first(self.pairs)
 
-    def grown_from(self, start: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def sound_starts(self) -> list[NDArray[np.int64]]:
+        """Those of them whose lengths confirm images, as theirs would confirm each other."""
+        return _farthest_first(
+            self.far_pairs[(self.num_seen[self.far_pairs] >= _MIN_POINTS).all(axis=1)]
+        )
+
+    def may_grow_from(self, start: NDArray[np.int64], *, is_sound: bool) -> bool:
+        """Whether a third moment could be confirmed: it has pairs with both, or a length counts."""
+        one, other = start.tolist()
+        return is_sound or bool(self.beside[one] & self.beside[other])
+
+    def grown_from(self, start: NDArray[np.int64], *, is_sound: bool) -> NDArray[np.bool_]:
         """Moments that those of a pair confirm, step by step, shape (F,).
 
         If that pair itself is not one whose length confirms an image, no other length counts: what
         hangs on it alone would be confirmed with the rest.
         """
-        num_seen = np.bincount(self.moments, minlength=self.num_moments)
-        is_far = bool(np.any(np.all(self.far_pairs == start, axis=1)))
-        is_sound = is_far and bool(np.all(num_seen[start] >= _MIN_POINTS))
         far_pairs = self.far_pairs if is_sound else self.far_pairs[:0]
         inside: NDArray[np.bool_] = np.zeros(self.num_moments, dtype=bool)
         new = inside.copy()
@@ -148,7 +198,7 @@ class _Graph:
                 self.moments[is_known[self.points]], minlength=self.num_moments
             )
             new = (num_points >= _MIN_POINTS) & (self._num_of(self.pairs, inside) >= _MIN_PAIRS)
-            hanging = (num_seen >= _MIN_POINTS) & (self._num_of(far_pairs, inside) > 0)
+            hanging = (self.num_seen >= _MIN_POINTS) & (self._num_of(far_pairs, inside) > 0)
             new = (new | hanging) & ~inside
         return inside
 
@@ -158,6 +208,12 @@ class _Graph:
         return np.bincount(one[inside[other]], minlength=self.num_moments) + np.bincount(
             other[inside[one]], minlength=self.num_moments
         )
+
+
+def _farthest_first(pairs: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Pairs (N, 2) of two moments, each once."""
+    pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)
+    return list(pairs[np.argsort(pairs[:, 0] - pairs[:, 1], kind="stable")])
 
 
 def _angles(a: Array, b: Array) -> Array:
@@ -186,7 +242,10 @@ def _as_far(
     lengths: Mapping[tuple[str, str], float],
     cam_from_world: Mapping[str, Pose],
 ) -> list[tuple[str, str]]:
-    """Pairs whose images are as far from each other in the model as they must be, in its unit."""
+    """Pairs whose images are as far from each other in the model as they must be, in its unit.
+
+    There are none if less than two, or not most, agree in a unit: then lengths tell nothing.
+    """
     if len(pairs) < 2:
         return []
     centers = {name: pose.inverse().translation for name, pose in cam_from_world.items()}
@@ -196,5 +255,7 @@ def _as_far(
     order = np.sort(logs)
     ends = np.searchsorted(order, order + 2 * _LENGTHS_AGREE)
     first = int(np.argmax(ends - np.arange(len(order))))
+    if ends[first] - first < max(2, len(pairs) // 2 + 1):
+        return []
     low, high = order[first], order[ends[first] - 1]
     return [names for names, log in zip(pairs, logs, strict=True) if low <= log <= high]
