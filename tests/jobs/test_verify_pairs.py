@@ -242,6 +242,29 @@ def test_a_triangle_with_kept_pairs_contradicts_a_new_one():
     assert found.graph.pairs[0].geometry.status == "refused"
 
 
+def test_a_pose_that_its_own_inliers_do_not_fit_has_no_say(rooms):
+    """It is kept, because nobody has asked to judge it anew, and it is named."""
+    folder, _, graph = rooms
+    judged = verify_pairs(graph, pictures=folder / "a")
+    accepted = [verdict.accepted for verdict in judged.verdicts]
+    row = accepted.index(True)
+    right = judged.graph.pairs[row].geometry
+    turn = rotation_from_vector([0.0, 1.2, 0.0])
+    pose = Pose(turn @ right.cam2_from_cam1.rotation, right.cam2_from_cam1.translation)
+    pairs = list(graph.pairs)
+    pairs[row] = dataclasses.replace(
+        pairs[row], geometry=dataclasses.replace(right, cam2_from_cam1=pose)
+    )
+    found = verify_pairs(dataclasses.replace(graph, pairs=tuple(pairs)), pictures=folder / "a")
+    names = pairs[row].image1, pairs[row].image2
+    assert found.kept == found.questioned == (names,)
+    assert [v.accepted for v in found.verdicts] == accepted[:row] + accepted[row + 1 :]
+    text = describe_verified(found)
+    assert "1 pair keeps a pose that others or its own inliers speak against" in text
+    assert f"({names[0]} - {names[1]}): --verify-again judges all pairs anew" in text
+    assert verify_pairs(judged.graph, pictures=folder / "nowhere").verdicts == ()
+
+
 def test_the_command_says_what_became_of_the_pairs(rooms, tmp_path, capsys):
     pytest.importorskip("pycolmap")
     pytest.importorskip("h5py")

@@ -19,6 +19,7 @@ from epi360.report.match_table import (
     REJECTIONS,
     describe_level,
     describe_others,
+    describe_questioned,
     groups_sentence,
     joined_images,
     not_used,
@@ -225,7 +226,8 @@ def summary_sentences(judged: JudgedPairs, skipped: Sequence[tuple[str, str]] = 
     sentences += [f"Not used: {name}: {why}." for name, why in unused[:_NAMED]]
     if len(unused) > _NAMED:
         sentences.append(f"Not used: {len(unused) - _NAMED} more.")
-    return sentences + describe_level(judged) + describe_others(judged)
+    told = [*describe_level(judged), *describe_others(judged), *describe_questioned(judged)]
+    return sentences + told
 
 
 def _pictures(names: Sequence[str], paths: Mapping[str, Path]) -> list[str | None]:

@@ -37,6 +37,7 @@ Row = tuple[str, str]  # label and text
 
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
+_QUESTIONED_NAMED = 4
 
 
 def pairs_csv(judged: JudgedPairs) -> bytes:
@@ -108,7 +109,8 @@ def _described(
     if len(groups_of(joined)) > 1:
         rows.append(("Groups", groups_sentence(judged.images, joined)))
     lines = [wrapped(label, value) for label, value in rows]
-    return "\n".join([*lines, *describe_level(judged), *describe_others(judged)])
+    told = [*describe_level(judged), *describe_others(judged), *describe_questioned(judged)]
+    return "\n".join([*lines, *told])
 
 
 def not_used(judged: JudgedPairs, skipped: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -119,7 +121,22 @@ def not_used(judged: JudgedPairs, skipped: Sequence[tuple[str, str]]) -> list[tu
 def joined_images(judged: JudgedPairs) -> list[tuple[str, str]]:
     """Names of the images of all pairs that have a pose to use."""
     accepted = (verdict for verdict in judged.verdicts if verdict.accepted)
-    return [*((verdict.image1, verdict.image2) for verdict in accepted), *judged.kept]
+    kept = (names for names in judged.kept if names not in judged.questioned)
+    return [*((verdict.image1, verdict.image2) for verdict in accepted), *kept]
+
+
+def describe_questioned(judged: JudgedPairs) -> list[str]:
+    """A line that names the pairs whose poses were kept though something speaks against them."""
+    count = len(judged.questioned)
+    if not count:
+        return []
+    named = ", ".join(" - ".join(names) for names in judged.questioned[:_QUESTIONED_NAMED])
+    more = f" and {count - _QUESTIONED_NAMED} more" if count > _QUESTIONED_NAMED else ""
+    what = "1 pair keeps a pose" if count == 1 else f"{count} pairs keep poses"
+    return [
+        f"{what} that others or its own inliers speak against ({named}{more}): --verify-again "
+        "judges all pairs anew."
+    ]
 
 
 def describe_level(judged: JudgedPairs) -> list[str]:

@@ -34,11 +34,13 @@ from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.progress import Progress, no_progress
 from epi360.runs.inside import inside
+from epi360.two_view import MAX_NOISE_PX, smallest_pixel_deg
 
 GIVEN = "matched beforehand"  # how the pairs were chosen
-_STAGE, _STAGE_AGAIN = "verifying pairs", "level pairs"
+_STAGE_READ, _STAGE, _STAGE_AGAIN = "pictures", "verifying pairs", "level pairs"
 _PAIRS_AT_ONCE = 256  # whose bearings are in memory
 _IMAGES_IN_MEMORY = 64  # with the bearings of all their key points
+_MOST_NOISE_PX = 3.0 * MAX_NOISE_PX  # of a pose that somebody else has found
 _SIGMAS_OF_MEDIAN = 1.4826  # standard deviation of what has a median of 1, without signs
 
 
@@ -87,10 +89,10 @@ def verify_pairs(
     whose pose is tilted, are estimated again with that known. Poses that contradict each other are
     refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
     pairs of full panoramas are compared, see `judge_places`, and some get the pose that others
-    imply, see `find_implied`. Pairs that have a geometry keep it; if it is "ok", they have a say
-    about the others, with the errors that are assumed of doubted poses.
+    imply, see `find_implied`. Pairs that have a geometry keep it; if it is "ok" and fits its own
+    inliers, they have a say about the others, with the errors that are assumed of doubted poses.
 
-    ``progress`` is told of the stages "verifying pairs", "level pairs" and "places".
+    ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs" and "places".
 
     Raises
     ------
@@ -103,10 +105,11 @@ def verify_pairs(
     below = None if pictures is None else Path(pictures)
     folder = _GraphFolder(graph, below, seed, num_threads or num_cores(), progress)
     check_keypoints(graph, folder.names)
-    if pictures is not None:
+    looks_around = pictures is not None and bool(unverified_pairs(graph))
+    if looks_around:
         folder.read_pictures()
     finished = folder.verify()
-    judged = judge_folder(folder, folder.pairs, finished, looks_around=pictures is not None)
+    judged = judge_folder(folder, folder.pairs, finished, looks_around=looks_around)
     found = _geometries(folder, judged)
     pairs = tuple(
         dataclasses.replace(pair, geometry=found.get((pair.image1, pair.image2), pair.geometry))
@@ -121,6 +124,7 @@ def verify_pairs(
         num_lost=judged.num_lost,
         graph=dataclasses.replace(graph, pairs=pairs),
         kept=folder.kept,
+        questioned=_questioned(folder, judged),
         num_panoramic=sum(map(folder.sees_all_around, folder.pairs)),
         looked_around=judged.looked_around,
     )
@@ -162,6 +166,8 @@ class _GraphFolder:
         }
         self._bearings = lru_cache(_IMAGES_IN_MEMORY)(self._find_bearings)
         self.panorama_of = remembered(self._read_panorama)
+        self._misfits = {pair for pair in self._kept if self._is_misfit(pair)}
+        self.pairs = [pair for pair in self.pairs if pair not in self._misfits]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -173,20 +179,28 @@ class _GraphFolder:
         """Names of the images of pairs that had a pose."""
         return tuple(map(self.keys_of, self._kept))
 
+    @property
+    def misfits(self) -> tuple[tuple[str, str], ...]:
+        """Those of them whose own inliers do not fit the pose."""
+        return tuple(self.keys_of(pair) for pair in self._kept if pair in self._misfits)
+
     def read_pictures(self) -> None:
         """Read the pictures that are compared; raises what `verify_pairs` says."""
         panoramic = filter(self.sees_all_around, self.pairs)
         compared = sorted({index for pair in panoramic for index in pair})
         for index in compared:
             self._picture(index)
-        for _ in on_threads(self.panorama_of, compared, self.num_threads):
-            pass
+        self.progress(_STAGE_READ, 0, len(compared))
+        read = on_threads(self.panorama_of, compared, self.num_threads)
+        for count, _ in enumerate(read, start=1):
+            self.progress(_STAGE_READ, count, len(compared))
 
     def verify(self) -> dict[Keys, Verdict]:
         """Verify all pairs by their own matches."""
         self._alone = self._verified(list(self._matches), _STAGE, None)
         for pair in self._kept:
-            self._alone[self.keys_of(pair)] = self._with_a_say(pair)
+            if pair not in self._misfits:
+                self._alone[self.keys_of(pair)] = self._with_a_say(pair)
         return {keys: pair.verdict for keys, pair in self._alone.items()}
 
     def verify_again(self, wanted: Mapping[Keys, Pair], level: Level) -> Mapping[Keys, Verdict]:
@@ -234,19 +248,30 @@ class _GraphFolder:
         """Where the key points of an image look."""
         return self._bearings(index)
 
+    def _is_misfit(self, pair: Pair) -> bool:
+        """Whether most inliers of a pair that had a pose are too far from it."""
+        cameras = self._cameras[pair[0]], self._cameras[pair[1]]
+        return self._noise_deg(pair) > _MOST_NOISE_PX * smallest_pixel_deg(cameras)
+
+    def _noise_deg(self, pair: Pair) -> float:
+        """Standard deviation of the inliers of a pair that had a pose, per axis and view."""
+        geometry = self._kept[pair]
+        seen = self._matched(pair, geometry.inliers)
+        bearings = seen.bearings1, seen.bearings2
+        residuals = np.abs(pose_residuals(geometry.cam2_from_cam1, *bearings, "angular"))
+        return float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5)
+
     def _with_a_say(self, pair: Pair) -> VerifiedPair:
         """A pair that had a pose; how sure that is nobody has said, but its inliers how exact."""
         geometry = self._kept[pair]
         pose, inliers = geometry.cam2_from_cam1, geometry.inliers
-        seen = self._matched(pair, inliers)
-        residuals = np.abs(pose_residuals(pose, seen.bearings1, seen.bearings2, "angular"))
         verdict = Verdict(
             status="ok",
             num_matches=len(inliers),
             num_inliers=len(inliers),
             rotation_sigma_deg=DOUBTED_ROTATION_DEG,
             translation_sigma_deg=DOUBTED_DIRECTION_DEG,
-            noise_deg=float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5),
+            noise_deg=self._noise_deg(pair),
             cam2_from_cam1=pose,
         )
         everyone = np.ones(len(inliers), dtype=bool)
@@ -330,6 +355,16 @@ def _geometries(folder: _GraphFolder, judged: FolderVerdicts) -> dict[Keys, TwoV
         inliers = verified.matches[verified.inlier_mask]
         found[keys] = TwoViewGeometry(status, verdict.cam2_from_cam1, inliers)
     return found
+
+
+def _questioned(folder: _GraphFolder, judged: FolderVerdicts) -> tuple[tuple[str, str], ...]:
+    """Pairs that had a pose which the others refuse, or which their own inliers do not fit."""
+    refused = {
+        keys
+        for keys, verdict in zip(judged.keys, judged.verdicts, strict=True)
+        if not verdict.accepted
+    }
+    return tuple(keys for keys in folder.kept if keys in refused or keys in folder.misfits)
 
 
 def _has_a_say(geometry: TwoViewGeometry) -> bool:
