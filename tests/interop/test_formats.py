@@ -52,8 +52,15 @@ def test_a_folder_with_a_dot_is_a_model(tmp_path):
 def test_other_text_is_no_trajectory(tmp_path, text):
     path = tmp_path / "table.txt"
     path.write_text(text)
-    with pytest.raises(ValueError, match=r"table.txt is no file that can be converted"):
+    with pytest.raises(ValueError, match=r"table.txt is no file that can be converted.*matches$"):
         format_of_file(path)
+
+
+@pytest.mark.parametrize("name", ["matches.npz", "MATCHES.PT"])
+def test_who_has_arrays_of_matches_is_told_what_to_do_with_them(tmp_path, name):
+    (tmp_path / name).write_bytes(b"PK\x03\x04")
+    with pytest.raises(ValueError, match="'Matches of your own' in docs/existing_project.md"):
+        format_of_file(tmp_path / name)
 
 
 def test_a_folder_with_a_reconstruction_is_a_project_of_opensfm(tmp_path):

@@ -45,6 +45,11 @@ FORMATS = {
 SUFFIXES = {
     ".db": "colmap-database", ".h5": "hloc", ".hdf5": "hloc", ".txt": "tum", ".tum": "tum",
 }  # fmt: skip
+ARRAY_SUFFIXES = (".npz", ".npy", ".pt", ".pth", ".pkl", ".mat")
+OWN_MATCHES = (
+    "Python makes a COLMAP database of your own arrays of matches: see 'Matches of your own' in "
+    "docs/existing_project.md"
+)
 MODEL_FILES = ("images.bin", "images.txt")
 OPENSFM_FILE = "reconstruction.json"
 # OpenSfM's file is a list of reconstructions; people take one out of it.
@@ -80,9 +85,11 @@ def format_of_file(path: PathLike) -> str:
             return name
     if _is_trajectory(text):
         return "tum"
+    own = f"; {OWN_MATCHES}" if path.suffix.lower() in ARRAY_SUFFIXES else ""
     raise ValueError(
         f"{path} is no file that can be converted: a COLMAP model (folder) or database, OpenSfM's "
         "reconstruction.json, nerfstudio's transforms.json, a TUM trajectory, or hloc's matches"
+        f"{own}"
     )
 
 
