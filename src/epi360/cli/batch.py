@@ -64,9 +64,10 @@ def batch(
 ) -> int:
     """Relative poses of many pairs of images, from their matches.
 
-    First all rows are checked. Finished parts are kept in OUTPUT.parts until all are there: a run
-    that was stopped goes on from there. Exit code 0 when the output is written, 1 if not one of its
-    pairs is ok, 2 for wrong use.
+    Each pair is judged by its matches alone; poses that a database holds are not read. First all
+    rows are checked. Finished parts are kept in OUTPUT.parts until all are there: a run that was
+    stopped goes on from there. Exit code 0 when the output is written, 1 if not one of its pairs is
+    ok, 2 for wrong use.
 
     Parameters
     ----------
