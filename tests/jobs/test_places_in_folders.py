@@ -55,6 +55,13 @@ def test_the_probability_is_that_of_the_matches_and_of_the_surroundings():
     assert told == pytest.approx([0.99 * 0.2, 0.99 * 0.995, 0.99])
 
 
+def test_a_pair_that_alone_joins_two_groups_is_believed_where_its_surroundings_were_compared():
+    verdicts = [replace(each, probability=0.9) for each in verdicts_of(["ab", "bc", "cd"])]
+    judged = checked(verdicts, [PlaceVerdict(), None, PlaceVerdict()], is_level=False)
+    assert [verdict.accepted for verdict in judged] == [True, False, True]
+    assert judged[1].refused.startswith("joins two groups alone")
+
+
 def test_a_pair_in_no_triangle_stays_refused():
     verdicts = verdicts_of(["ab", "bc", "cd"])
     places = [PlaceVerdict(0.6, 0.8, 30, "may show a copy of the place, as others do")]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -62,15 +62,19 @@ class GraphVerdict(LoopVerdict):
 
 
 def check_graph(
-    pairs: Sequence[tuple[str, str]], verdicts: Sequence[Verdict], *, is_level: bool
+    pairs: Sequence[tuple[str, str]],
+    verdicts: Sequence[Verdict],
+    *,
+    is_level: bool,
+    seen: Set[int] = frozenset(),
 ) -> tuple[GraphVerdict, ...]:
     """Look for accepted pairs that the other accepted pairs contradict, or fail to support.
 
     After `check_loops`, two kinds of pairs must be more probable than others: in a level folder a
     pair whose inliers all lie on the floor, unless a triangle with it closes; and a pair without
-    which the graph of accepted pairs would fall apart. A probability that is not known refuses
-    nothing. In a level folder, a refused pose that is probable is accepted if triangles
-    with it close and none is open.
+    which the graph of accepted pairs would fall apart, unless its row is among those ``seen``:
+    their surroundings were looked at. A probability that is not known refuses nothing. In a level
+    folder, a refused pose that is probable is accepted if triangles with it close and none is open.
     """
     loops = check_loops(pairs, verdicts)
     refused = [""] * len(pairs)
@@ -85,7 +89,8 @@ def check_graph(
     accepted = [row for row in accepted if not refused[row]]
     for link in links([pairs[row] for row in accepted]):
         row = accepted[link]
-        refused[row] = _refusal(LONE_LINK, verdicts[row], _LINK_PROBABILITY)
+        if row not in seen:
+            refused[row] = _refusal(LONE_LINK, verdicts[row], _LINK_PROBABILITY)
     accepted = [row for row in accepted if not refused[row]]
     confirmed = _confirmed(pairs, verdicts, accepted) if is_level else {}
     return tuple(

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,7 +138,9 @@ def _judged(
     verdicts: Sequence[PairVerdict], places: Sequence[PlaceVerdict | None], is_level: bool
 ) -> tuple[PairVerdict, ...]:
     heard = list(map(_with_place, verdicts, places))
-    judged = _with_graph(heard, is_level)
+    # A doubted pose that looks right may not join two groups for that alone.
+    seen = {row for row, own in enumerate(verdicts) if own.accepted and places[row] is not None}
+    judged = _with_graph(heard, is_level, seen)
     accepted = [row for row, verdict in enumerate(judged) if verdict.accepted]
     doubted = {
         row: verdicts[row]
@@ -149,7 +151,7 @@ def _judged(
     for row in confirmed:
         warnings = (*verdicts[row].warnings, PLACE_CONFIRMED)
         heard[row] = replace(verdicts[row], warnings=warnings)
-    return _with_graph(heard, is_level) if confirmed else judged
+    return _with_graph(heard, is_level, seen) if confirmed else judged
 
 
 def _with_place(verdict: PairVerdict, place: PlaceVerdict | None) -> PairVerdict:
@@ -163,12 +165,13 @@ def _with_place(verdict: PairVerdict, place: PlaceVerdict | None) -> PairVerdict
     return verdict if place.leaves_a_doubt else replace(verdict, doubted=Pose.nan())
 
 
-def _with_graph(verdicts: Sequence[PairVerdict], is_level: bool) -> tuple[PairVerdict, ...]:
-    """Verdicts with what the other pairs say."""
+def _with_graph(
+    verdicts: Sequence[PairVerdict], is_level: bool, seen: Set[int]
+) -> tuple[PairVerdict, ...]:
+    """Verdicts with what the other pairs say; the surroundings of the rows ``seen`` were."""
     judged = []
-    for verdict, found in zip(
-        verdicts, check_graph(_names(verdicts), verdicts, is_level=is_level), strict=True
-    ):
+    checks = check_graph(_names(verdicts), verdicts, is_level=is_level, seen=seen)
+    for verdict, found in zip(verdicts, checks, strict=True):
         warnings = (*verdict.warnings, *found.doubts(verdict))
         refused = verdict.refused or found.refused
         each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
