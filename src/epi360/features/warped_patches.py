@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import cv2
 import numpy as np
@@ -30,7 +30,7 @@ _STEP = _RADIUS_DEG / _HALF
 _PIXEL_DEG = 360.0 / WIDTH
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
-_IN_MEMORY = 128  # panoramas, of 2 MB
+_IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 MB
 
 Name = TypeVar("Name", str, int)
 Found = TypeVar("Found", bound="Panorama | None")
@@ -60,7 +60,11 @@ class Panorama:
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         size = (WIDTH, WIDTH // 2)
         how = cv2.INTER_AREA if grey.shape[1] > WIDTH else cv2.INTER_LINEAR
-        sharp = cv2.resize(grey, size, interpolation=how)
+        return cls.of_sharp(cv2.resize(grey, size, interpolation=how).astype(np.uint8))
+
+    @classmethod
+    def of_sharp(cls, sharp: NDArray[np.uint8]) -> Panorama:
+        """Make one of its sharp grey values (512, 1024)."""
         blurred = [cv2.GaussianBlur(sharp, (0, 0), sigma) for sigma in (0.8, 1.6, 3.2)]
         return cls(np.stack([sharp, *blurred]).astype(np.uint8))
 
@@ -76,7 +80,18 @@ class Panorama:
 
 def remembered(panorama_of: Callable[[Name], Found]) -> Callable[[Name], Found]:
     """The same panoramas; the last ones that were asked for stay in memory."""
-    return lru_cache(_IN_MEMORY)(panorama_of)
+
+    @lru_cache(_SHARP_IN_MEMORY)
+    def sharp(name: Name) -> NDArray[np.uint8] | None:
+        found = panorama_of(name)
+        return None if found is None else found.levels[0].copy()
+
+    @lru_cache(_IN_MEMORY)
+    def whole(name: Name) -> Panorama | None:
+        found = sharp(name)
+        return None if found is None else Panorama.of_sharp(found)
+
+    return cast("Callable[[Name], Found]", whole)
 
 
 def _looked_up(grey: NDArray[np.uint8], rays: Array) -> Floats:
