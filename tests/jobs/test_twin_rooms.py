@@ -7,8 +7,10 @@ from twin_rooms import exposed_and_visited, truth, write_rooms
 
 from epi360 import rotation_error_deg, translation_error_deg
 from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.matching import match_job
+from epi360.jobs.graph.place_evidence import Surroundings
+from epi360.jobs.matching import folder_verdicts, match_job, place_job
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.report.folder_page import summary_sentences
 from epi360.report.match_table import describe_match, pairs_csv
 
 ALL = MatchOptions(pairs="exhaustive")
@@ -83,3 +85,26 @@ def test_a_picture_that_is_gone_costs_only_the_check(tmp_path, monkeypatch):
     monkeypatch.setattr(match_job, "read_image", lost)
     run = match_images(find_images(tmp_path / "a"), tmp_path / "second", ALL)
     assert [v.accepted for v in run.verdicts] == [v.accepted for v in expected.verdicts]
+
+
+def test_an_error_in_the_check_itself_is_no_picture_that_is_gone(tmp_path, monkeypatch):
+    """Otherwise the pair would be accepted without a word."""
+    write_views(tmp_path / "a")
+
+    def broken(*_):
+        raise ValueError("a defect")
+
+    monkeypatch.setattr(Surroundings, "of_points", broken)
+    with pytest.raises(ValueError, match="a defect"):
+        match_images(find_images(tmp_path / "a"), tmp_path / "out", ALL)
+
+
+def test_surroundings_of_too_many_pairs_are_said_to_be_unknown(tmp_path, monkeypatch):
+    for module in (place_job, folder_verdicts):
+        monkeypatch.setattr(module, "MOST_PAIRS", 5)
+    run = match_images(write_rooms(tmp_path / "a"), tmp_path / "out", ALL)
+    wrong = [v for v in run.verdicts if v.accepted and not in_one_room(v)]
+    assert wrong and run.num_not_compared == sum(v.accepted for v in run.verdicts)
+    said = f"The surroundings of {run.num_not_compared} accepted pairs of panoramas were not"
+    assert said in describe_match(run)
+    assert any(each.startswith(said) for each in summary_sentences(run))

@@ -11,7 +11,9 @@ from colmap_graphs import PANORAMA, panoramas_of_points, relative_pose
 from rendered_views import write_png
 from twin_rooms import truth, write_rooms
 
+from epi360.cameras import KannalaBrandt
 from epi360.cli import main
+from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs, without_geometries
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
@@ -263,6 +265,33 @@ def test_a_pose_that_its_own_inliers_do_not_fit_has_no_say(rooms):
     assert "1 pair keeps a pose that others or its own inliers speak against" in text
     assert f"({names[0]} - {names[1]}): --verify-again judges all pairs anew" in text
     assert verify_pairs(judged.graph, pictures=folder / "nowhere").verdicts == ()
+
+
+def test_key_points_that_no_ray_leads_to_do_not_hide_that_a_pose_fits_nothing():
+    poses, graph = panoramas_of_points(3)
+    # Its corners are black.
+    fisheye = KannalaBrandt(1000, 1000, 400.0, 400.0, 500.0, 500.0, max_angle_deg=90.0)
+    corner = [1.0, 1.0]
+    assert np.isnan(fisheye.bearings_from_pixels(np.array([corner]))).all()
+    points = np.random.default_rng(2).normal(size=(200, 3)) + [0.0, 0.0, 4.0]
+    images = {
+        name: MatchedImage(
+            name,
+            "f",
+            np.vstack([fisheye.pixels_from_bearings(points - [0.3 * k, 0.0, 0.0]), corner]),
+        )
+        for k, name in enumerate(poses)
+    }
+    matches = np.column_stack([np.arange(201)] * 2)
+    names = list(poses)
+    turned = Pose(rotation_from_vector([0.0, 0.5, 0.0]), np.array([1.0, 0.0, 0.0]))
+    wrong = MatchedPair(names[0], names[1], matches, TwoViewGeometry("ok", turned, matches))
+    right = Pose(np.eye(3), np.array([-1.0, 0.0, 0.0]))
+    other = MatchedPair(names[0], names[2], matches, TwoViewGeometry("ok", right, matches))
+    pairs = (wrong, other, MatchedPair(names[1], names[2], matches))
+    found = verify_pairs(MatchGraph({"f": fisheye}, images, pairs))
+    assert found.questioned == ((names[0], names[1]),)
+    assert found.verdicts[0].accepted and found.verdicts[0].num_triangles == 0
 
 
 def test_the_command_says_what_became_of_the_pairs(rooms, tmp_path, capsys):

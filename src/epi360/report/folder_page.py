@@ -17,9 +17,7 @@ from epi360.jobs.matching.verify_pairs import VerifiedGraph
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (
     REJECTIONS,
-    describe_level,
-    describe_others,
-    describe_questioned,
+    describe_judged,
     groups_sentence,
     joined_images,
     not_used,
@@ -226,8 +224,7 @@ def summary_sentences(judged: JudgedPairs, skipped: Sequence[tuple[str, str]] = 
     sentences += [f"Not used: {name}: {why}." for name, why in unused[:_NAMED]]
     if len(unused) > _NAMED:
         sentences.append(f"Not used: {len(unused) - _NAMED} more.")
-    told = [*describe_level(judged), *describe_others(judged), *describe_questioned(judged)]
-    return sentences + told
+    return sentences + describe_judged(judged)
 
 
 def _pictures(names: Sequence[str], paths: Mapping[str, Path]) -> list[str | None]:

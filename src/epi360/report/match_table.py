@@ -12,6 +12,7 @@ import numpy as np
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
+from epi360.jobs.matching.place_job import MOST_PAIRS
 from epi360.jobs.matching.verify_pairs import VerifiedGraph
 from epi360.report.text import STATUS_SENTENCES, counted, wrapped
 
@@ -109,8 +110,7 @@ def _described(
     if len(groups_of(joined)) > 1:
         rows.append(("Groups", groups_sentence(judged.images, joined)))
     lines = [wrapped(label, value) for label, value in rows]
-    told = [*describe_level(judged), *describe_others(judged), *describe_questioned(judged)]
-    return "\n".join([*lines, *told])
+    return "\n".join([*lines, *describe_judged(judged)])
 
 
 def not_used(judged: JudgedPairs, skipped: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -136,6 +136,28 @@ def describe_questioned(judged: JudgedPairs) -> list[str]:
     return [
         f"{what} that others or its own inliers speak against ({named}{more}): --verify-again "
         "judges all pairs anew."
+    ]
+
+
+def describe_judged(judged: JudgedPairs) -> list[str]:
+    """Lines that say what all pairs together have told, and what they could not tell."""
+    return [
+        *describe_level(judged),
+        *describe_others(judged),
+        *describe_questioned(judged),
+        *describe_not_compared(judged),
+    ]
+
+
+def describe_not_compared(judged: JudgedPairs) -> list[str]:
+    """A line that warns of rooms that look alike where nobody told them apart."""
+    count = judged.num_not_compared
+    if not count:
+        return []
+    return [
+        f"The surroundings of {count:,} accepted pairs of panoramas were not compared, which is "
+        f"done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. Fewer pairs "
+        "(--neighbors), or a folder for each floor, let them be compared."
     ]
 
 

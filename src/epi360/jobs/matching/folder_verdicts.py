@@ -14,10 +14,10 @@ from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
 from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, with_implied, without_copies
-from epi360.jobs.matching.place_job import check_places
+from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
 from epi360.jobs.matching.verified_folder import VerifiedFolder, full_panoramas
 from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import Keys, Verdict
+from epi360.jobs.records.match_store import UNREADABLE, Keys, Verdict
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,6 +33,7 @@ class JudgedPairs:
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level
+    num_not_compared: int = 0  # accepted pairs whose surroundings are too many to compare them
 
     @property
     def num_by_others(self) -> int:
@@ -57,6 +58,7 @@ class FolderVerdicts:
     looked_around: bool
     num_gained: int
     num_lost: int
+    num_not_compared: int
 
 
 def judge_folder(
@@ -78,6 +80,7 @@ def judge_folder(
     settled = finished if level is None else _with_level(folder, pairs, finished, level)
     named = [_named(folder, *each, settled) for each in zip(pairs, keys, strict=True)]
     panoramas = full_panoramas(folder, pairs) if looks_around else {}
+    num_panoramic = sum(settled[keys].accepted for keys in panoramas)
     places = check_places(folder, panoramas, settled, level)
     told = [None if each is None else places.get(each) for each in keys]
     verdicts = checked(named, told, is_level=is_upright or level is not None)
@@ -94,6 +97,7 @@ def judge_folder(
         num_gained=_num_accepted_more(settled, finished)
         + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
         num_lost=_num_accepted_more(finished, settled),
+        num_not_compared=num_panoramic if num_panoramic > MOST_PAIRS else 0,
     )
 
 
@@ -128,5 +132,5 @@ def _named(
 ) -> PairVerdict:
     """Verdict on two images, by name; they have no keys where one is unreadable."""
     image1, image2 = (folder.name_of(index) for index in pair)
-    verdict = Verdict(status="unreadable_image") if keys is None else finished[keys]
+    verdict = Verdict(status=UNREADABLE) if keys is None else finished[keys]
     return PairVerdict.of((image1, image2), verdict)

@@ -41,6 +41,7 @@ from epi360.jobs.records.match_store import (
     DIGESTS,
     FEATURES,
     IMPLIED_PAIRS,
+    UNREADABLE,
     Keys,
     Verdict,
     open_output,
@@ -188,6 +189,7 @@ def _match(
         level=judged.level,
         num_gained=judged.num_gained,
         num_lost=judged.num_lost,
+        num_not_compared=judged.num_not_compared,
     )
 
 
@@ -198,7 +200,8 @@ def _chosen(
     few = list(first_pairs) or dense_pairs(images.images, options.pairs)
     suffice = mostly_match if first_pairs else is_dense
     finished, num_found = _verified(few, job) if few else ({}, 0)
-    is_sequence = bool(few) and len(finished) == len(few) and suffice(list(finished.values()))
+    unreadable = [Verdict(status=UNREADABLE) for pair in few if not job.is_readable(pair)]
+    is_sequence = bool(few) and suffice([*finished.values(), *unreadable])
     if is_sequence:
         how = f"{len(few)} of a {'tracked' if first_pairs else 'dense'} sequence"
         pairs = few

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TypeVar
 
-from epi360.features.warped_patches import remembered
+from epi360.features.warped_patches import Panorama, remembered
 from epi360.jobs.graph.graph_check import awaits_confirmation, believed
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
@@ -22,6 +23,10 @@ from epi360.jobs.threads import on_threads
 FEWEST_PAIRS, MOST_PAIRS = 3, 10_000
 
 Found = TypeVar("Found")
+
+
+class _PictureGoneError(Exception):
+    """A picture could be read when its key points were found, and cannot now."""
 
 
 def check_places(
@@ -45,7 +50,7 @@ def check_places(
         each.keys: posed_pair(folder, usable[each.keys], each)
         for each in folder.settled_pairs(asked, settled, level)
     }
-    panorama_of = remembered(folder.panorama_of)
+    panorama_of = remembered(partial(_read, folder))
 
     def around(keys: Sequence[Keys]) -> Surroundings:
         num_heard = sum(each in accepted for each in keys)
@@ -92,6 +97,13 @@ def _with_surfaces(
     return points if len(found) < len(points) else [found[row] for row in range(len(points))]
 
 
+def _read(folder: VerifiedFolder, image: int) -> Panorama:
+    try:
+        return folder.panorama_of(image)
+    except (OSError, ValueError) as error:
+        raise _PictureGoneError from error
+
+
 def _of_each(
     folder: VerifiedFolder, look: Callable[[int], Found], rows: Sequence[int]
 ) -> dict[int, Found]:
@@ -102,7 +114,7 @@ def _of_each(
     def tried(row: int) -> Found | None:
         try:
             return look(row)
-        except (OSError, ValueError):
+        except _PictureGoneError:
             return None
 
     for count, (row, each) in enumerate(on_threads(tried, rows, folder.num_threads), start=1):

@@ -122,6 +122,7 @@ def verify_pairs(
         level=judged.level,
         num_gained=judged.num_gained,
         num_lost=judged.num_lost,
+        num_not_compared=judged.num_not_compared,
         graph=dataclasses.replace(graph, pairs=pairs),
         kept=folder.kept,
         questioned=_questioned(folder, judged),
@@ -251,20 +252,30 @@ class _GraphFolder:
     def _is_misfit(self, pair: Pair) -> bool:
         """Whether most inliers of a pair that had a pose are too far from it."""
         cameras = self._cameras[pair[0]], self._cameras[pair[1]]
-        return self._noise_deg(pair) > _MOST_NOISE_PX * smallest_pixel_deg(cameras)
+        return not self._noise_deg(pair) <= _MOST_NOISE_PX * smallest_pixel_deg(cameras)
 
     def _noise_deg(self, pair: Pair) -> float:
-        """Standard deviation of the inliers of a pair that had a pose, per axis and view."""
-        geometry = self._kept[pair]
-        seen = self._matched(pair, geometry.inliers)
-        bearings = seen.bearings1, seen.bearings2
-        residuals = np.abs(pose_residuals(geometry.cam2_from_cam1, *bearings, "angular"))
+        """Standard deviation of the inliers of a pair that had a pose, per axis and view.
+
+        NaN if it has none that the cameras see.
+        """
+        seen = self._matched(pair, self._seen_inliers(pair))
+        if len(seen.matches) == 0:
+            return np.nan
+        pose = self._kept[pair].cam2_from_cam1
+        residuals = np.abs(pose_residuals(pose, seen.bearings1, seen.bearings2, "angular"))
         return float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5)
+
+    def _seen_inliers(self, pair: Pair) -> NDArray[np.int64]:
+        """Inliers of a pair that had a pose, without key points that no ray leads to."""
+        inliers = self._kept[pair].inliers
+        seen = self._matched(pair, inliers)
+        is_seen = np.isfinite(seen.bearings1).all(axis=1) & np.isfinite(seen.bearings2).all(axis=1)
+        return inliers[is_seen]
 
     def _with_a_say(self, pair: Pair) -> VerifiedPair:
         """A pair that had a pose; how sure that is nobody has said, but its inliers how exact."""
-        geometry = self._kept[pair]
-        pose, inliers = geometry.cam2_from_cam1, geometry.inliers
+        inliers = self._seen_inliers(pair)
         verdict = Verdict(
             status="ok",
             num_matches=len(inliers),
@@ -272,7 +283,7 @@ class _GraphFolder:
             rotation_sigma_deg=DOUBTED_ROTATION_DEG,
             translation_sigma_deg=DOUBTED_DIRECTION_DEG,
             noise_deg=self._noise_deg(pair),
-            cam2_from_cam1=pose,
+            cam2_from_cam1=self._kept[pair].cam2_from_cam1,
         )
         everyone = np.ones(len(inliers), dtype=bool)
         return VerifiedPair(self.keys_of(pair), verdict, inliers, everyone)

@@ -43,6 +43,7 @@ MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
 FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
 LEVEL_PAIRS = "level-"  # and the fingerprint of the prior
 IMPLIED_PAIRS = "implied"
+UNREADABLE = "unreadable_image"  # the status of a pair of which an image is of no use
 Keys = tuple[str, str]
 
 
@@ -50,7 +51,7 @@ Keys = tuple[str, str]
 class Verdict:
     """What became of a pair, without its matches; most values are those of `RelativePoseResult`."""
 
-    status: str  # also "unreadable_image"
+    status: str  # also UNREADABLE
     warnings: tuple[str, ...] = ()
     num_matches: int = 0
     num_inliers: int = 0
