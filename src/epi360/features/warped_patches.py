@@ -31,6 +31,7 @@ _PIXEL_DEG = 360.0 / WIDTH
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
 _IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 MB
+_FILL_PX, _FAR_AWAY = 16.0, 1e-3  # of what is filled in; the weight of the mean of all
 
 Name = TypeVar("Name", str, int)
 Found = TypeVar("Found", bound="Panorama | None")
@@ -55,12 +56,15 @@ class Panorama:
     levels: NDArray[np.uint8]  # (4, 512, 1024)
 
     @classmethod
-    def of(cls, image: NDArray[np.uint8]) -> Panorama:
-        """Make one of an RGB picture."""
+    def of(cls, image: NDArray[np.uint8], usable: NDArray[np.bool_] | None = None) -> Panorama:
+        """Make one of an RGB picture; what ``usable`` (512, 1024) leaves out becomes bare."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         size = (WIDTH, WIDTH // 2)
         how = cv2.INTER_AREA if grey.shape[1] > WIDTH else cv2.INTER_LINEAR
-        return cls.of_sharp(cv2.resize(grey, size, interpolation=how).astype(np.uint8))
+        sharp = cv2.resize(grey, size, interpolation=how).astype(np.uint8)
+        if usable is None:
+            return cls.of_sharp(sharp)
+        return cls.of_sharp(_bare_where_masked(sharp, usable))
 
     @classmethod
     def of_sharp(cls, sharp: NDArray[np.uint8]) -> Panorama:
@@ -76,6 +80,16 @@ class Panorama:
             rows = levels == level
             found[rows] = _looked_up(self.levels[level], rays[rows])
         return found
+
+
+def _bare_where_masked(grey: NDArray[np.uint8], kept: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The picture with the mean of what is around, without an edge, where it is left out."""
+    weights = kept.astype(np.float32)
+    around = cv2.GaussianBlur(grey * weights, (0, 0), _FILL_PX)
+    num_around = cv2.GaussianBlur(weights, (0, 0), _FILL_PX)
+    mean = float(grey[kept].mean()) if kept.any() else 0.0
+    filled = (around + _FAR_AWAY * mean) / (num_around + _FAR_AWAY)
+    return np.where(kept, grey, np.round(filled)).astype(np.uint8)
 
 
 def remembered(panorama_of: Callable[[Name], Found]) -> Callable[[Name], Found]:

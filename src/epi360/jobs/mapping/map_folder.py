@@ -16,13 +16,13 @@ import numpy as np
 
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
-from epi360.features import read_image
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.folder.panoramas import read_panorama
 from epi360.jobs.mapping.colmap_mapper import (
     STAGE,
     Mapper,
@@ -283,7 +283,10 @@ class _Work:
 
     def _composed(self) -> ComposedPoses:
         return composed_poses(
-            self.graph, self.matched.verdicts, _panoramas(self.images), progress=self.progress
+            self.graph,
+            self.matched.verdicts,
+            _panoramas(self.images, self.options.match.mask_nadir_deg),
+            progress=self.progress,
         )
 
 
@@ -354,7 +357,7 @@ def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, 
     return fingerprint(*pieces)
 
 
-def _panoramas(images: ImageSet) -> Callable[[str], Panorama | None]:
+def _panoramas(images: ImageSet, mask_nadir_deg: float) -> Callable[[str], Panorama | None]:
     """Pictures by name, None of what is no full panorama or cannot be read any more."""
     image_of = {image.name: image for image in images.images}
 
@@ -364,7 +367,7 @@ def _panoramas(images: ImageSet) -> Callable[[str], Panorama | None]:
         if not is_full_panorama(images.cameras[image.camera]):
             return None
         try:
-            return Panorama.of(read_image(image.path))
+            return read_panorama(image, mask_nadir_deg)
         except (OSError, ValueError):
             return None
 

@@ -8,8 +8,8 @@ from collections.abc import Collection, Container, Iterable, Iterator, Mapping, 
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
+from epi360.jobs.folder.panoramas import read_panorama
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.match_engines import MatchEngine
 from epi360.jobs.matching.pair_work import PairWork
@@ -149,7 +149,7 @@ class MatchJob:
 
     def panorama_of(self, index: int) -> Panorama:
         """Picture of an image; OSError or ValueError where it cannot be read any more."""
-        return Panorama.of(read_image(self.images[index].path))
+        return read_panorama(self.images[index], self.work.inputs.cache.options.mask_nadir_deg)
 
     def sees_all_around(self, pair: Pair) -> bool:
         """Whether both images are full panoramas."""
