@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Rendered rooms that are copies of each other: `match_images` tells them apart."""
 
+import cv2
+import numpy as np
 import pytest
-from rendered_views import write_views
-from twin_rooms import exposed_and_visited, truth, write_rooms
+from rendered_views import write_png, write_views
+from twin_rooms import exposed_and_visited, rooms, truth, write_rooms
 
 from epi360 import rotation_error_deg, translation_error_deg
+from epi360.jobs.folder import panoramas
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.place_evidence import Surroundings
-from epi360.jobs.matching import folder_verdicts, match_job, place_job
+from epi360.jobs.matching import folder_verdicts, place_job
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.report.folder_page import summary_sentences
 from epi360.report.match_table import describe_match, pairs_csv
@@ -82,7 +85,7 @@ def test_a_picture_that_is_gone_costs_only_the_check(tmp_path, monkeypatch):
     def lost(path):
         raise OSError("gone")
 
-    monkeypatch.setattr(match_job, "read_image", lost)
+    monkeypatch.setattr(panoramas, "read_image", lost)
     run = match_images(find_images(tmp_path / "a"), tmp_path / "second", ALL)
     assert [v.accepted for v in run.verdicts] == [v.accepted for v in expected.verdicts]
 
@@ -108,3 +111,28 @@ def test_surroundings_of_too_many_pairs_are_said_to_be_unknown(tmp_path, monkeyp
     said = f"The surroundings of {run.num_not_compared} accepted pairs of panoramas were not"
     assert said in describe_match(run)
     assert any(each.startswith(said) for each in summary_sentences(run))
+
+
+@pytest.mark.parametrize("alone", ["b1", "b2"])
+def test_pairs_with_one_panorama_of_the_other_room_do_not_vouch_for_each_other(tmp_path, alone):
+    """They say the same, so that they know the same of the other room: what they agree in."""
+    write_rooms(tmp_path / "a", letters="a")
+    write_png(tmp_path / "a" / f"{alone}.png", rooms()[f"{alone}.png"][1])
+    run = match_images(find_images(tmp_path / "a"), tmp_path / "out", ALL)
+    claimed = [v for v in run.verdicts if not in_one_room(v) and v.status == "ok"]
+    assert len(claimed) >= 2
+    assert [v.accepted for v in run.verdicts] == [in_one_room(v) for v in run.verdicts]
+
+
+def test_what_a_mask_leaves_out_speaks_against_nobody(tmp_path):
+    """The roof of a car fills two fifths of each picture, at the same place in all."""
+    texture = np.random.default_rng(0).integers(0, 255, (60, 160, 3)).astype(np.uint8)
+    roof = cv2.resize(texture, (768, 384), interpolation=cv2.INTER_CUBIC)
+    top = 230
+    write_rooms(tmp_path / "a", changed=lambda _, picture: np.vstack([picture[:top], roof[top:]]))
+    mask = np.full((384, 768, 3), 255, np.uint8)
+    mask[top:] = 0
+    write_png(tmp_path / "mask.png", mask)
+    images = find_images(tmp_path / "a", mask=tmp_path / "mask.png")
+    run = match_images(images, tmp_path / "out", ALL)
+    assert [v.accepted for v in run.verdicts] == [in_one_room(v) for v in run.verdicts]

@@ -249,10 +249,16 @@ class _Assembly:
         claims = []
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
-            hearsay = _together([self._testimonies[row].hearsay for row in same])
+            hearsay = self._hearsay_of(same)
             ratio = _together(ratios) + _HEARSAY_SHARE * min(hearsay, _MOST_HEARSAY)
             claims.append(_Claim(same, ratio, same[int(np.argmax(ratios))]))
         return claims
+
+    def _hearsay_of(self, same: Sequence[int]) -> float:
+        """What all others say about pairs that say the same, which cannot vouch for each other."""
+        others = np.ones(len(self._pairs), dtype=bool)
+        others[list(same)] = False
+        return _together([self._ratio_of(row, others) for row in same])
 
     def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:
         """Pairs of rows that say the same, as joined pairs tell."""

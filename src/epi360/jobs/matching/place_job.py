@@ -21,6 +21,8 @@ from epi360.jobs.threads import on_threads
 
 # Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
 FEWEST_PAIRS, MOST_PAIRS = 3, 10_000
+# So few are asked for surfaces in any case: by points, pairs with one copy of a room agree.
+_FEW_PAIRS = 500
 
 Found = TypeVar("Found")
 
@@ -72,10 +74,10 @@ def check_places(
 def _judged(
     folder: VerifiedFolder, known: Surroundings, points: Sequence[Evidence]
 ) -> Sequence[PlaceVerdict]:
-    """Verdicts by points; where these leave a doubt, by surfaces too, which cost much more."""
+    """Verdicts by points, and by surfaces, which cost much more: of many pairs only in doubt."""
     num_heard, evidence = known.num_heard, points
     heard = known.pairs[:num_heard]
-    if leave_a_doubt(heard, points[:num_heard]):
+    if num_heard <= _FEW_PAIRS or leave_a_doubt(heard, points[:num_heard]):
         evidence = _with_surfaces(folder, known, points)
     return judge_places(heard, evidence[:num_heard], evidence[num_heard:])
 
