@@ -27,19 +27,17 @@ def pair_of(images, degrees=0.0, *, sigma_deg=0.1):
     return PosedPair(images, pose, (NOBODY,) * 2, (np.empty((0, 3)),) * 2, 0.1, sigma_deg, 0.1)
 
 
-def told_of(siblings, witnesses, ratio_of):
-    """Hearsay is what pairs say if all are believed."""
-    everyone = np.ones(len(siblings), dtype=bool)
+def told_of(siblings, witnesses):
     return [
-        place_groups.Testimony(links, asked, ratio_of(row, everyone))
-        for row, (links, asked) in enumerate(zip(siblings, witnesses, strict=True))
+        place_groups.Testimony(links, asked)
+        for links, asked in zip(siblings, witnesses, strict=True)
     ]
 
 
 def groups_of(pairs, ratios, least, siblings=None):
     """Pairs whose ratios depend on nobody."""
     links = siblings or [()] * len(pairs)
-    told = told_of(links, [set()] * len(pairs), lambda row, _: ratios[row])
+    told = told_of(links, [set()] * len(pairs))
     return place_groups.put_together(pairs, told, lambda row, _: ratios[row], least)
 
 
@@ -125,7 +123,7 @@ def test_rooms_that_are_copies_stay_apart_though_their_pairs_witness_for_each_ot
     everyone = np.ones(len(pairs), dtype=bool)
     assert min(ratio_of(row, everyone) for row in np.flatnonzero(~is_right)) > 1.0
     others = [set(range(len(pairs))) - {row} for row in range(len(pairs))]
-    told = told_of([()] * len(pairs), others, ratio_of)
+    told = told_of([()] * len(pairs), others)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.joined.tolist() == is_right.tolist()
     assert groups.ratios[~is_right].max() < 0.0
@@ -138,7 +136,7 @@ def test_what_is_joined_is_heard_again_when_more_is_known():
     def ratio_of(row, joined):
         return 5.0 if row == 1 else -20.0 if joined[1] else 9.0
 
-    told = told_of([()] * 2, [{1}, {0}], ratio_of)
+    told = told_of([()] * 2, [{1}, {0}])
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.ratios.tolist() == [-20.0, 5.0 * HEARD]
 
@@ -151,7 +149,7 @@ def test_a_pair_that_looks_poor_at_last_is_accepted_only_if_joined_ones_imply_it
     def ratio_of(row, joined):
         return (5.0, 4.5, -9.0 if joined[1] else 4.0)[row]
 
-    told = told_of(links, [{1}] * 3, ratio_of)
+    told = told_of(links, [{1}] * 3)
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.ratios[2] == (groups.ratios[1] if is_implied else -9.0)
     assert groups.ratios[1] > 4.0
@@ -165,7 +163,7 @@ def test_what_becomes_known_is_heard_at_once(witness):
     def ratio_of(row, joined):
         return (5.0, 4.0, 3.0 * joined[witness])[row]
 
-    told = told_of([()] * 3, [set(), set(), {witness}], ratio_of)
+    told = told_of([()] * 3, [set(), set(), {witness}])
     groups = place_groups.put_together(pairs, told, ratio_of, 1.0)
     assert groups.joined.all()
     np.testing.assert_allclose(groups.ratios, [5.0 * HEARD, 4.0, 3.0 * HEARD])
@@ -179,7 +177,7 @@ def test_where_nothing_is_known_hearsay_decides():
             return -3.0 * joined[1:].sum()
         return 2.0 * joined[3 - row] - joined[0]
 
-    told = told_of([()] * 3, [{1, 2}, {0, 2}, {0, 1}], ratio_of)
+    told = told_of([()] * 3, [{1, 2}, {0, 2}, {0, 1}])
     groups = place_groups.put_together(pairs, told, ratio_of, 0.0)
     assert groups.joined.tolist() == [False, True, True]
     assert groups.ratios[0] == -np.inf

@@ -162,12 +162,14 @@ def convert(
 def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool) -> None:
     from epi360.interop.formats import FORMATS
 
-    if verify and FORMATS[target_name].kind != "matches":
+    if FORMATS[target_name].kind == "matches":
+        return
+    if verify:
         raise ValueError(
             "--verify and --verify-again are for matches; the poses of a reconstruction are not "
             "judged"
         )
-    if no_descriptors and FORMATS[target_name].kind != "matches":
+    if no_descriptors:
         raise ValueError("--no-descriptors is for matches; a reconstruction has none")
 
 

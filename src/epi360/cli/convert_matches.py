@@ -7,10 +7,11 @@ import sys
 from pathlib import Path
 
 from epi360.cli.command import show_bars
+from epi360.interop.colmap_database import CONFIG_OF_STATUS
 from epi360.interop.convert import without_refused
 from epi360.interop.formats import FORMATS
 from epi360.interop.match_graph import MatchGraph
-from epi360.jobs.matching.place_job import FEWEST_PAIRS, MOST_PAIRS
+from epi360.jobs.matching.place_job import FEWEST_PAIRS
 from epi360.jobs.matching.verify_pairs import (
     VerifiedGraph,
     unverified_pairs,
@@ -19,8 +20,6 @@ from epi360.jobs.matching.verify_pairs import (
 )
 from epi360.report.match_table import describe_verified, pairs_csv
 from epi360.runs.whole_files import write_file
-
-_WITH_POSE = ("ok", "planar_ambiguous", "pure_rotation")
 
 
 def judged_matches(
@@ -32,10 +31,9 @@ def judged_matches(
     """
     verified = None
     if verify:
-        pictures = None if images is None else Path(images)
         unverified = without_geometries(graph) if again else graph
         with show_bars() as progress:
-            verified = verify_pairs(unverified, pictures=pictures, progress=progress)
+            verified = verify_pairs(unverified, pictures=images, progress=progress)
         graph = verified.graph
     return (without_refused(graph) if target_name == "hloc" else graph), verified
 
@@ -84,14 +82,13 @@ def write_verdicts(
     if report is not None:
         from epi360.report.folder_page import write_verified_report
 
-        pictures = None if images is None else Path(images)
-        write_verified_report(report, verified, pictures, name=source.resolve().name)
+        write_verified_report(report, verified, images, name=source.resolve().name)
         print(f"wrote {report}")
 
 
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     print(describe_verified(verified))
-    if verified.num_panoramic < FEWEST_PAIRS:
+    if verified.num_panoramic < FEWEST_PAIRS or verified.num_not_compared:
         return
     if verified.looked_around:
         if any(verdict.accepted for verdict in verified.verdicts):
@@ -102,7 +99,7 @@ def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     else:
         note = (
             "the pictures were not compared, because that takes "
-            f"{FEWEST_PAIRS} to {MOST_PAIRS:,} accepted pairs of panoramas"
+            f"{FEWEST_PAIRS} accepted pairs of panoramas or more"
         )
     print(f"epi360: {note}", file=sys.stderr)
 
@@ -120,7 +117,7 @@ def _warn_of_unverified(graph: MatchGraph) -> None:
 def _warn_of_refused(graph: MatchGraph) -> None:
     """A database does not say which of these the other pairs have refused."""
     count = sum(
-        pair.geometry is not None and pair.geometry.status not in _WITH_POSE
+        pair.geometry is not None and pair.geometry.status not in CONFIG_OF_STATUS
         for pair in graph.pairs
         if len(pair.matches)
     )

@@ -64,7 +64,7 @@ def write_match_report(
 
 
 def write_verified_report(
-    path: PathLike, verified: VerifiedGraph, pictures: Path | None, *, name: str
+    path: PathLike, verified: VerifiedGraph, pictures: PathLike | None, *, name: str
 ) -> None:
     """Write the report of `verify_pairs` on the matches of that name.
 
@@ -87,11 +87,11 @@ def match_page(
     return _page(title, words, run, load_matches(run.folder), shown, shown_map)
 
 
-def verified_page(verified: VerifiedGraph, pictures: Path | None, *, name: str) -> Page:
+def verified_page(verified: VerifiedGraph, pictures: PathLike | None, *, name: str) -> Page:
     """Return the page of given matches."""
     graph = verified.graph
     camera_of = {each: graph.images[each].camera for each in verified.images}
-    paths = {} if pictures is None else _paths_below(pictures, verified.images)
+    paths = {} if pictures is None else _paths_below(Path(pictures), verified.images)
     shown = _Images(
         graph.cameras, {each: key for each, key in camera_of.items() if key is not None}, paths
     )

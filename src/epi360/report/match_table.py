@@ -156,8 +156,8 @@ def describe_not_compared(judged: JudgedPairs) -> list[str]:
         return []
     return [
         f"The surroundings of {count:,} accepted pairs of panoramas were not compared, which is "
-        f"done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. Fewer pairs "
-        "(--neighbors), or a folder for each floor, let them be compared."
+        f"done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. Fewer pairs, "
+        "or a folder for each floor, let them be compared."
     ]
 
 

@@ -152,7 +152,8 @@ def pair_sentences(verdict: PairVerdict, judged: JudgedPairs) -> list[str]:
         )
     if verdict.prior and verdict.prior != IMPLIED_PRIOR:  # its warning says that
         sentences.append(f"What was known beforehand: {verdict.prior}.")
-    return sentences + [f"{text[0].upper()}{text[1:]}." for text in verdict.warnings]
+    warnings = (text for text in verdict.warnings if text != reason)
+    return sentences + [f"{text[0].upper()}{text[1:]}." for text in warnings]
 
 
 def _kind(verdict: PairVerdict) -> str:

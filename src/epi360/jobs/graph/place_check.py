@@ -128,8 +128,9 @@ def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> boo
     Before anything else is known, no pair is surer than others. So all are heard about each, those
     too that may be wrong.
     """
-    testimonies = _Court(pairs, points, _RATES).testimonies
-    return any(testimony.hearsay < _SPEAKS_AGAINST for testimony in testimonies)
+    court = _Court(pairs, points, _RATES)
+    everyone = np.ones(len(pairs), dtype=bool)
+    return any(court.ratio(row, everyone) < _SPEAKS_AGAINST for row in range(len(pairs)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +165,14 @@ class _Court:
         self._pairs = pairs
         self._evidence = evidence
         self._logs = [tuple(_logs(s, rates) for s in each.sides) for each in evidence]
-        everyone = np.ones(len(pairs), dtype=bool)
-        self.testimonies = [
-            Testimony(each.siblings, _asked(each) - {row}, self.ratio(row, everyone))
+        self._testimonies = [
+            Testimony(each.siblings, _asked(each) - {row})
             for row, each in enumerate(evidence[: len(pairs)])
         ]
 
     def groups(self, least_ratio: float) -> Groups:
         """Panoramas that pairs put together, if so much speaks for them."""
-        return put_together(self._pairs, self.testimonies, self.ratio, least_ratio)
+        return put_together(self._pairs, self._testimonies, self.ratio, least_ratio)
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""

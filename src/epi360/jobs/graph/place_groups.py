@@ -8,8 +8,8 @@ groups belong together is decided by what pairs within each of them know. All pa
 same about two groups are right or wrong together, and are weighed together. What turns a panorama
 otherwise than its group does contradicts it.
 
-What all pairs of the folder know, right and wrong ones, counts a little: it is hearsay, but where
-no group knows anything yet it tells where to begin.
+What all other pairs of the folder know, right and wrong ones, counts a little: it is hearsay, but
+where no group knows anything yet it tells where to begin.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GroupPair = tuple[int, int]
 _CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
 _LEAST_OF_ONE = -2.0
-# What all pairs say about a claim, right and wrong ones, counts too: this share of it, limited.
+# What all others say about a claim, right and wrong ones, counts too: this share of it, limited.
 _HEARSAY_SHARE, _MOST_HEARSAY = 0.3, 6.0
 # A pair contradicts its group if it turns a camera otherwise by more than so many degrees and
 # sigmas of all rotations on the way.
@@ -45,13 +45,11 @@ class Testimony:
     """What is known about a pair besides its pose.
 
     ``siblings`` are pairs that say the same if a third one is right; ``witnesses`` are the pairs of
-    which its ratio depends on whether they are believed; ``hearsay`` is its ratio by what all pairs
-    know, right and wrong ones.
+    which its ratio depends on whether they are believed.
     """
 
     siblings: Sequence[Sibling]
     witnesses: Set[int]
-    hearsay: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +106,7 @@ class _Assembly:
         self._joined = np.zeros(len(pairs), dtype=bool)
         self._said = np.full(len(pairs), np.nan)
         self._ratios = np.full(len(pairs), np.nan)  # NaN: a witness has been joined since
+        self._hearsay: dict[tuple[int, ...], float] = {}  # of pairs that say the same
         self._asked_by: list[set[int]] = [set() for _ in pairs]
         for row, testimony in enumerate(testimonies):
             for witness in testimony.witnesses:
@@ -249,16 +248,18 @@ class _Assembly:
         claims = []
         for same in _linked(rows, self._links_among(rows)):
             ratios = [self._ratio(row) for row in same]
-            hearsay = self._hearsay_of(same)
-            ratio = _together(ratios) + _HEARSAY_SHARE * min(hearsay, _MOST_HEARSAY)
+            hearsay = min(self._hearsay_of(tuple(same)), _MOST_HEARSAY)
+            ratio = _together(ratios) + _HEARSAY_SHARE * hearsay
             claims.append(_Claim(same, ratio, same[int(np.argmax(ratios))]))
         return claims
 
-    def _hearsay_of(self, same: Sequence[int]) -> float:
+    def _hearsay_of(self, same: tuple[int, ...]) -> float:
         """What all others say about pairs that say the same, which cannot vouch for each other."""
-        others = np.ones(len(self._pairs), dtype=bool)
-        others[list(same)] = False
-        return _together([self._ratio_of(row, others) for row in same])
+        if same not in self._hearsay:
+            others = np.ones(len(self._pairs), dtype=bool)
+            others[list(same)] = False
+            self._hearsay[same] = _together([self._ratio_of(row, others) for row in same])
+        return self._hearsay[same]
 
     def _links_among(self, rows: Sequence[int]) -> Iterable[tuple[int, int]]:
         """Pairs of rows that say the same, as joined pairs tell."""

@@ -167,8 +167,9 @@ class _GraphFolder:
         }
         self._bearings = lru_cache(_IMAGES_IN_MEMORY)(self._find_bearings)
         self.panorama_of = remembered(self._read_panorama)
-        self._misfits = {pair for pair in self._kept if self._is_misfit(pair)}
-        self.pairs = [pair for pair in self.pairs if pair not in self._misfits]
+        given = {pair: self._with_a_say(pair) for pair in self._kept}
+        self._given = {pair: each for pair, each in given.items() if self._fits(pair, each)}
+        self.pairs = [pair for pair in self.pairs if pair in self._given or pair in self._matches]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -181,9 +182,9 @@ class _GraphFolder:
         return tuple(map(self.keys_of, self._kept))
 
     @property
-    def misfits(self) -> tuple[tuple[str, str], ...]:
+    def misfits(self) -> set[tuple[str, str]]:
         """Those of them whose own inliers do not fit the pose."""
-        return tuple(self.keys_of(pair) for pair in self._kept if pair in self._misfits)
+        return {self.keys_of(pair) for pair in self._kept.keys() - self._given.keys()}
 
     def read_pictures(self) -> None:
         """Read the pictures that are compared; raises what `verify_pairs` says."""
@@ -199,9 +200,7 @@ class _GraphFolder:
     def verify(self) -> dict[Keys, Verdict]:
         """Verify all pairs by their own matches."""
         self._alone = self._verified(list(self._matches), _STAGE, None)
-        for pair in self._kept:
-            if pair not in self._misfits:
-                self._alone[self.keys_of(pair)] = self._with_a_say(pair)
+        self._alone |= {given.keys: given for given in self._given.values()}
         return {keys: pair.verdict for keys, pair in self._alone.items()}
 
     def verify_again(self, wanted: Mapping[Keys, Pair], level: Level) -> Mapping[Keys, Verdict]:
@@ -249,44 +248,34 @@ class _GraphFolder:
         """Where the key points of an image look."""
         return self._bearings(index)
 
-    def _is_misfit(self, pair: Pair) -> bool:
-        """Whether most inliers of a pair that had a pose are too far from it."""
-        cameras = self._cameras[pair[0]], self._cameras[pair[1]]
-        return not self._noise_deg(pair) <= _MOST_NOISE_PX * smallest_pixel_deg(cameras)
-
-    def _noise_deg(self, pair: Pair) -> float:
-        """Standard deviation of the inliers of a pair that had a pose, per axis and view.
-
-        NaN if it has none that the cameras see.
-        """
-        seen = self._matched(pair, self._seen_inliers(pair))
-        if len(seen.matches) == 0:
-            return np.nan
-        pose = self._kept[pair].cam2_from_cam1
-        residuals = np.abs(pose_residuals(pose, seen.bearings1, seen.bearings2, "angular"))
-        return float(np.degrees(_SIGMAS_OF_MEDIAN * np.median(residuals)) / 2.0**0.5)
-
-    def _seen_inliers(self, pair: Pair) -> NDArray[np.int64]:
-        """Inliers of a pair that had a pose, without key points that no ray leads to."""
-        inliers = self._kept[pair].inliers
-        seen = self._matched(pair, inliers)
-        is_seen = np.isfinite(seen.bearings1).all(axis=1) & np.isfinite(seen.bearings2).all(axis=1)
-        return inliers[is_seen]
-
     def _with_a_say(self, pair: Pair) -> VerifiedPair:
-        """A pair that had a pose; how sure that is nobody has said, but its inliers how exact."""
-        inliers = self._seen_inliers(pair)
+        """A pair that had a pose; how sure that is nobody has said, but its inliers how exact.
+
+        Key points that no ray leads to are left out; the noise is NaN if no others are there.
+        """
+        geometry = self._kept[pair]
+        seen = self._matched(pair, geometry.inliers)
+        bearings1, bearings2 = seen.bearings1, seen.bearings2
+        rows = np.isfinite(bearings1).all(axis=1) & np.isfinite(bearings2).all(axis=1)
+        inliers, pose = geometry.inliers[rows], geometry.cam2_from_cam1
+        residuals = np.abs(pose_residuals(pose, bearings1[rows], bearings2[rows], "angular"))
+        median = np.median(residuals) if len(inliers) else np.nan
         verdict = Verdict(
             status="ok",
             num_matches=len(inliers),
             num_inliers=len(inliers),
             rotation_sigma_deg=DOUBTED_ROTATION_DEG,
             translation_sigma_deg=DOUBTED_DIRECTION_DEG,
-            noise_deg=self._noise_deg(pair),
-            cam2_from_cam1=self._kept[pair].cam2_from_cam1,
+            noise_deg=float(np.degrees(_SIGMAS_OF_MEDIAN * median) / 2.0**0.5),
+            cam2_from_cam1=pose,
         )
         everyone = np.ones(len(inliers), dtype=bool)
         return VerifiedPair(self.keys_of(pair), verdict, inliers, everyone)
+
+    def _fits(self, pair: Pair, given: VerifiedPair) -> bool:
+        """Whether most inliers of a pair that had a pose are near it."""
+        cameras = self._cameras[pair[0]], self._cameras[pair[1]]
+        return given.verdict.noise_deg <= _MOST_NOISE_PX * smallest_pixel_deg(cameras)
 
     def _read_panorama(self, index: int) -> Panorama:
         """Picture of a panorama."""
@@ -370,12 +359,9 @@ def _geometries(folder: _GraphFolder, judged: FolderVerdicts) -> dict[Keys, TwoV
 
 def _questioned(folder: _GraphFolder, judged: FolderVerdicts) -> tuple[tuple[str, str], ...]:
     """Pairs that had a pose which the others refuse, or which their own inliers do not fit."""
-    refused = {
-        keys
-        for keys, verdict in zip(judged.keys, judged.verdicts, strict=True)
-        if not verdict.accepted
-    }
-    return tuple(keys for keys in folder.kept if keys in refused or keys in folder.misfits)
+    told = zip(judged.keys, judged.verdicts, strict=True)
+    refused = folder.misfits | {keys for keys, verdict in told if keys and not verdict.accepted}
+    return tuple(keys for keys in folder.kept if keys in refused)
 
 
 def _has_a_say(geometry: TwoViewGeometry) -> bool:
