@@ -86,10 +86,10 @@ def zind_verdicts(plan: Plan) -> Iterator[Judged]:
 
 def tour_verdicts(plan: Plan) -> Iterator[Judged]:
     """All pairs within rendered homes, level ones and tilted ones."""
-    for one in _tours(plan):
+    for one in tours(plan):
         tour = one.tour
         for run in _folder_verdicts(plan, one.name, tour.folder, tour.cam2_from_cam1):
-            yield _of_tour(run, f"tours, {one.kind}", one.home, tour)
+            yield of_tour(run, f"tours, {one.kind}", one.home, tour)
 
 
 def given_verdicts(plan: Plan) -> Iterator[Judged]:
@@ -97,7 +97,7 @@ def given_verdicts(plan: Plan) -> Iterator[Judged]:
 
     They are the ones of `match_images`, without its verdicts.
     """
-    for one in _tours(plan):
+    for one in tours(plan):
         tour = one.tour
         output = plan.out / "match" / one.name
         match_images(
@@ -111,11 +111,11 @@ def given_verdicts(plan: Plan) -> Iterator[Judged]:
             *_alone(plan, _peer_tasks(one.name, output, tour.cam2_from_cam1)),
             *_given_verdicts(plan, one.name, graph, tour.folder, tour.cam2_from_cam1),
         ]
-        yield from (_of_tour(run, f"given, {one.kind}", one.home, tour) for run in found)
+        yield from (of_tour(run, f"given, {one.kind}", one.home, tour) for run in found)
 
 
 @dataclass(frozen=True)
-class _OneTour:
+class OneTour:
     """A rendered home, what it is called, and its number."""
 
     name: str
@@ -124,7 +124,7 @@ class _OneTour:
     tour: Tour
 
 
-def _tours(plan: Plan) -> Iterator[_OneTour]:
+def tours(plan: Plan) -> Iterator[OneTour]:
     for is_level, home in itertools.product((True, False), range(plan.num_homes)):
         kind = "level" if is_level else "tilted"
         name = f"{kind}_{home}_{plan.tour_width}"
@@ -135,7 +135,7 @@ def _tours(plan: Plan) -> Iterator[_OneTour]:
             width=plan.tour_width,
             progress=lambda picture, of=name: print(f"{of}: {picture}", flush=True),
         )
-        yield _OneTour(name, kind, home, tour)
+        yield OneTour(name, kind, home, tour)
 
 
 def _alone(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
@@ -153,10 +153,10 @@ def _given_verdicts(
     unverified = without_geometries(graph)
     for method, folder in ((f"{FOLDER}, no pictures", None), (FOLDER, pictures)):
         found = verify_pairs(unverified, pictures=folder, seed=plan.seed, num_threads=plan.jobs)
-        yield from _judged_ones(name, method, found.verdicts, truth_of)
+        yield from judged_ones(name, method, found.verdicts, truth_of)
 
 
-def _judged_ones(
+def judged_ones(
     name: str, method: str, verdicts: Iterable[PairVerdict], truth_of: TruthOf
 ) -> Iterator[Judged]:
     for verdict in verdicts:
@@ -175,7 +175,7 @@ def _judged_ones(
         )
 
 
-def _of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
+def of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
     name1, name2 = sorted(run.pair.split(" "), key=[one.name for one in tour.panoramas].index)
     return replace(
         run,
@@ -197,7 +197,7 @@ def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> 
         MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
         restart=True,
     )
-    yield from _judged_ones(name, OURS, run.verdicts, truth_of)
+    yield from judged_ones(name, OURS, run.verdicts, truth_of)
     if plan.with_peer:
         yield from _peer_verdicts(plan, _peer_tasks(name, output, truth_of))
 

@@ -32,12 +32,11 @@ from epi360.features import read_image
 from epi360.features.warped_patches import Panorama
 from epi360.interop import MatchGraph
 from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.graph import own_evidence
-from epi360.jobs.graph.own_evidence import SHOWN, Weights, terms
-from epi360.jobs.graph.place_evidence import grow_both
-from epi360.jobs.graph.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.threads import num_cores, on_threads
+from epi360.places import own_evidence
+from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
+from epi360.places.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360_scenes.tours import Tour, render_tour

@@ -22,6 +22,7 @@ from _machine import fact_lines, load_average, machine_facts
 from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 from _trust_coherence import coherence_rows
+from _trust_lone import PAIR, few_verdicts, pair_verdicts, tour_pair_verdicts
 from _trust_pairs import (
     FOLDER,
     OURS,
@@ -52,9 +53,12 @@ PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "learned": learned_verdicts,
     "tours": tour_verdicts,
     "given": given_verdicts,
+    "pairs": pair_verdicts,
+    "tourpairs": tour_pair_verdicts,
+    "few": few_verdicts,
 }
 SETS = (*PAIR_SETS, "cells", "degenerate")
-NEEDS_DATA = ("zind", "learned")
+NEEDS_DATA = ("zind", "learned", "pairs")
 
 
 def main() -> int:
@@ -180,7 +184,7 @@ def _shown(tables: list[list[list[str]]]) -> list[list[list[str]]]:
 def _print_judged(judged: list[Judged], *, list_wrong: bool) -> None:
     for table in _tables(judged, []):
         print(f"\n{text_table(table)}")
-    for method in (OURS, f"{OURS}, gravity", FOLDER) if list_wrong else ():
+    for method in (OURS, f"{OURS}, gravity", FOLDER, PAIR) if list_wrong else ():
         for line in wrong_lines(judged, method):
             print(f"accepted and wrong by {method}: {line}")
     sys.stdout.flush()

@@ -23,8 +23,8 @@ PACKAGES = (epi360, epi360_scenes, epi360_paper, epi360_demo)
 FOLDERS = [Path(module.__file__).parent for module in PACKAGES]
 LAYERS = [
     "_core", "image_folders", "extras", "progress", "runs", "poses", "cameras", "features",
-    "epipolar", "estimation", "second_look", "two_view", "odometry", "synthetic", "interop",
-    "epi360_scenes", "epi360_paper", "jobs", "report", "epi360_demo", "cli",
+    "epipolar", "estimation", "places", "second_look", "two_view", "odometry", "synthetic",
+    "interop", "epi360_scenes", "epi360_paper", "jobs", "report", "epi360_demo", "cli",
 ]  # fmt: skip
 LAYERS_OF_JOBS = [
     "engines", "threads", "ray_tasks", "trajectories", "evaluation", "folder", "frames", "records",

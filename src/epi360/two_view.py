@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.upright import is_full_panorama
 from epi360.estimation import (
     ImagePairResult,
     RansacOptions,
@@ -36,6 +37,8 @@ from epi360.features.detection import (
     check_options,
 )
 from epi360.features.image_cameras import find_camera
+from epi360.features.warped_patches import Panorama
+from epi360.places.same_place import look_around
 from epi360.second_look import is_precise, is_settled, later_is_better
 
 # Key points are good to a third of a pixel. If the two fisheye cameras are swapped, the noise is
@@ -109,7 +112,9 @@ def relative_pose_of_images(
     Notes
     -----
     Wide images are searched at 1920 pixels first; only where that does not settle the pose, at
-    their full width; and where the verdict is still not "ok", for fainter features.
+    their full width; and where the verdict is still not "ok", for fainter features. What both
+    cameras must see around the matches is compared if both images are full panoramas: matches on a
+    thing that stands in another place too, or that moves along, agree on a pose of their own.
     """
     check_options(max_width, mask_nadir_deg)
     check_threshold(inlier_threshold_deg)
@@ -143,7 +148,12 @@ def relative_pose_of_images(
         if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
-    return best
+    if not (best.success and all(is_full_panorama(view.camera) for view in views)):
+        return best
+    say("comparing what both cameras must see")
+    with ThreadPoolExecutor(2) as pool:
+        panorama1, panorama2 = pool.map(_View.panorama, views)
+    return look_around(best, (view1.camera, view2.camera), (panorama1, panorama2))
 
 
 @dataclass(frozen=True)
@@ -223,6 +233,9 @@ class _View:
         camera = find_camera(image, picture, camera, name)
         usable = None if mask is None else read_mask(mask, picture.shape[:2], name=mask_name)
         return cls(picture, camera, usable, mask_nadir_deg)
+
+    def panorama(self) -> Panorama:
+        return Panorama.masked(self.picture, self.mask, self.mask_nadir_deg)
 
     def features(self, search: _Search) -> Features:
         return extract_features(

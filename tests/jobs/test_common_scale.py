@@ -9,8 +9,8 @@ import pytest
 
 from epi360.features.shared_surfaces import grid
 from epi360.jobs.graph.common_scale import common_scale
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import KnownView
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
 CENTERS = np.array([[0.0, 0, 0], [1.0, 0, 0.2], [0.4, 0.1, 2.0], [-1.5, 0, 1.0], [3.0, 0.2, -1.0]])

@@ -8,7 +8,7 @@ import pytest
 
 from epi360 import rotation_error_deg, translation_error_deg
 from epi360.jobs.graph.implied_poses import ImpliedPoses, near_matches
-from epi360.jobs.graph.shared_points import PosedPair
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
 # Camera from world, in metres; the baselines are as unlike as 1 to 4.

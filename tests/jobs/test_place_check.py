@@ -7,10 +7,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.own_evidence import OwnEvidence
 from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import (
     HIDDEN,
     OWN,
@@ -20,6 +18,8 @@ from epi360.jobs.graph.surface_evidence import (
     SurfaceSightings,
     surfaces_ratio,
 )
+from epi360.places.own_evidence import OwnEvidence
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 
 NUM_CELLS = 20
@@ -247,7 +247,10 @@ def test_the_reason_counts_places():
 def test_the_reason_names_surfaces_where_they_alone_speak_against_a_pair():
     pairs, is_right = twin_rooms()
     found = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])
-    for ratio, why in ((-3.8, "for surfaces differ"), (0.0, "as other pairs of this folder do")):
+    for ratio, why in (
+        (-3.8, "for surfaces differ"),
+        (0.0, "and too little of what"),
+    ):
         found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio, num=6000),) * 2)
         assert why in judged(pairs, found)[0].refused
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from epi360.jobs.graph import place_groups
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import Sibling
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
 NOBODY = np.empty(0, np.int64)

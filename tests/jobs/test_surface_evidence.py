@@ -10,8 +10,8 @@ import pytest
 from epi360.cameras import Equirectangular
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.place_evidence import Surroundings
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import OWN, Sibling, SurfaceWitnesses, surfaces_ratio
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
 

@@ -11,7 +11,6 @@ from epi360.interop.colmap_database import CONFIG_OF_STATUS
 from epi360.interop.convert import without_refused
 from epi360.interop.formats import FORMATS
 from epi360.interop.match_graph import MatchGraph
-from epi360.jobs.matching.place_job import FEWEST_PAIRS
 from epi360.jobs.matching.verify_pairs import (
     VerifiedGraph,
     unverified_pairs,
@@ -88,7 +87,7 @@ def write_verdicts(
 
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     print(describe_verified(verified))
-    if verified.num_panoramic < FEWEST_PAIRS or verified.num_not_compared:
+    if verified.num_panoramic == 0 or verified.num_not_compared:
         return
     if verified.looked_around:
         if any(verdict.accepted for verdict in verified.verdicts):
@@ -97,10 +96,7 @@ def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     elif images is None:
         note = "only the pictures tell rooms that look alike apart; name their folder with --images"
     else:
-        note = (
-            "the pictures were not compared, because that takes "
-            f"{FEWEST_PAIRS} accepted pairs of panoramas or more"
-        )
+        note = "the pictures were not compared, because the matches of no pair determine a pose"
     print(f"epi360: {note}", file=sys.stderr)
 
 

@@ -19,6 +19,7 @@ Status = Literal[
     "pure_rotation",
     "planar_ambiguous",
     "concentrated_inliers",
+    "another_place",
 ]
 
 
@@ -45,6 +46,27 @@ class Explanations:
     surface: float = math.nan
     motion: float = math.nan
     rival: float = math.nan
+
+
+@dataclass(frozen=True)
+class SamePlace:
+    """Probabilities that two panoramas show one place, by what both must see; they sum to one.
+
+    NaN where nothing was compared.
+
+    Attributes
+    ----------
+    here : float
+        What surrounds the matches looks as the pose says.
+    elsewhere : float
+        The matches lie on a thing that another place has too, or on one that moves along.
+    copy : float
+        The images show two places that are copies of each other, such as rooms of a hotel.
+    """
+
+    here: float = math.nan
+    elsewhere: float = math.nan
+    copy: float = math.nan
 
 
 # What is printed of a result; the arrays of its matches would fill the screen.
@@ -93,8 +115,9 @@ class RelativePoseResult:
         B: the two tangent directions at t.
     probability : float
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
-        status says of it: the sum of ``surface`` and ``motion`` of the explanations. NaN after a
-        pure rotation, 0 where no pose was found.
+        status says of it: the sum of ``surface`` and ``motion`` of the explanations, for panoramas
+        times that of an `ImagePairResult.place`. NaN after a pure rotation, 0 where no pose was
+        found.
     explanations : Explanations
         Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose
@@ -149,10 +172,14 @@ class ImagePairResult(RelativePoseResult):
     ----------
     keypoints1, keypoints2 : ndarray, shape (M, 2)
         Continuous pixels of the original images, row i of both is match i.
+    place : SamePlace
+        Whether both images show the place of the pose, if both are full panoramas and the matches
+        alone determine it. ``probability`` is then that of the matches times ``place.here``.
     """
 
     keypoints1: NDArray[np.float64]
     keypoints2: NDArray[np.float64]
+    place: SamePlace = SamePlace()
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:

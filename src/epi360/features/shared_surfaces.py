@@ -98,6 +98,8 @@ class SharedSurfaces:
     expected_depths, expected_likeness : ndarray, shape (N,)
         Depth that the cells around say, and how alike both views look there, whether the cell
         itself was found or not; 0 and -1 where too few around it were.
+    counts : ndarray, shape (N,)
+        Whether nothing in the cell and around it is masked.
     """
 
     contrasts: Floats
@@ -106,6 +108,7 @@ class SharedSurfaces:
     normals: Floats
     expected_depths: Floats
     expected_likeness: Floats
+    counts: NDArray[np.bool_]
 
     @property
     def found(self) -> NDArray[np.bool_]:
@@ -136,7 +139,16 @@ def grow_surfaces(
         cells[order].astype(np.int32),
         distances[order].astype(np.float32),
     )
-    return SharedSurfaces(*found)
+    return SharedSurfaces(*found, counts=cells_that_count(first))
+
+
+def cells_that_count(panorama: Panorama) -> NDArray[np.bool_]:
+    """Cells of which nothing is masked, nor of the cells around them."""
+    if panorama.usable is None:
+        return np.ones(NUM_CELLS, dtype=bool)
+    counts = panorama.counts_at(grid().directions.astype(np.float64))
+    clear: NDArray[np.bool_] = counts & counts[grid().around].all(axis=1)
+    return clear
 
 
 def likeness_of(

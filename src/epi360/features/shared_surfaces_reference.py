@@ -23,6 +23,7 @@ from epi360.features.shared_surfaces import (
     Floats,
     Indices,
     SharedSurfaces,
+    cells_that_count,
     grid,
 )
 from epi360.features.warped_patches import Panorama, _looked_up
@@ -155,6 +156,7 @@ def grow_surfaces_reference(
         growth.normals.astype(np.float32),
         nothing,
         nothing - 1,
+        cells_that_count(first),
     )
 
 

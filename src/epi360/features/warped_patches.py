@@ -16,6 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Equirectangular
+from epi360.features.images import nadir_mask
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -51,26 +53,60 @@ _WEIGHTS = (_NEAR / _NEAR.sum()).astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """Grey values of a full panorama, 1024 pixels wide: sharp, and blurred more and more."""
+    """Grey values of a full panorama, 1024 pixels wide: sharp, and blurred more and more.
+
+    ``usable`` (512, 1024) says what counts; None: all. The rest is bare.
+    """
 
     levels: NDArray[np.uint8]  # (4, 512, 1024)
+    usable: NDArray[np.bool_] | None = None
 
     @classmethod
     def of(cls, image: NDArray[np.uint8], usable: NDArray[np.bool_] | None = None) -> Panorama:
-        """Make one of an RGB picture; what ``usable`` (512, 1024) leaves out becomes bare."""
+        """Make one of an RGB picture, of which ``usable`` (512, 1024) counts."""
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         size = (WIDTH, WIDTH // 2)
         how = cv2.INTER_AREA if grey.shape[1] > WIDTH else cv2.INTER_LINEAR
         sharp = cv2.resize(grey, size, interpolation=how).astype(np.uint8)
-        if usable is None:
-            return cls.of_sharp(sharp)
-        return cls.of_sharp(_bare_where_masked(sharp, usable))
+        return cls.of_sharp(sharp if usable is None else _bare_where_masked(sharp, usable), usable)
 
     @classmethod
-    def of_sharp(cls, sharp: NDArray[np.uint8]) -> Panorama:
+    def masked(
+        cls, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None, mask_nadir_deg: float
+    ) -> Panorama:
+        """Make one of an RGB picture without what a mask of its size leaves out, and what is below.
+
+        ``mask_nadir_deg`` is the angle around straight down that does not count.
+        """
+        if mask is None and mask_nadir_deg == 0.0:
+            return cls.of(image)
+        usable = nadir_mask(Equirectangular(WIDTH, WIDTH // 2), mask_nadir_deg)
+        if mask is not None:
+            small = cv2.resize(
+                mask.astype(np.uint8), (WIDTH, WIDTH // 2), interpolation=cv2.INTER_NEAREST
+            )
+            usable &= small > 0
+        return cls.of(image, usable)
+
+    @classmethod
+    def of_sharp(
+        cls, sharp: NDArray[np.uint8], usable: NDArray[np.bool_] | None = None
+    ) -> Panorama:
         """Make one of its sharp grey values (512, 1024)."""
         blurred = [cv2.GaussianBlur(sharp, (0, 0), sigma) for sigma in (0.8, 1.6, 3.2)]
-        return cls(np.stack([sharp, *blurred]).astype(np.uint8))
+        return cls(np.stack([sharp, *blurred]).astype(np.uint8), usable)
+
+    def counts_at(self, directions: Array) -> NDArray[np.bool_]:
+        """Whether the picture counts in directions (N, 3)."""
+        if self.usable is None:
+            return np.ones(len(directions), dtype=bool)
+        x, y, z = directions.T
+        columns = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * WIDTH
+        rows = (np.arctan2(y, np.hypot(x, z)) / np.pi + 0.5) * (WIDTH // 2)
+        last = np.array([WIDTH // 2 - 1, WIDTH - 1])
+        row, column = np.minimum(np.stack([rows, columns]).astype(np.int64), last[:, None])
+        counts: NDArray[np.bool_] = self.usable[row, column]
+        return counts
 
     def values(self, rays: Array, steps_deg: Array) -> Floats:
         """Grey values along rays (N, K, 3), of row i from the level for steps of that size."""
@@ -96,14 +132,14 @@ def remembered(panorama_of: Callable[[Name], Found]) -> Callable[[Name], Found]:
     """The same panoramas; the last ones that were asked for stay in memory."""
 
     @lru_cache(_SHARP_IN_MEMORY)
-    def sharp(name: Name) -> NDArray[np.uint8] | None:
+    def sharp(name: Name) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None] | None:
         found = panorama_of(name)
-        return None if found is None else found.levels[0].copy()
+        return None if found is None else (found.levels[0].copy(), found.usable)
 
     @lru_cache(_IN_MEMORY)
     def whole(name: Name) -> Panorama | None:
         found = sharp(name)
-        return None if found is None else Panorama.of_sharp(found)
+        return None if found is None else Panorama.of_sharp(*found)
 
     return cast("Callable[[Name], Found]", whole)
 

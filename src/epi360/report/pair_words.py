@@ -11,6 +11,7 @@ from epi360.report.text import (
     STATUS_SENTENCES,
     describe_direction,
     describe_explanations,
+    describe_place,
     rotation_axis_angle,
 )
 
@@ -58,6 +59,7 @@ def evidence_of(result: RelativePoseResult, pixel_deg: float) -> list[Evidence]:
         *_coverage(result),
         *_probability(result),
         *_explanations(result),
+        *_surroundings(result),
         *_alternatives(result),
     ]
     said = {each.sentence for each in evidence}
@@ -153,6 +155,12 @@ def _explanations(result: RelativePoseResult) -> list[Evidence]:
     explained = describe_explanations(result.explanations)
     text = f"What may explain the matches: {explained}."
     return [Evidence(result.success, text)] if explained else []
+
+
+def _surroundings(result: RelativePoseResult) -> list[Evidence]:
+    around = describe_place(result)
+    text = f"The surroundings of the matches {around}."
+    return [Evidence(result.success and not result.warnings, text)] if around else []
 
 
 def _alternatives(result: RelativePoseResult) -> list[Evidence]:

@@ -55,6 +55,7 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
         record["pixels"] = PIXEL_CONVENTION
         record["keypoints1"] = result.keypoints1
         record["keypoints2"] = result.keypoints2
+        record["place"] = asdict(result.place)
     return {key: plain(value) for key, value in record.items()}
 
 

@@ -2,12 +2,20 @@
 """A relative pose in plain words."""
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation.result import Explanations, RelativePoseResult, Status, pose_sigmas_deg
+from epi360.estimation.result import (
+    Explanations,
+    ImagePairResult,
+    RelativePoseResult,
+    SamePlace,
+    Status,
+    pose_sigmas_deg,
+)
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
@@ -38,6 +46,11 @@ STATUS_SENTENCES: dict[Status, str] = {
         "the matches that agree cover too small a part of the sphere for a trustworthy pose; "
         "use images that share more of the surroundings"
     ),
+    "another_place": (
+        "the matches agree on a pose, but what both cameras must see around them looks different: "
+        "they lie on a thing that stands in another place too, or that moves; mask what moves, or "
+        "let epi360 match judge all images of the place together"
+    ),
 }
 
 
@@ -47,6 +60,11 @@ EXPLANATION_WORDS = {
     "surface": "this pose, of matches on one surface",
     "motion": "this pose",
     "rival": "another pose",
+}
+PLACE_WORDS = {
+    "here": "as the pose says",
+    "elsewhere": "as in another place, or around a thing that moves",
+    "copy": "as in a copy of the place",
 }
 _DOUBT = 0.001  # an explanation less probable than this is not worth a word
 
@@ -82,11 +100,21 @@ def describe_status(status: Status) -> str:
 
 def describe_explanations(explanations: Explanations) -> str:
     """The explanations of the matches with their probabilities; empty if there is no doubt."""
-    shares = asdict(explanations)
+    named = _named(asdict(explanations), EXPLANATION_WORDS)
+    return ", ".join(named) if len(named) > 1 else ""
+
+
+def describe_place(result: RelativePoseResult) -> str:
+    """What both cameras must see around the matches; empty if it was not compared."""
+    place = result.place if isinstance(result, ImagePairResult) else SamePlace()
+    named = ", ".join(_named(asdict(place), PLACE_WORDS))
+    return f"look {named}" if named else ""
+
+
+def _named(shares: Mapping[str, float], words: Mapping[str, str]) -> list[str]:
+    """What is not too improbable, the most probable first, in words."""
     named = sorted(((p, name) for name, p in shares.items() if p >= _DOUBT), reverse=True)
-    if len(named) < 2:
-        return ""
-    return ", ".join(f"{EXPLANATION_WORDS[name]} ({100.0 * p:.1f} %)" for p, name in named)
+    return [f"{words[name]} ({_percent(p)})" for p, name in named]
 
 
 def describe_direction(direction: Array) -> str:
@@ -136,10 +164,12 @@ def _evidence_rows(result: RelativePoseResult) -> list[tuple[str, str]]:
     parallax = number_text(result.parallax_deg, "{:.2f} deg, median over the inliers")
     coverage = number_text(result.sphere_coverage, "inliers in {:.0%} of the sphere")
     explained = describe_explanations(result.explanations)
+    around = describe_place(result)
     return [
         ("Inliers", f"{result.num_inliers} of {result.num_matches} matches{share}, gate {gate}"),
         ("Probability", _probability_text(result.probability)),
         *((("Explained by", explained),) if explained else ()),
+        *((("Surroundings", around),) if around else ()),
         ("Noise", noise),
         ("Parallax", parallax),
         ("Coverage", coverage),
@@ -212,9 +242,14 @@ def wrapped(label: str, value: str) -> str:
 
 
 def _probability_text(probability: float) -> str:
-    if probability > 0.999:  # nothing is certain
-        return "over 99.9 % that the pose is right"
-    return number_text(100.0 * probability, "{:.1f} % that the pose is right")
+    return (
+        f"{_percent(probability)} that the pose is right" if np.isfinite(probability) else UNKNOWN
+    )
+
+
+def _percent(probability: float) -> str:
+    # Nothing is certain.
+    return "over 99.9 %" if probability > 0.999 else f"{100.0 * probability:.1f} %"
 
 
 def _sigma_text(sigma_deg: float) -> str:

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import lsqr
 
-from epi360.jobs.graph.shared_points import (
+from epi360.jobs.graph.surface_evidence import KnownView, log_scale_to
+from epi360.places.shared_points import (
     MOST_WITNESSES,
     PosedPair,
     cloud_of,
     scale_between,
 )
-from epi360.jobs.graph.surface_evidence import KnownView, log_scale_to
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from epi360.jobs.graph.loop_check import LoopVerdict, check_loops
-from epi360.jobs.graph.shared_points import FLOOR_SHARE
 from epi360.jobs.records.match_store import Verdict
+from epi360.places.shared_points import FLOOR_SHARE
 
 # A pose that nothing else confirms is accepted if it is right with this probability.
 _LINK_PROBABILITY = 0.95

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from epi360.epipolar.essential import cheirality_mask
 from epi360.epipolar.residuals import pose_residuals
-from epi360.jobs.graph.shared_points import Cloud, PosedPair, cloud_of, scale_between
+from epi360.places.shared_points import Cloud, PosedPair, cloud_of, scale_between
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]

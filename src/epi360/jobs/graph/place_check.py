@@ -25,10 +25,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
+from epi360.places.same_place import LEAST_PROBABILITY, STEEPNESS, same_place
+from epi360.places.shared_points import PosedPair
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -44,12 +46,10 @@ _CHANCE = 0.12  # of another thing to look the same
 _SHARES = np.array([1.0, 0.8, 0.65, 0.5, 0.3, 0.1])
 _OF_COPIES = slice(1, 4)
 _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees may be hidden
-# How much of the log-likelihood ratios is believed: at 1.75, of poses stated at 0.95 to 0.99 only
-# nine in ten are right on rendered homes.
-_STEEPNESS = 1.2
 _CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
+_FEW = 10  # pairs, which do not say how common copies are
 _ACCEPTED = 0.95  # least probability
 _DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
@@ -98,7 +98,8 @@ def judge_places(
     are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
     others. With the geometric mean of both the same is done once more, which is the verdict.
     In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
-    pair needs some for it.
+    pair needs some for it. Few pairs do not say how common copies are: each of them must also be
+    probable for what is thought of two panoramas that are compared alone.
     """
     if len(pairs) == 0:
         return ()
@@ -114,10 +115,16 @@ def judge_places(
     told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
     ratios = np.append(groups.ratios, told)
     shares = np.repeat([share_wrong, max(share_wrong, _DOUBTED_WRONG)], [len(pairs), len(doubted)])
+    probabilities = _probabilities(ratios, shares)
+    if len(pairs) < _FEW:
+        alone = np.array([court.place(row, groups.joined).here for row in range(len(every))])
+        probabilities = np.where(
+            alone < LEAST_PROBABILITY, np.minimum(probabilities, alone), probabilities
+        )
     return tuple(
         court.verdict(row, groups.joined, ratio, probability)
         for row, (ratio, probability) in enumerate(
-            zip(ratios.tolist(), _probabilities(ratios, shares).tolist(), strict=True)
+            zip(ratios.tolist(), probabilities.tolist(), strict=True)
         )
     )
 
@@ -176,8 +183,19 @@ class _Court:
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
-        heard, own = self.heard(row, trusted), self._evidence[row].own
+        heard, own = self.heard(row, trusted), self._evidence[row].own.in_folder()
         return min(heard.ratio_over_copies + own.over_copies, heard.ratio + own.over_others)
+
+    def place(self, row: int, trusted: Mask) -> SamePlace:
+        """What is thought of a pair if it were the only one, and by what trusted pairs know."""
+        heard, own = self.heard(row, trusted), self._evidence[row].own
+        return same_place(
+            replace(
+                own,
+                over_others=own.over_others + heard.ratio,
+                over_copies=own.over_copies + heard.ratio_over_copies,
+            )
+        )
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
         """What trusted pairs say about one, by points and by surfaces."""
@@ -219,10 +237,7 @@ class _Court:
             )
         if surfaces_ratio(self._evidence[row].surfaces, joined) < 0.0:
             return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
-        return (
-            f"{COPY}, as other pairs of this folder do, and too little of what both cameras must "
-            "see says otherwise"
-        )
+        return f"{COPY}, and too little of what both cameras must see says otherwise"
 
     def rates(self, trusted: Mask) -> Array:
         """Share of the visible points that trusted pairs find, by class of the view change."""
@@ -288,14 +303,14 @@ def _share_wrong(ratios: Array) -> float:
 
 def _least_ratio(share_wrong: float) -> float:
     """Ratio of a pair that is just accepted."""
-    return float((_log_odds(_ACCEPTED) - _log_odds(1 - share_wrong)) / _STEEPNESS)
+    return float((_log_odds(_ACCEPTED) - _log_odds(1 - share_wrong)) / STEEPNESS)
 
 
 def _probabilities(
     ratios: Array, share_wrong: float | Array, limits: tuple[float, float] = (-30.0, 30.0)
 ) -> Array:
     """Probability of each pose; 0 of those that contradict the groups."""
-    odds = _STEEPNESS * np.clip(ratios, *limits) + np.log(1 / np.asarray(share_wrong) - 1)
+    odds = STEEPNESS * np.clip(ratios, *limits) + np.log(1 / np.asarray(share_wrong) - 1)
     return np.asarray(np.where(np.isneginf(ratios), 0.0, 1 / (1 + np.exp(-odds))))
 
 

@@ -15,19 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from epi360.features.shared_surfaces import LEAST_CONTRAST, SharedSurfaces, grow_surfaces
+from epi360.features.shared_surfaces import LEAST_CONTRAST
 from epi360.features.warped_patches import Panorama, likeness
-from epi360.jobs.graph.own_evidence import OwnEvidence
-from epi360.jobs.graph.shared_points import (
-    MOST_WITNESSES,
-    PLACE_SIGMA_DEG,
-    Cloud,
-    PosedPair,
-    cloud_of,
-    place_sigmas_deg,
-    scale_between,
-    some_of,
-)
 from epi360.jobs.graph.surface_evidence import (
     OWN,
     PARTS,
@@ -36,6 +25,17 @@ from epi360.jobs.graph.surface_evidence import (
     SurfaceSightings,
     SurfaceWitnesses,
     known_views,
+)
+from epi360.places.own_evidence import OwnEvidence, grow_both
+from epi360.places.shared_points import (
+    MOST_WITNESSES,
+    PLACE_SIGMA_DEG,
+    Cloud,
+    PosedPair,
+    cloud_of,
+    place_sigmas_deg,
+    scale_between,
+    some_of,
 )
 
 Array = NDArray[np.float64]
@@ -193,22 +193,6 @@ class Surroundings:
         sigmas = place_sigmas_deg(pair, side, seen, cloud.log_sigmas)
         (good,) = np.nonzero(sigmas < PLACE_SIGMA_DEG)
         return some_of(good, most)
-
-
-def grow_both(
-    pair: PosedPair, panoramas: Sequence[Panorama]
-) -> tuple[SharedSurfaces, SharedSurfaces]:
-    """Surfaces of each of both panoramas that the other one shows too."""
-    first, second = (
-        grow_surfaces(
-            panoramas[side],
-            panoramas[1 - side],
-            pair.other_from(side),
-            cloud_of(pair, side, 0.0).points,
-        )
-        for side in (0, 1)
-    )
-    return first, second
 
 
 def _looked_for(

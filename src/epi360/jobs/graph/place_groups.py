@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import Sibling
+from epi360.places.shared_points import PosedPair
 from epi360.poses import rotation_error_deg
 
 Array = NDArray[np.float64]

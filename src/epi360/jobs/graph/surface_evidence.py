@@ -24,7 +24,7 @@ from epi360.features.shared_surfaces import (
 )
 from epi360.features.sphere_cells import SphereCells
 from epi360.features.warped_patches import Panorama
-from epi360.jobs.graph.shared_points import (
+from epi360.places.shared_points import (
     MOST_WITNESSES,
     PLACE_SIGMA_DEG,
     PosedPair,

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from epi360.features.sphere_cells import SphereCells
 from epi360.jobs.graph.place_evidence import log_beyond
-from epi360.jobs.graph.shared_points import Cloud
 from epi360.jobs.localization.map_matches import MapMatches, similar_near, turned
 from epi360.jobs.localization.map_views import LocalizationMap, MapView
 from epi360.jobs.localization.new_image import NewImage
+from epi360.places.shared_points import Cloud
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]

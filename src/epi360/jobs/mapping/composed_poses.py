@@ -20,8 +20,6 @@ from epi360.features.warped_patches import Panorama
 from epi360.interop.match_graph import MatchedPair, MatchGraph
 from epi360.jobs.graph.common_scale import common_scale
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG, joining
-from epi360.jobs.graph.place_evidence import grow_both
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import KnownView, known_views
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.jobs.threads import num_cores, on_threads
@@ -31,6 +29,8 @@ from epi360.odometry.pose_graph import (
     optimize_pose_graph,
 )
 from epi360.odometry.similarity import Similarity
+from epi360.places.own_evidence import grow_both
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 

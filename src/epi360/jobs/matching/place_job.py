@@ -12,15 +12,15 @@ from epi360.jobs.graph.graph_check import awaits_confirmation, believed
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_check import PlaceVerdict, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
-from epi360.jobs.graph.shared_points import PosedPair
 from epi360.jobs.graph.surface_evidence import SurfaceWitnesses
 from epi360.jobs.matching.verified_folder import VerifiedFolder
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import on_threads
+from epi360.places.shared_points import PosedPair
 
-# Fewer say nothing about each other; what more of them know does not fit into a gigabyte.
-FEWEST_PAIRS, MOST_PAIRS = 3, 10_000
+# What more pairs know does not fit into a gigabyte.
+MOST_PAIRS = 10_000
 # So few are asked for surfaces in any case: by points, pairs with one copy of a room agree.
 _FEW_PAIRS = 500
 
@@ -44,7 +44,7 @@ def check_places(
     """
     usable = {keys: pair for keys, pair in panoramas.items() if keys[0] != keys[1]}
     accepted = {keys for keys in usable if settled[keys].accepted}
-    if not FEWEST_PAIRS <= len(accepted) <= MOST_PAIRS:
+    if not 1 <= len(accepted) <= MOST_PAIRS:
         return {}
     doubted = {keys for keys in usable if awaits_confirmation(settled[keys])}
     asked = accepted | doubted if len(accepted | doubted) <= MOST_PAIRS else accepted
@@ -65,7 +65,7 @@ def check_places(
         keys = [keys[row] for row in sorted(by_row)]
         known = around(keys)
         by_row = _of_each(folder, known.of_points, range(len(keys)))
-    if len(by_row) < len(keys) or known.num_heard < FEWEST_PAIRS:
+    if len(by_row) < len(keys) or known.num_heard == 0:
         return {}
     points = [by_row[row] for row in range(len(keys))]
     return dict(zip(keys, _judged(folder, known, points), strict=True))

@@ -15,8 +15,8 @@ from epi360.cameras.upright import is_full_panorama
 from epi360.estimation import RelativePoseResult, estimate_relative_poses
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.estimation.verdict import noise_in_pixels
-from epi360.jobs.graph.shared_points import floor_share
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.places.shared_points import floor_share
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 

@@ -23,8 +23,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.features.shared_surfaces import LEAST_CONTRAST, SeenCells, SharedSurfaces, grid
-from epi360.jobs.graph.shared_points import FLOOR_SHARE, PosedPair, floor_share
+from epi360.features.shared_surfaces import (
+    LEAST_CONTRAST,
+    SeenCells,
+    SharedSurfaces,
+    grid,
+    grow_surfaces,
+)
+from epi360.features.warped_patches import Panorama
+from epi360.places.shared_points import FLOOR_SHARE, PosedPair, cloud_of, floor_share
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -35,6 +42,9 @@ SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # 
 # In photographed homes less grows than in rendered ones, so this never speaks for another place.
 _LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -2.0, 8.0
 
+# Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
+# copies 4 % have more, and of street scenes nearly all.
+_LARGEST_SPREAD = 1.8
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
@@ -47,22 +57,34 @@ class OwnEvidence:
     """Log-likelihood ratios of a pose by what the pair shows by itself.
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
-    speak for a pair: where nothing grows, it is no copy either. Printed floors repeat from room to
-    room, so a pair that lies on the floor alone has nothing to say.
+    speak for a pair: where nothing grows, it is no copy either. ``on_floor`` says that the pair
+    lies on the floor alone: printed floors repeat from room to room. ``in_the_open`` says that what
+    both show lies at distances that differ more than in a room.
     """
 
     over_others: float = 0.0
     over_copies: float = 0.0
+    on_floor: bool = False
+    in_the_open: bool = False
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
         """Weigh what has grown from both sides of a pair."""
-        if floor_share(*pair.bearings) > FLOOR_SHARE:
-            return cls()
         over_others, over_copies = _FITTED.ratios(shown_by(pair, views))
         return cls(
-            float(np.clip(over_others, _LEAST_OVER_OTHERS, _MOST)),
-            float(np.clip(over_copies, _LEAST_OVER_COPIES, _MOST)),
+            over_others,
+            over_copies,
+            on_floor=floor_share(*pair.bearings) > FLOOR_SHARE,
+            in_the_open=min(map(_depth_spread, views)) > _LARGEST_SPREAD,
+        )
+
+    def in_folder(self) -> OwnEvidence:
+        """What counts beside that of other pairs: a pair on the floor alone has nothing to say."""
+        if self.on_floor:
+            return OwnEvidence()
+        return OwnEvidence(
+            float(np.clip(self.over_others, _LEAST_OVER_OTHERS, _MOST)),
+            float(np.clip(self.over_copies, _LEAST_OVER_COPIES, _MOST)),
         )
 
 
@@ -109,6 +131,22 @@ _RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(WEIGHTS).read_t
 _FITTED = Weights.of_record(_RECORD)
 
 
+def grow_both(
+    pair: PosedPair, panoramas: Sequence[Panorama]
+) -> tuple[SharedSurfaces, SharedSurfaces]:
+    """Surfaces of each of both panoramas that the other one shows too."""
+    first, second = (
+        grow_surfaces(
+            panoramas[side],
+            panoramas[1 - side],
+            pair.other_from(side),
+            cloud_of(pair, side, 0.0).points,
+        )
+        for side in (0, 1)
+    )
+    return first, second
+
+
 def shown_by(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> Array:
     """Logarithms (7,) of shares and numbers of textured cells that both views must show.
 
@@ -150,13 +188,14 @@ class _Expected(NamedTuple):
 
     @classmethod
     def of(cls, pair: PosedPair, side: int, views: Sequence[SharedSurfaces]) -> _Expected:
-        """Cells of one side of a pair that nothing hides from the other."""
+        """Cells of one side of a pair that nothing hides from the other, nor a mask."""
         here, there = views[side], views[1 - side]
-        (cells,) = np.nonzero((here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST))
+        expected = (here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST)
+        (cells,) = np.nonzero(expected & here.counts)
         seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
         near = grid().nearest(seen.directions, _NUM_NEAR)
         nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
-        kept = nearest >= _CLEARLY_HIDDEN * seen.ranges
+        kept = (nearest >= _CLEARLY_HIDDEN * seen.ranges) & there.counts[near[:, 0]]
         cells = cells[kept]
         return cls(
             here.contrasts[cells],
@@ -165,6 +204,14 @@ class _Expected(NamedTuple):
             _at_edge(here, cells),
             seen.changes_deg[kept],
         )
+
+
+def _depth_spread(view: SharedSurfaces) -> float:
+    """How much the distances of what was found differ; 0 where nothing was."""
+    if not view.found.any():
+        return 0.0
+    nearest, farthest = np.percentile(view.depths[view.found], [5, 95])
+    return float(np.log(farthest / nearest))
 
 
 def _at_edge(view: SharedSurfaces, cells: Indices) -> Mask:

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.shared_points import PosedPair, cloud_of, scale_between
+from epi360.places.shared_points import PosedPair, cloud_of, scale_between
 from epi360.poses import Pose, rotation_from_vector
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from epi360.features.shared_surfaces import NUM_CELLS, SharedSurfaces, grid
-from epi360.jobs.graph import own_evidence
-from epi360.jobs.graph.own_evidence import SHOWN, WEIGHTS, OwnEvidence, Weights, shown_by, terms
-from epi360.jobs.graph.shared_points import PosedPair
+from epi360.places import own_evidence
+from epi360.places.own_evidence import SHOWN, WEIGHTS, OwnEvidence, Weights, shown_by, terms
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 
 RECORD = json.loads(files(own_evidence.__package__).joinpath(WEIGHTS).read_text("utf-8"))
@@ -45,6 +45,7 @@ def views_of(is_found, differs=None, contrasts=10.0, depth=6.0):
         normals=np.zeros((NUM_CELLS, 3), np.float32),
         expected_depths=np.where(found, depth, 0).astype(np.float32),
         expected_likeness=np.where(differs, 0.1, 0.9).astype(np.float32),
+        counts=np.ones(NUM_CELLS, dtype=bool),
     )
     return view, view
 
@@ -103,20 +104,31 @@ def test_what_is_clearly_behind_something_is_not_expected():
     assert np.exp(shown_by(PAIR, (far, near)))[SHOWN.index("strong")] == pytest.approx(20)
 
 
+def test_what_lies_at_very_different_distances_is_in_the_open():
+    near = views_of(CAP)[0]
+    shares = np.random.default_rng(0).uniform(size=NUM_CELLS)
+    for factor, is_open in ((1.0, False), (5.0, False), (10.0, True)):
+        depths = near.depths * np.where(shares < 0.5, 1.0, factor).astype(np.float32)
+        view = replace(near, depths=depths)
+        assert OwnEvidence.of(PAIR, (view, view)).in_the_open == is_open
+        assert not OwnEvidence.of(PAIR, (view, near)).in_the_open
+
+
 def test_where_nothing_grows_nothing_speaks_for_the_pair():
-    assert OwnEvidence.of(PAIR, views_of(np.zeros(NUM_CELLS, dtype=bool))).over_others == 0.0
+    assert OwnEvidence.of(PAIR, views_of(np.zeros(NUM_CELLS, dtype=bool))).over_others < 0.0
 
 
-def test_a_pair_on_the_floor_alone_has_nothing_to_say():
+def test_a_pair_on_the_floor_alone_has_nothing_to_say_in_a_folder():
     shown_there = views_of(CAP, contrasts=20.0)
     down, up = np.array([0.0, 0.8, 0.6]), np.array([0.0, -0.6, 0.8])
     for num_above, is_heard in ((0, False), (2, False), (4, True)):
         bearings = np.array([down] * (100 - num_above) + [up] * num_above)
         own = OwnEvidence.of(replace(PAIR, bearings=(bearings, bearings)), shown_there)
-        assert (own != OwnEvidence()) == is_heard
+        assert own.on_floor != is_heard
+        assert (own.in_folder() != OwnEvidence()) == is_heard
     higher = np.array([up] * 50 + [down] * 50)  # both images must see it below
     own = OwnEvidence.of(replace(PAIR, bearings=(bearings, higher)), shown_there)
-    assert own != OwnEvidence()
+    assert own.in_folder() != OwnEvidence()
 
 
 def test_the_file_holds_weights_from_many_pairs():
@@ -160,7 +172,7 @@ def test_no_more_is_believed_than_the_limits():
             holes = CAP & (rng.uniform(size=NUM_CELLS) < 0.3)
             grown = CAP & (rng.uniform(size=NUM_CELLS) < share)
             found += [
-                OwnEvidence.of(PAIR, views_of(grown, differs, contrast))
+                OwnEvidence.of(PAIR, views_of(grown, differs, contrast)).in_folder()
                 for differs in (None, holes & grown)
             ]
     assert min(own.over_others for own in found) == 0.0

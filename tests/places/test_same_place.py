@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: BSD-3-Clause
+from dataclasses import astuple
+
+import cv2
+import numpy as np
+import pytest
+from twin_rooms import exposed_and_visited, rooms, truth
+
+import epi360
+from epi360.estimation.result import SamePlace
+from epi360.features.warped_patches import WIDTH, Panorama
+from epi360.places.own_evidence import OwnEvidence
+from epi360.places.same_place import LEAST_PROBABILITY, same_place
+from epi360.poses import rotation_error_deg, translation_error_deg
+
+LENS = epi360.KannalaBrandt(384, 384, 120.0, 120.0, 192.0, 192.0)
+
+
+def picture(name):
+    return rooms()[f"{name}.png"][1]
+
+
+def pose_of(name1, name2, **options):
+    return epi360.relative_pose_of_images(picture(name1), picture(name2), **options)
+
+
+def error_deg(pose, name1, name2):
+    expected = truth(f"{name1}.png", f"{name2}.png")
+    return max(rotation_error_deg(pose, expected), translation_error_deg(pose, expected))
+
+
+def test_without_evidence_the_prior_remains():
+    np.testing.assert_allclose(astuple(same_place(OwnEvidence())), (0.882, 0.1, 0.018))
+    assert same_place(OwnEvidence(on_floor=True)).elsewhere == pytest.approx(0.5)
+
+
+def test_evidence_moves_probability_between_the_three_explanations():
+    for others, copies in np.random.default_rng(0).uniform(-12, 12, (50, 2)):
+        place = same_place(OwnEvidence(others, copies))
+        assert sum(astuple(place)) == pytest.approx(1.0)
+        assert min(astuple(place)) > 0.0
+        assert same_place(OwnEvidence(others + 1, copies)).here >= place.here
+        assert same_place(OwnEvidence(others, copies + 1)).copy <= place.copy
+        assert same_place(OwnEvidence(others, copies, on_floor=True)).here < place.here
+
+
+def test_what_looks_like_a_copy_is_refused_and_yet_possible():
+    assert 0.2 < same_place(OwnEvidence(8.0, -50.0)).here < LEAST_PROBABILITY
+    assert same_place(OwnEvidence(-50.0, 8.0)).here < 1e-3
+
+
+def test_in_the_open_there_are_few_copies():
+    street = same_place(OwnEvidence(3.0, -50.0, in_the_open=True))
+    assert same_place(OwnEvidence(3.0, -50.0)).here < LEAST_PROBABILITY < street.here < 0.95
+
+
+@pytest.mark.parametrize("names", [("a0", "a1"), ("a1", "a2"), ("b0", "b2"), ("b2", "b0")])
+def test_two_views_of_one_room_are_of_one_place(names):
+    result = pose_of(*names)
+    assert result.status == "ok"
+    assert result.place.here > 0.99
+    assert error_deg(result.cam2_from_cam1, *names) < 0.5
+    assert not any("both cameras must see" in each for each in result.warnings)
+
+
+@pytest.mark.parametrize("names", [("a0", "b1"), ("a1", "b0"), ("a2", "b1"), ("b1", "a2")])
+def test_two_views_of_twin_rooms_are_of_another_place(names):
+    result = pose_of(*names)
+    assert (result.status, result.success) == ("another_place", False)
+    assert result.place.here < LEAST_PROBABILITY
+    assert result.probability <= result.place.here
+    pose = result.cam2_from_cam1
+    for values in (pose.rotation, pose.translation, result.E, result.covariance):
+        assert np.isnan(values).all()
+    assert np.isnan(result.translation_basis).all()
+    assert error_deg(result.alternatives[0], *names) > 10.0
+    assert result.num_inliers > 50
+
+
+def test_the_probability_is_that_of_matches_and_place():
+    result = pose_of("a0", "b1")
+    explained = result.explanations.motion + result.explanations.surface
+    assert result.probability == pytest.approx(explained * result.place.here)
+
+
+def test_exposures_and_people_do_not_make_it_another_place():
+    pictures = [
+        exposed_and_visited(number, picture(name)) for number, name in enumerate(("b0", "b2"))
+    ]
+    result = epi360.relative_pose_of_images(*pictures)
+    assert result.status == "ok"
+    assert result.place.here > 0.95
+
+
+def test_a_mask_takes_out_what_differs():
+    changed = picture("b1").copy()
+    mask = np.ones(changed.shape[:2], dtype=bool)
+    for box in np.s_[150:300, 60:260], np.s_[120:330, 450:640]:
+        noise = np.random.default_rng(0).uniform(0, 255, changed[box].shape[:2])
+        changed[box] = cv2.GaussianBlur(noise, (0, 0), 2.0)[:, :, None]
+        mask[box] = False
+    seen = epi360.relative_pose_of_images(picture("b0"), changed)
+    masked = epi360.relative_pose_of_images(picture("b0"), changed, mask2=mask)
+    assert masked.place.here > max(seen.place.here, 0.99)
+    assert masked.status == "ok"
+
+
+def test_only_full_panoramas_are_compared():
+    lens1, lens2 = (
+        np.random.default_rng(seed).integers(0, 255, (384, 384, 3), np.uint8) for seed in (0, 1)
+    )
+    result = epi360.relative_pose_of_images(lens1, lens2, camera1=LENS, camera2=LENS)
+    assert np.isnan(astuple(result.place)).all()
+    assert np.isnan(astuple(pose_of("a0", "b0").place)).all()  # a pure rotation
+
+
+def test_a_result_without_pictures_has_no_place():
+    assert np.isnan(astuple(SamePlace())).all()
+
+
+def test_a_masked_panorama_counts_where_the_mask_is_white():
+    image = np.full((512, 1024, 3), 90, np.uint8)
+    mask = np.ones((512, 1024), dtype=bool)
+    mask[:, :512] = False  # behind and to the left
+    panorama = Panorama.masked(image, mask, 30.0)
+    directions = np.array([[0.5, 0, 1.0], [1, 0, 0], [-1, 0, 0], [0.1, 1, 0.1], [0.1, -1, 0.1]])
+    assert panorama.counts_at(directions).tolist() == [True, True, False, False, True]
+    assert Panorama.masked(image, None, 0.0).counts_at(directions).all()
+    assert panorama.usable.shape == (WIDTH // 2, WIDTH)
+
+
+def test_swapped_views_show_the_same():
+    one, other = pose_of("a0", "b1"), pose_of("b1", "a0")
+    assert one.place.here == pytest.approx(other.place.here, abs=0.1)
