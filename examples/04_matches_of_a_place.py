@@ -2,8 +2,8 @@
 """Matches of many panoramas of one place, by any feature: python 04_matches_of_a_place.py [FOLDER].
 
 Put your own feature (LightGlue, XFeat, ...) in place of `found_by_opencv` and `matched_by_opencv`.
-Without a folder of panoramas this renders six, of two bedrooms that are copies of each other: no
-pair of images can tell them apart, all of them together with their pictures can.
+Without a folder of panoramas this renders six, of two bedrooms that are copies of each other: the
+matches do not tell them apart, but what the pictures show around the matches does.
 """
 
 import sys

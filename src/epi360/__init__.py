@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         RansacOptions,
         RefinementResult,
         RelativePoseResult,
+        SamePlace,
         eight_point,
         estimate_absolute_pose,
         estimate_relative_pose,
@@ -67,9 +68,9 @@ _HOMES = {
     "epi360.epipolar": ("Stability", "pose_from_essential", "stability", "triangulate"),
     "epi360.estimation": (
         "AbsolutePoseResult", "Explanations", "ImagePairResult", "RansacOptions",
-        "RefinementResult", "RelativePoseResult", "eight_point", "estimate_absolute_pose",
-        "estimate_relative_pose", "estimate_relative_poses", "paper_pose", "refine_pose",
-        "residual_weights",
+        "RefinementResult", "RelativePoseResult", "SamePlace", "eight_point",
+        "estimate_absolute_pose", "estimate_relative_pose", "estimate_relative_poses",
+        "paper_pose", "refine_pose", "residual_weights",
     ),
     "epi360.features": (
         "Features", "Tracks", "extract_features", "match_features", "read_image", "read_mask",
@@ -88,14 +89,14 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "AbsolutePoseResult", "Camera", "DoubleSphere", "Equirectangular", "Explanations",
     "ExtendedUnified", "Features", "FrameResult", "ImagePairResult", "KannalaBrandt",
-    "LocalizationMap", "LocalizationOptions", "LocalizationResult", "Odometry", "OdometryOptions",
-    "Pinhole", "Pose", "RansacOptions", "RefinementResult", "RelativePoseResult", "Stability",
-    "Tracks", "Trajectory", "UnifiedCamera", "eight_point", "epipolar", "estimate_absolute_pose",
-    "estimate_relative_pose", "estimate_relative_poses", "extract_features", "load_camera",
-    "load_cameras", "load_map", "localize_image", "match_features", "paper_pose",
-    "pose_from_essential", "read_image", "read_mask", "refine_pose", "relative_pose_of_images",
-    "residual_weights", "rotation_error_deg", "stability", "track_features",
-    "translation_error_deg", "triangulate",
+    "LocalizationMap", "LocalizationOptions", "LocalizationResult", "Odometry",
+    "OdometryOptions", "Pinhole", "Pose", "RansacOptions", "RefinementResult",
+    "RelativePoseResult", "SamePlace", "Stability", "Tracks", "Trajectory", "UnifiedCamera",
+    "eight_point", "epipolar", "estimate_absolute_pose", "estimate_relative_pose",
+    "estimate_relative_poses", "extract_features", "load_camera", "load_cameras", "load_map",
+    "localize_image", "match_features", "paper_pose", "pose_from_essential", "read_image",
+    "read_mask", "refine_pose", "relative_pose_of_images", "residual_weights",
+    "rotation_error_deg", "stability", "track_features", "translation_error_deg", "triangulate",
 ]  # fmt: skip
 
 

@@ -54,7 +54,7 @@ EXAMPLES = {
         "Two rooms", "Another room of the same home: there is no pose, and none is given.", PANORAMA
     ),
     "twins": Example(
-        "Twin rooms", "Rooms furnished alike: two pictures alone cannot tell them apart.", PANORAMA
+        "Twin rooms", "Rooms furnished alike: what surrounds the matches differs.", PANORAMA
     ),
 }  # fmt: skip
 

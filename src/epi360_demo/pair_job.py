@@ -129,9 +129,9 @@ def _truth_words(example: str | None, truth: Pose | None, result: ImagePairResul
         if not result.success:
             return "The truth: the pictures show two rooms, so it is right to give no pose."
         return (
-            "The truth: these are two rooms that are furnished alike, so this pose is wrong. Two "
-            "pictures alone cannot tell twins apart; epi360 match and epi360 map can, where the "
-            "other pictures of the place contradict a pair."
+            "The truth: these are two rooms that are furnished alike, so this pose is wrong. "
+            "epi360 match and epi360 map can tell, where the other pictures of the place "
+            "contradict a pair."
         )
     if truth is None:
         return ""

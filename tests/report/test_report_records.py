@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
-from epi360.estimation import Explanations
+from epi360.estimation import Explanations, SamePlace
 from epi360.poses import Pose
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.records import pair_record, truth_record, write_json
@@ -54,6 +54,13 @@ def test_the_record_names_the_explanations_and_those_unknown_are_null(make_resul
     }  # fmt: skip
     unknown = replace(known, explanations=Explanations())
     assert set(pair_record(unknown)["explanations"].values()) == {None}
+
+
+def test_the_record_says_what_surrounds_the_matches(make_result):
+    result = make_result("ok", CAMERA)
+    assert pair_record(result)["place"] == {"here": None, "elsewhere": None, "copy": None}
+    known = replace(result, place=SamePlace(0.5, 0.2, 0.3))
+    assert pair_record(known)["place"] == {"here": 0.5, "elsewhere": 0.2, "copy": 0.3}
 
 
 def test_the_record_holds_the_numbers_and_the_matches(make_result):

@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from epi360.cameras import Equirectangular
-from epi360.estimation import Explanations
+from epi360.estimation import Explanations, SamePlace
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.poses import Pose
 from epi360.report.text import (
     describe_direction,
     describe_explanations,
     describe_pair,
+    describe_place,
     describe_status,
     rotation_axis_angle,
 )
@@ -40,6 +41,18 @@ def test_explanations_are_named_from_the_likeliest_on_where_there_is_doubt(make_
     assert " ".join(describe_pair(result).split()).count(words) == 1
     assert describe_explanations(Explanations(0.0, 0.0, 0.0005, 0.9995, 0.0)) == ""
     assert describe_explanations(Explanations()) == ""
+
+
+def test_surroundings_are_named_where_they_were_compared(make_result):
+    result = make_result("ok", CAMERA)
+    assert describe_place(result) == ""
+    assert "Surroundings" not in describe_pair(result)
+    doubtful = replace(result, place=SamePlace(here=0.9, elsewhere=0.0005, copy=0.0995))
+    words = "look as the pose says (90.0 %), as in a copy of the place (10.0 %)"
+    assert describe_place(doubtful) == words
+    assert f"Surroundings  {words}" in describe_pair(doubtful).splitlines()
+    sure = replace(result, place=SamePlace(here=0.9999999, elsewhere=0.0, copy=0.0))
+    assert describe_place(sure) == "look as the pose says (over 99.9 %)"
 
 
 def test_every_status_has_a_sentence(any_status):

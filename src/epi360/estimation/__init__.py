@@ -8,7 +8,13 @@ from epi360.estimation.options import RansacOptions
 from epi360.estimation.paper import paper_pose
 from epi360.estimation.paper_reference import PAPER_METHODS, paper_pose_reference
 from epi360.estimation.refinement import RefinementResult, refine_pose, refine_pose_reference
-from epi360.estimation.result import Explanations, ImagePairResult, RelativePoseResult, Status
+from epi360.estimation.result import (
+    Explanations,
+    ImagePairResult,
+    RelativePoseResult,
+    SamePlace,
+    Status,
+)
 from epi360.estimation.robust import estimate_relative_pose, estimate_relative_poses
 from epi360.estimation.weights import residual_weights
 
@@ -20,6 +26,7 @@ __all__ = [
     "RansacOptions",
     "RefinementResult",
     "RelativePoseResult",
+    "SamePlace",
     "Status",
     "eight_point",
     "estimate_absolute_pose",

@@ -194,13 +194,19 @@ def _draw_matches(
         return None
     size = np.abs(residuals_deg[inliers])
     order = np.argsort(size)
-    limit = float(np.nanpercentile(size, 98)) if np.isfinite(size).any() else 1.0
-    area = float(np.clip(9000.0 / len(order), 6.0, 18.0))  # smaller where there are thousands
     x, y = view.keypoints[inliers[order]].T
+    style: dict[str, Any] = {
+        "s": float(np.clip(9000.0 / len(order), 6.0, 18.0)),  # smaller where there are thousands
+        "linewidths": 0.4,
+        "edgecolors": "black",
+    }
+    if not np.isfinite(size).any():  # without a pose
+        axes.scatter(x, y, color=mpl.colormaps[RESIDUAL_COLOURS](0.3), **style)
+        return None
+    limit = float(np.nanpercentile(size, 98))
     return axes.scatter(
-        x, y, c=size[order], cmap=RESIDUAL_COLOURS, s=area,
-        vmin=0.0, vmax=max(limit, 1e-6), linewidths=0.4, edgecolors="black",
-    )  # fmt: skip
+        x, y, c=size[order], cmap=RESIDUAL_COLOURS, vmin=0.0, vmax=max(limit, 1e-6), **style
+    )
 
 
 def _draw_curves(axes: Sequence[Axes], views: Sequence[_View], result: ImagePairResult) -> None:
