@@ -292,3 +292,20 @@ def test_where_all_looks_the_same_no_doubt_is_left():
 def test_an_empty_folder_has_no_verdicts():
     assert judge_places([], []) == ()
     assert not leave_a_doubt([], [])
+
+
+def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help():
+    pairs, is_right = twin_rooms()
+    few = [pair for pair, right in zip(pairs, is_right, strict=True) if right][:3]
+    silent = evidence_on(few, np.ones(3), silent=[0, 1, 2])
+    for own, is_refused, why in (
+        (OwnEvidence(8.0, 8.0), False, ""),
+        (OwnEvidence(8.0, -4.0), True, "may show a copy of the place"),
+        (OwnEvidence(-4.0, 8.0), True, "shows another place"),
+        (OwnEvidence(0.0, 8.0, on_floor=True), True, "shows another place"),
+    ):
+        evidence = [replace(silent[0], own=own), *silent[1:]]
+        verdict = judged(few, evidence)[0]
+        assert bool(verdict.refused) == is_refused
+        assert verdict.refused.startswith(why)
+        assert not verdict.leaves_a_doubt

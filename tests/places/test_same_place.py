@@ -114,6 +114,25 @@ def test_only_full_panoramas_are_compared():
     assert np.isnan(astuple(pose_of("a0", "b0").place)).all()  # a pure rotation
 
 
+def test_nothing_is_compared_where_masks_leave_too_little():
+    columns = np.arange(768) // 16 % 2 == 0  # no cell is free of stripes
+    stripes = np.repeat(columns[None], 384, axis=0)
+    result = pose_of("a0", "a1", mask1=stripes, mask2=stripes)
+    assert result.status == "ok"
+    assert np.isnan(result.place.here)
+    half = np.repeat((np.arange(768) < 384)[None], 384, axis=0)
+    assert pose_of("a0", "a1", mask1=half, mask2=half).place.here > 0.95
+
+
+def test_nothing_is_compared_in_tiny_panoramas():
+    small = [
+        cv2.resize(picture(name), (384, 192), interpolation=cv2.INTER_AREA) for name in ("a0", "a1")
+    ]
+    result = epi360.relative_pose_of_images(*small)
+    assert result.status == "ok"
+    assert np.isnan(result.place.here)
+
+
 def test_a_result_without_pictures_has_no_place():
     assert np.isnan(astuple(SamePlace())).all()
 

@@ -85,12 +85,17 @@ def write_verdicts(
         print(f"wrote {report}")
 
 
+# So many are hardly all of copies.
+_FEWEST_JUDGED = 3
+
+
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     print(describe_verified(verified))
     if verified.num_panoramic == 0 or verified.num_not_compared:
         return
     if verified.looked_around:
-        if any(verdict.accepted for verdict in verified.verdicts):
+        judged = [verdict for verdict in verified.verdicts if verdict.status == "ok"]
+        if len(judged) < _FEWEST_JUDGED or any(verdict.accepted for verdict in judged):
             return
         note = "nothing looks the same in the pictures; are they those of these images?"
     elif images is None:

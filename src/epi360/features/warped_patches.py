@@ -32,7 +32,7 @@ _STEP = _RADIUS_DEG / _HALF
 _PIXEL_DEG = 360.0 / WIDTH
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
-_IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 MB
+_IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 to 1 MB
 _FILL_PX, _FAR_AWAY = 16.0, 1e-3  # of what is filled in; the weight of the mean of all
 
 Name = TypeVar("Name", str, int)
@@ -80,12 +80,12 @@ class Panorama:
         """
         if mask is None and mask_nadir_deg == 0.0:
             return cls.of(image)
-        usable = nadir_mask(Equirectangular(WIDTH, WIDTH // 2), mask_nadir_deg)
+        usable = _above_nadir(mask_nadir_deg)
         if mask is not None:
             small = cv2.resize(
                 mask.astype(np.uint8), (WIDTH, WIDTH // 2), interpolation=cv2.INTER_NEAREST
             )
-            usable &= small > 0
+            usable = usable & (small > 0)
         return cls.of(image, usable)
 
     @classmethod
@@ -116,6 +116,12 @@ class Panorama:
             rows = levels == level
             found[rows] = _looked_up(self.levels[level], rays[rows])
         return found
+
+
+@lru_cache(4)
+def _above_nadir(mask_nadir_deg: float) -> NDArray[np.bool_]:
+    """What is left of a panorama; all of a folder share it."""
+    return nadir_mask(Equirectangular(WIDTH, WIDTH // 2), mask_nadir_deg)
 
 
 def _bare_where_masked(grey: NDArray[np.uint8], kept: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -45,6 +45,7 @@ _LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -2.0, 8.0
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
 # copies 4 % have more, and of street scenes nearly all.
 _LARGEST_SPREAD = 1.8
+_LEAST_SHARE = 0.4  # of the cells of either view that masks must leave
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
@@ -59,17 +60,21 @@ class OwnEvidence:
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
     speak for a pair: where nothing grows, it is no copy either. ``on_floor`` says that the pair
     lies on the floor alone: printed floors repeat from room to room. ``in_the_open`` says that what
-    both show lies at distances that differ more than in a room.
+    both show lies at distances that differ more than in a room. Nothing is known if masks leave
+    too little.
     """
 
     over_others: float = 0.0
     over_copies: float = 0.0
     on_floor: bool = False
     in_the_open: bool = False
+    is_known: bool = True
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
-        """Weigh what has grown from both sides of a pair."""
+        """Weigh what has grown from both sides of a pair; nothing if masks leave too little."""
+        if min(map(_share_that_counts, views)) < _LEAST_SHARE:
+            return cls(is_known=False)
         over_others, over_copies = _FITTED.ratios(shown_by(pair, views))
         return cls(
             over_others,
@@ -80,7 +85,7 @@ class OwnEvidence:
 
     def in_folder(self) -> OwnEvidence:
         """What counts beside that of other pairs: a pair on the floor alone has nothing to say."""
-        if self.on_floor:
+        if self.on_floor or not self.is_known:
             return OwnEvidence()
         return OwnEvidence(
             float(np.clip(self.over_others, _LEAST_OVER_OTHERS, _MOST)),
@@ -154,17 +159,19 @@ def shown_by(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> A
     directions more than 45 degrees apart, and that of much contrast; the share that the other view
     shows bare; and the shares that differ, of those of little contrast, of those inside of surfaces
     that are seen from nearly one direction, and of those that the other view shows textured. Cells
-    that are seen from directions more than 45 degrees apart do not count in the last three.
+    that are seen from directions more than 45 degrees apart do not count in the last three. Numbers
+    are those of whole views, if masks leave parts of them.
     """
     sides = (_Expected.of(pair, side, views) for side in (0, 1))
     cells = _Expected(*(np.concatenate(each) for each in zip(*sides, strict=True)))
     turned, much_turned = (cells.turned_deg >= limit for limit in (_TURNED_DEG, _MUCH_TURNED_DEG))
     bare = cells.other_contrasts < LEAST_CONTRAST
+    whole = 2.0 / sum(map(_share_that_counts, views))
     return np.array(
         [
             _log_share(cells.at_edge),
-            _log_number(much_turned),
-            _log_number(cells.contrasts > _STRONG),
+            _log_number(much_turned, whole),
+            _log_number(cells.contrasts > _STRONG, whole),
             _log_share(bare),
             _log_share(cells.differs[~much_turned & (cells.contrasts < _FAINT)]),
             _log_share(cells.differs[~turned & ~cells.at_edge]),
@@ -204,6 +211,11 @@ class _Expected(NamedTuple):
             _at_edge(here, cells),
             seen.changes_deg[kept],
         )
+
+
+def _share_that_counts(view: SharedSurfaces) -> float:
+    """Share of the cells that no mask reaches."""
+    return float(np.mean(view.counts))
 
 
 def _depth_spread(view: SharedSurfaces) -> float:
@@ -247,6 +259,6 @@ def _log_share(which: Mask) -> float:
     return float(np.log((np.count_nonzero(which) + 3) / (len(which) + 30)))
 
 
-def _log_number(which: Mask) -> float:
-    """Logarithm of a number; small ones do not differ much."""
-    return float(np.log(np.count_nonzero(which) + 20))
+def _log_number(which: Mask, factor: float) -> float:
+    """Logarithm of a number times a factor; small ones do not differ much."""
+    return float(np.log(factor * np.count_nonzero(which) + 20))

@@ -35,6 +35,8 @@ _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 8.0, -4.0
 
+FEWEST_PIXELS = 512  # of the width of a panorama that is compared
+
 DOUBT = (
     "little of what both cameras must see around the matches looks as the pose says; the images "
     "may show two places with similar things"
@@ -42,14 +44,23 @@ DOUBT = (
 
 
 def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas) -> ImagePairResult:
-    """Compare what both panoramas show around an accepted pose; it may be refused by that."""
+    """Compare what both panoramas show around an accepted pose; it may be refused by that.
+
+    The result is returned as it is if masks leave too little, or if a panorama is so small that the
+    evidence of larger ones does not hold: the twin rooms of the tests look alike at 300 pixels.
+    """
+    if min(camera.width for camera in cameras) < FEWEST_PIXELS:
+        return result
     bearings = [
         camera.bearings_from_pixels(keypoints[result.inlier_mask])
         for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)
     ]
     rows = np.arange(result.num_inliers)
     pair = PosedPair.of((0, 1), result.cam2_from_cam1, np.column_stack([rows, rows]), bearings)
-    place = same_place(OwnEvidence.of(pair, grow_both(pair, panoramas)))
+    own = OwnEvidence.of(pair, grow_both(pair, panoramas))
+    if not own.is_known:
+        return result
+    place = same_place(own)
     told = replace(result, place=place, probability=result.probability * place.here)
     if place.here < LEAST_PROBABILITY:
         return _refused(told)
@@ -62,16 +73,24 @@ def same_place(own: OwnEvidence) -> SamePlace:
     """Probabilities of the three explanations of a pose, by what the pair shows by itself."""
     elsewhere = _ELSEWHERE_ON_FLOOR if own.on_floor else _ELSEWHERE
     copy = _COPY_IN_THE_OPEN if own.in_the_open else _COPY
-    over_others = np.clip(own.over_others, -_MOST, _MOST)
-    over_copies = np.clip(own.over_copies, _LEAST_OVER_COPIES, _MOST)
+    own = limited(own)
     weights = np.array(
         [
             (1.0 - elsewhere) * (1.0 - copy),
-            elsewhere * np.exp(-STEEPNESS * over_others),
-            (1.0 - elsewhere) * copy * np.exp(-STEEPNESS * over_copies),
+            elsewhere * np.exp(-STEEPNESS * own.over_others),
+            (1.0 - elsewhere) * copy * np.exp(-STEEPNESS * own.over_copies),
         ]
     )
     return SamePlace(*(weights / weights.sum()).tolist())
+
+
+def limited(own: OwnEvidence) -> OwnEvidence:
+    """As much of the evidence as counts."""
+    return replace(
+        own,
+        over_others=float(np.clip(own.over_others, -_MOST, _MOST)),
+        over_copies=float(np.clip(own.over_copies, _LEAST_OVER_COPIES, _MOST)),
+    )
 
 
 def _refused(result: ImagePairResult) -> ImagePairResult:

@@ -47,9 +47,9 @@ STATUS_SENTENCES: dict[Status, str] = {
         "use images that share more of the surroundings"
     ),
     "another_place": (
-        "the matches agree on a pose, but what both cameras must see around them looks different: "
-        "they lie on a thing that stands in another place too, or that moves; mask what moves, or "
-        "let epi360 match judge all images of the place together"
+        "the matches agree on a pose, but too little of what both cameras must see around them "
+        "looks as it says: the images may show two places with the same things, or something that "
+        "moves; mask what moves, or let epi360 match judge all images of the place together"
     ),
 }
 

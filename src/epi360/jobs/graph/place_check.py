@@ -29,7 +29,7 @@ from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
 from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
-from epi360.places.same_place import LEAST_PROBABILITY, STEEPNESS, same_place
+from epi360.places.same_place import LEAST_PROBABILITY, STEEPNESS, limited, same_place
 from epi360.places.shared_points import PosedPair
 
 Array = NDArray[np.float64]
@@ -66,13 +66,16 @@ class PlaceVerdict:
     """What the surroundings say about a pair.
 
     ``probability`` is that of the pose, given that its matches agree. ``share`` is the share of
-    ``num_places`` parts of the views that look the same, of those that both cameras must see.
+    ``num_places`` parts of the views that look the same, of those that both cameras must see. Of a
+    pair that is refused for what it shows ``by_itself``, other pairs say nothing: copies close
+    triangles.
     """
 
     probability: float = 1.0
     share: float = np.nan
     num_places: int = 0
     refused: str = ""
+    by_itself: bool = False
 
     @property
     def if_accepted(self) -> float:
@@ -82,7 +85,7 @@ class PlaceVerdict:
     @property
     def leaves_a_doubt(self) -> bool:
         """Whether other pairs may confirm a pose that is refused."""
-        return bool(self.refused) and self.probability >= _DOUBTED
+        return bool(self.refused) and not self.by_itself and self.probability >= _DOUBTED
 
 
 def judge_places(
@@ -115,17 +118,28 @@ def judge_places(
     told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
     ratios = np.append(groups.ratios, told)
     shares = np.repeat([share_wrong, max(share_wrong, _DOUBTED_WRONG)], [len(pairs), len(doubted)])
-    probabilities = _probabilities(ratios, shares)
-    if len(pairs) < _FEW:
-        alone = np.array([court.place(row, groups.joined).here for row in range(len(every))])
-        probabilities = np.where(
-            alone < LEAST_PROBABILITY, np.minimum(probabilities, alone), probabilities
-        )
-    return tuple(
+    verdicts = tuple(
         court.verdict(row, groups.joined, ratio, probability)
         for row, (ratio, probability) in enumerate(
-            zip(ratios.tolist(), probabilities.tolist(), strict=True)
+            zip(ratios.tolist(), _probabilities(ratios, shares).tolist(), strict=True)
         )
+    )
+    if len(pairs) >= _FEW:
+        return verdicts
+    places = (court.place(row, groups.joined) for row in range(len(every)))
+    return tuple(map(_by_itself, verdicts, places))
+
+
+def _by_itself(verdict: PlaceVerdict, place: SamePlace) -> PlaceVerdict:
+    """The verdict on one of few pairs, which must be probable by what it shows itself, too."""
+    if place.here >= LEAST_PROBABILITY:
+        return verdict
+    why = ANOTHER_PLACE if place.elsewhere > place.copy else COPY
+    return replace(
+        verdict,
+        probability=min(verdict.probability, place.here),
+        refused=f"{why}, for what surrounds the matches looks different",
+        by_itself=True,
     )
 
 
@@ -188,7 +202,7 @@ class _Court:
 
     def place(self, row: int, trusted: Mask) -> SamePlace:
         """What is thought of a pair if it were the only one, and by what trusted pairs know."""
-        heard, own = self.heard(row, trusted), self._evidence[row].own
+        heard, own = self.heard(row, trusted), limited(self._evidence[row].own)
         return same_place(
             replace(
                 own,
