@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.resources import files
@@ -137,18 +138,19 @@ _FITTED = Weights.of_record(_RECORD)
 
 
 def grow_both(
-    pair: PosedPair, panoramas: Sequence[Panorama]
+    pair: PosedPair, panoramas: Sequence[Panorama], *, num_threads: int = 1
 ) -> tuple[SharedSurfaces, SharedSurfaces]:
     """Surfaces of each of both panoramas that the other one shows too."""
-    first, second = (
-        grow_surfaces(
-            panoramas[side],
-            panoramas[1 - side],
-            pair.other_from(side),
-            cloud_of(pair, side, 0.0).points,
-        )
-        for side in (0, 1)
-    )
+
+    def grown(side: int) -> SharedSurfaces:
+        points = cloud_of(pair, side, 0.0).points
+        here, there = panoramas[side], panoramas[1 - side]
+        return grow_surfaces(here, there, pair.other_from(side), points)
+
+    if num_threads == 1:
+        return grown(0), grown(1)
+    with ThreadPoolExecutor(num_threads) as pool:
+        first, second = pool.map(grown, (0, 1))
     return first, second
 
 

@@ -57,7 +57,7 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     ]
     rows = np.arange(result.num_inliers)
     pair = PosedPair.of((0, 1), result.cam2_from_cam1, np.column_stack([rows, rows]), bearings)
-    own = OwnEvidence.of(pair, grow_both(pair, panoramas))
+    own = OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))
     if not own.is_known:
         return result
     place = same_place(own)
