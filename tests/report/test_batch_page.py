@@ -195,6 +195,8 @@ def test_the_page_of_100000_pairs_opens_in_3_seconds(browser, tmp_path):
     for _ in range(3):  # other programs share the machine
         begun = time.monotonic()
         show(browser, path)
-        assert len(browser.execute_script(CELLS.format(0))) == 100
+        while len(browser.execute_script(CELLS.format(0))) < 100:  # it draws a moment later
+            assert time.monotonic() - begun < 30.0
+            time.sleep(0.02)
         taken.append(time.monotonic() - begun)
     assert min(taken) < 3.0
