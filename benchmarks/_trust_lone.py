@@ -13,11 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from _data import read_poses
-from _trust_pairs import OURS, OneTour, Plan, judged_ones, of_tour, tours
-from _trust_records import Judged, errors_of
+from _trust_pairs import OURS, OneTour, Plan, judged_ones, judged_result, of_tour, tours
+from _trust_records import Judged
 
-from epi360.estimation import ImagePairResult
-from epi360.estimation.result import pose_sigmas_deg
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.poses import Pose
@@ -100,19 +98,7 @@ def _looked_at(plan: Plan, tasks: list[_Task]) -> Iterator[Judged]:
 def _judge(task: _Task, *, seed: int) -> tuple[Judged, Judged]:
     result = relative_pose_of_images(*task.paths, seed=seed)
     is_compared = bool(np.isfinite(result.place.here))
-    pose = _posed(result)
-    looked = Judged(
-        task.set,
-        PAIR,
-        task.pair,
-        result.status,
-        result.success,
-        result.probability,
-        result.num_inliers,
-        *errors_of(pose, task.truth),
-        *pose_sigmas_deg(result),
-        pose=pose,
-    )
+    looked = judged_result(task.set, PAIR, task.pair, result, task.truth)
     before = replace(
         looked,
         method=MATCHES_ALONE,
@@ -121,12 +107,6 @@ def _judge(task: _Task, *, seed: int) -> tuple[Judged, Judged]:
         probability=result.explanations.surface + result.explanations.motion,
     )
     return before, looked
-
-
-def _posed(result: ImagePairResult) -> Pose:
-    """The pose, or the one that was refused."""
-    is_refused = not result.success and result.status != "pure_rotation" and result.alternatives
-    return result.alternatives[0] if is_refused else result.cam2_from_cam1
 
 
 def _few(tour: Tour, seed: int) -> Iterator[tuple[Panorama, ...]]:

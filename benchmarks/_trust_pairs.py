@@ -19,6 +19,7 @@ from _trust_records import LISTED, Judged, errors_of, found_pose
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
+from epi360.estimation import RelativePoseResult
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph
 from epi360.jobs.folder.image_set import find_images
@@ -125,6 +126,7 @@ class OneTour:
 
 
 def tours(plan: Plan) -> Iterator[OneTour]:
+    """Rendered homes, the level ones first."""
     for is_level, home in itertools.product((True, False), range(plan.num_homes)):
         kind = "level" if is_level else "tilted"
         name = f"{kind}_{home}_{plan.tour_width}"
@@ -159,6 +161,7 @@ def _given_verdicts(
 def judged_ones(
     name: str, method: str, verdicts: Iterable[PairVerdict], truth_of: TruthOf
 ) -> Iterator[Judged]:
+    """Verdicts on the pairs of a folder beside their true poses."""
     for verdict in verdicts:
         yield Judged(
             name,
@@ -176,6 +179,7 @@ def judged_ones(
 
 
 def of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
+    """A verdict with what is known of two panoramas of a home."""
     name1, name2 = sorted(run.pair.split(" "), key=[one.name for one in tour.panoramas].index)
     return replace(
         run,
@@ -275,17 +279,26 @@ def _judge_alone(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
         options=IMAGE_OPTIONS,
         seed=seed,
     )
+    method = f"{OURS}, gravity" if has_gravity else OURS
+    return judged_result(task.set, method, task.pair, result, task.truth)
+
+
+def judged_result(
+    set_name: str, method: str, pair: str, result: RelativePoseResult, truth: Pose
+) -> Judged:
+    """What became of one pair, beside its true pose."""
+    pose = found_pose(result)
     return Judged(
-        task.set,
-        f"{OURS}, gravity" if has_gravity else OURS,
-        task.pair,
+        set_name,
+        method,
+        pair,
         result.status,
         result.success,
         float(getattr(result, "probability", math.nan)),
         result.num_inliers,
-        *errors_of(found_pose(result), task.truth),
+        *errors_of(pose, truth),
         *pose_sigmas_deg(result),
-        pose=found_pose(result),
+        pose=pose,
     )
 
 

@@ -103,7 +103,7 @@ def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:
 
 def found_pose(result: RelativePoseResult) -> Pose:
     """The pose, or the one that was refused though it is more probable than not."""
-    if result.status == "too_few_inliers" and result.alternatives:
+    if result.status in ("too_few_inliers", "another_place") and result.alternatives:
         return result.alternatives[0]
     return result.cam2_from_cam1
 

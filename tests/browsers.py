@@ -3,6 +3,7 @@
 
 import json
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -70,3 +71,14 @@ def requests_elsewhere(driver: Any, *, served_at: str | None = None) -> list[str
 def errors(driver: Any) -> list[str]:
     """What the page's scripts complained about."""
     return [e["message"] for e in driver.get_log("browser") if e["level"] == "SEVERE"]
+
+
+def wait_for(driver: Any, script: str, *arguments: Any, seconds: float = 10.0) -> Any:
+    """Return what a script answers as soon as that is something."""
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        answer = driver.execute_script(script, *arguments)
+        if answer:
+            return answer
+        time.sleep(0.05)
+    pytest.fail(f"nothing came of {script}")

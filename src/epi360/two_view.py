@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import is_full_panorama
 from epi360.estimation import (
     ImagePairResult,
     RansacOptions,
@@ -38,7 +37,7 @@ from epi360.features.detection import (
 )
 from epi360.features.image_cameras import find_camera
 from epi360.features.warped_patches import Panorama
-from epi360.places.same_place import look_around
+from epi360.places.same_place import can_be_compared, look_around
 from epi360.second_look import is_precise, is_settled, later_is_better
 
 # Key points are good to a third of a pixel. If the two fisheye cameras are swapped, the noise is
@@ -148,7 +147,7 @@ def relative_pose_of_images(
         if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
-    if not (best.success and all(is_full_panorama(view.camera) for view in views)):
+    if not (best.success and all(can_be_compared(view.camera) for view in views)):
         return best
     say("comparing what both cameras must see")
     with ThreadPoolExecutor(2) as pool:

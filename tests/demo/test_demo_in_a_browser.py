@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 from box_views import CAM2_FROM_CAM1, box_view
 from browsers import errors, open_browser, requests_elsewhere
+from browsers import wait_for as wait_for_at_most
 from odd_files import TEXT, dual_fisheye, jpeg, png_bomb
 
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
@@ -96,15 +98,7 @@ def show(driver, demo, *, width=1440, dark=False):
     wait_for(driver, "return typeof pictures === 'object' && pictures.token")
 
 
-def wait_for(driver, script, *, seconds=30.0):
-    """What a script answers as soon as that is something."""
-    until = time.monotonic() + seconds
-    while time.monotonic() < until:
-        answer = driver.execute_script(script)
-        if answer:
-            return answer
-        time.sleep(0.05)
-    pytest.fail(f"nothing came of {script}")
+wait_for = partial(wait_for_at_most, seconds=30.0)
 
 
 def drop(driver, *files, slot="1"):

@@ -6,7 +6,7 @@ import time
 import cv2
 import numpy as np
 import pytest
-from browsers import errors, open_browser, requests_elsewhere, show
+from browsers import errors, open_browser, requests_elsewhere, show, wait_for
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.report.pair_page import write_pair_report
@@ -62,17 +62,6 @@ def write_report(path, result, cameras=(PANORAMA, PANORAMA), names=("a.jpg", "b.
     images = (rendered(cameras[0]), rendered(cameras[1]))
     write_pair_report(path, names, images, cameras, result)
     return path
-
-
-def wait_for(driver, script, *arguments):
-    """Return what a script answers as soon as that is something, within ten seconds."""
-    until = time.monotonic() + 10.0
-    while time.monotonic() < until:
-        answer = driver.execute_script(script, *arguments)
-        if answer:
-            return answer
-        time.sleep(0.05)
-    pytest.fail(f"nothing came of {script}")
 
 
 @pytest.mark.parametrize("cameras", [(PANORAMA, PANORAMA), (FISHEYE, PANORAMA)])

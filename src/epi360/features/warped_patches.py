@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
 WIDTH = 1024  # pixels of the panoramas that are compared; finer detail differs between cameras
+_CAMERA = Equirectangular(WIDTH, WIDTH // 2)
 _HALF, _RADIUS_DEG = 5, 1.5  # a patch has 11 x 11 samples
 # The patch may lie elsewhere by so many samples, along the epipolar curve and across: real pairs
 # have errors of half a degree, and every sample more lets other things look alike.
@@ -100,11 +101,8 @@ class Panorama:
         """Whether the picture counts in directions (N, 3)."""
         if self.usable is None:
             return np.ones(len(directions), dtype=bool)
-        x, y, z = directions.T
-        columns = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * WIDTH
-        rows = (np.arctan2(y, np.hypot(x, z)) / np.pi + 0.5) * (WIDTH // 2)
-        last = np.array([WIDTH // 2 - 1, WIDTH - 1])
-        row, column = np.minimum(np.stack([rows, columns]).astype(np.int64), last[:, None])
+        pixels = _CAMERA.pixels_from_bearings(directions).astype(np.int64)
+        column, row = np.minimum(pixels, [WIDTH - 1, WIDTH // 2 - 1]).T
         counts: NDArray[np.bool_] = self.usable[row, column]
         return counts
 
@@ -121,7 +119,7 @@ class Panorama:
 @lru_cache(4)
 def _above_nadir(mask_nadir_deg: float) -> NDArray[np.bool_]:
     """What is left of a panorama; all of a folder share it."""
-    return nadir_mask(Equirectangular(WIDTH, WIDTH // 2), mask_nadir_deg)
+    return nadir_mask(_CAMERA, mask_nadir_deg)
 
 
 def _bare_where_masked(grey: NDArray[np.uint8], kept: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from epi360.cameras import Camera
+from epi360.cameras.upright import is_full_panorama
 from epi360.estimation.result import ImagePairResult, SamePlace
 from epi360.features.warped_patches import Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both
@@ -35,7 +36,8 @@ _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 8.0, -4.0
 
-FEWEST_PIXELS = 512  # of the width of a panorama that is compared
+# Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
+_FEWEST_PIXELS = 512
 
 DOUBT = (
     "little of what both cameras must see around the matches looks as the pose says; the images "
@@ -43,14 +45,16 @@ DOUBT = (
 )
 
 
+def can_be_compared(camera: Camera) -> bool:
+    """Whether a camera sees all around, and enough of it for what was fitted to larger pictures."""
+    return is_full_panorama(camera) and camera.width >= _FEWEST_PIXELS
+
+
 def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas) -> ImagePairResult:
     """Compare what both panoramas show around an accepted pose; it may be refused by that.
 
-    The result is returned as it is if masks leave too little, or if a panorama is so small that the
-    evidence of larger ones does not hold: the twin rooms of the tests look alike at 300 pixels.
+    The result is returned as it is if masks leave too little.
     """
-    if min(camera.width for camera in cameras) < FEWEST_PIXELS:
-        return result
     bearings = [
         camera.bearings_from_pixels(keypoints[result.inlier_mask])
         for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)

@@ -242,9 +242,9 @@ def wrapped(label: str, value: str) -> str:
 
 
 def _probability_text(probability: float) -> str:
-    return (
-        f"{_percent(probability)} that the pose is right" if np.isfinite(probability) else UNKNOWN
-    )
+    if not np.isfinite(probability):
+        return UNKNOWN
+    return f"{_percent(probability)} that the pose is right"
 
 
 def _percent(probability: float) -> str:
