@@ -1,12 +1,46 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/surfaces/patches.h"
 
+#include <cstring>
+
 namespace epi360 {
 namespace {
 
 constexpr float kStep = 0.00610872946f;  // tan 0.35 degrees: a pixel of 1024
 constexpr int kWindowX = 2 * (kPatchHalf + kAlong) + 1, kWindowY = 2 * (kPatchHalf + kAcross) + 1;
-constexpr int kWindow = kWindowX * kWindowY;
+// Of shifts along a row so many are summed up together; there are fewer.
+constexpr int kLanes = 8, kRowShifts = 2 * kAcross + 1;
+static_assert(2 * kAlong + 1 <= kLanes);
+
+#if defined(__GNUC__)
+typedef float Lanes __attribute__((vector_size(kLanes * sizeof(float))));
+#else
+struct Lanes {
+  float values[kLanes];
+
+  float operator[](int lane) const { return values[lane]; }
+  Lanes& operator+=(const Lanes& other) {
+    for (int lane = 0; lane < kLanes; ++lane) values[lane] += other.values[lane];
+    return *this;
+  }
+};
+EPI360_INLINE Lanes operator*(const Lanes& a, const Lanes& b) {
+  Lanes product;
+  for (int lane = 0; lane < kLanes; ++lane) product.values[lane] = a.values[lane] * b.values[lane];
+  return product;
+}
+EPI360_INLINE Lanes operator*(float scale, const Lanes& a) {
+  Lanes product;
+  for (int lane = 0; lane < kLanes; ++lane) product.values[lane] = scale * a.values[lane];
+  return product;
+}
+#endif
+
+constexpr int whole_lanes(int count) { return (count + kLanes - 1) / kLanes * kLanes; }
+constexpr int kPatchRoom = whole_lanes(kPatchSize);
+// The last of the lanes go beyond the last row.
+constexpr int kWindowRoom = whole_lanes(kWindowX * kWindowY + kLanes - 1 - 2 * kAlong);
+
 constexpr float kFlattest = 0.15f;  // cosine; patches on flatter planes are smeared
 constexpr float kNearest = 0.02f, kFarthest = 1000.0f;  // depths, in units of the baseline
 constexpr float kLikeEnough = 0.9f;
@@ -25,6 +59,20 @@ struct Weights {
   }
 };
 const Weights kWeights;
+
+// Where the samples of a rectangle lie on a plane at distance 1, row by row.
+template <int width, int height, int room>
+struct Samples {
+  float x[room], y[room];
+  Samples() {
+    for (int k = 0; k < room; ++k) {
+      x[k] = kStep * static_cast<float>(k % width - width / 2);
+      y[k] = kStep * static_cast<float>(k / width - height / 2);
+    }
+  }
+};
+const Samples<kPatchSide, kPatchSide, kPatchRoom> kPatchSamples;
+const Samples<kWindowX, kWindowY, kWindowRoom> kWindowSamples;
 
 EPI360_INLINE Vec3f turned(const float* R, const Vec3f& v) {
   return {R[0] * v.x + R[1] * v.y + R[2] * v.z, R[3] * v.x + R[4] * v.y + R[5] * v.z,
@@ -64,40 +112,53 @@ struct Plane {
   }
 };
 
-// Values of the second panorama over the plane, a window that has room for all shifts.
+// What the second panorama shows over the plane, with room for all shifts, row by row.
 EPI360_INLINE void sample_window(const PanoramaPair& pair, const Plane& plane, float* window) {
   const Vec3f middle = plane.depth * plane.direction + pair.t;
   const float range = std::sqrt(dot(middle, middle));
   const unsigned char* level =
       pair.second.level(level_for(std::max(plane.depth / std::max(range, 1e-6f), 1e-3f)));
-  float u[kWindow], v[kWindow];
-  for (int k = 0; k < kWindow; ++k) {
-    const float x = static_cast<float>(k % kWindowX - kPatchHalf - kAlong);
-    const float y = static_cast<float>(k / kWindowX - kPatchHalf - kAcross);
-    pixel_of(pair.second, plane.point(x * kStep, y * kStep) + pair.t, &u[k], &v[k]);
+  Rays<kWindowRoom> rays;
+  for (int k = 0; k < kWindowRoom; ++k) {
+    rays.set(k, plane.point(kWindowSamples.x[k], kWindowSamples.y[k]) + pair.t);
   }
-  for (int k = 0; k < kWindow; ++k) window[k] = value_at(pair.second, level, u[k], v[k]);
+  values_along(pair.second, level, rays, window);
+}
+
+// Correlations of a patch with the window at each shift across the epipolar curve and along it.
+EPI360_INLINE void correlate(const Patch& patch, const float* window, float (*likeness)[kLanes]) {
+  Lanes mean[kRowShifts] = {}, square[kRowShifts] = {}, product[kRowShifts] = {};
+  for (int y = 0; y < kPatchSide; ++y) {
+    for (int x = 0; x < kPatchSide; ++x) {
+      const int k = y * kPatchSide + x;
+      EPI360_UNROLL
+      for (int shift = 0; shift < kRowShifts; ++shift) {
+        Lanes values;
+        std::memcpy(&values, window + (y + shift) * kWindowX + x, sizeof values);
+        const Lanes weighted = kWeights.values[k] * values;
+        mean[shift] += weighted;
+        square[shift] += weighted * values;
+        product[shift] += patch.values[k] * values;
+      }
+    }
+  }
+  for (int shift = 0; shift < kRowShifts; ++shift) {
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const float variance = square[shift][lane] - mean[shift][lane] * mean[shift][lane];
+      likeness[shift][lane] = product[shift][lane] / std::sqrt(std::max(variance, 1.0f));
+    }
+  }
 }
 
 // Largest correlation over all shifts, and the shift along the epipolar curve that has it.
 EPI360_INLINE float best_shift(const Patch& patch, const float* window, int* along) {
+  float likeness[kRowShifts][kLanes];
+  correlate(patch, window, likeness);
   float best = -2.0f;
-  for (int sy = 0; sy <= 2 * kAcross; ++sy) {
+  for (int sy = 0; sy < kRowShifts; ++sy) {
     for (int sx = 0; sx <= 2 * kAlong; ++sx) {
-      float mean = 0.0f, square = 0.0f, product = 0.0f;
-      for (int y = 0; y < kPatchSide; ++y) {
-        const float* row = window + (y + sy) * kWindowX + sx;
-        const float* weights = kWeights.values + y * kPatchSide;
-        const float* values = patch.values + y * kPatchSide;
-        for (int x = 0; x < kPatchSide; ++x) {
-          mean += weights[x] * row[x];
-          square += weights[x] * row[x] * row[x];
-          product += values[x] * row[x];
-        }
-      }
-      const float likeness = product / std::sqrt(std::max(square - mean * mean, 1.0f));
-      if (likeness > best) {
-        best = likeness;
+      if (likeness[sy][sx] > best) {
+        best = likeness[sy][sx];
         *along = sx - kAlong;
       }
     }
@@ -135,18 +196,18 @@ EPI360_MULTIVERSION Patch patch_at(const PanoramaPair& pair, const Vec3f& direct
   patch.along = unit(pair.other_center - dot(direction, pair.other_center) * direction);
   patch.across = cross(direction, patch.along);
   const unsigned char* level = pair.first.level(level_for(1.0f));
-  float mean = 0.0f;
-  for (int k = 0; k < kPatchSize; ++k) {
-    const float x = (k % kPatchSide - kPatchHalf) * kStep;
-    const float y = (k / kPatchSide - kPatchHalf) * kStep;
-    float u, v;
-    pixel_of(pair.first, direction + x * patch.along + y * patch.across, &u, &v);
-    patch.values[k] = value_at(pair.first, level, u, v);
-    mean += kWeights.values[k] * patch.values[k];
+  Rays<kPatchRoom> rays;
+  for (int k = 0; k < kPatchRoom; ++k) {
+    const float x = kPatchSamples.x[k], y = kPatchSamples.y[k];
+    rays.set(k, direction + x * patch.along + y * patch.across);
   }
+  float values[kPatchRoom];
+  values_along(pair.first, level, rays, values);
+  float mean = 0.0f;
+  for (int k = 0; k < kPatchSize; ++k) mean += kWeights.values[k] * values[k];
   float variance = 0.0f;
   for (int k = 0; k < kPatchSize; ++k) {
-    patch.values[k] -= mean;
+    patch.values[k] = values[k] - mean;
     variance += kWeights.values[k] * patch.values[k] * patch.values[k];
   }
   patch.contrast = std::sqrt(variance);
@@ -158,7 +219,7 @@ EPI360_MULTIVERSION Patch patch_at(const PanoramaPair& pair, const Vec3f& direct
 EPI360_MULTIVERSION Surface look_for(const PanoramaPair& pair, const Patch& patch, float depth,
                                      const Vec3f& normal) {
   const Plane plane(pair, patch, depth, normal);
-  float window[kWindow];
+  float window[kWindowRoom];
   sample_window(pair, plane, window);
   int along = 0;
   const float likeness = best_shift(patch, window, &along);
