@@ -33,6 +33,7 @@ from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
+from epi360_scenes.photographs import photograph_tour
 from epi360_scenes.tours import Tour, render_tour
 
 OURS = "epi360"
@@ -53,6 +54,7 @@ class Plan:
     out: Path
     num_homes: int
     tour_width: int
+    photographed: bool
     seed: int
     jobs: int
     with_peer: bool
@@ -126,7 +128,7 @@ class OneTour:
 
 
 def tours(plan: Plan) -> Iterator[OneTour]:
-    """Rendered homes, the level ones first."""
+    """Rendered homes, the level ones first; as they are or photographed."""
     for is_level, home in itertools.product((True, False), range(plan.num_homes)):
         kind = "level" if is_level else "tilted"
         name = f"{kind}_{home}_{plan.tour_width}"
@@ -137,6 +139,9 @@ def tours(plan: Plan) -> Iterator[OneTour]:
             width=plan.tour_width,
             progress=lambda picture, of=name: print(f"{of}: {picture}", flush=True),
         )
+        if plan.photographed:
+            name = f"photographed_{name}"
+            tour = photograph_tour(tour, plan.out / "tours" / name, plan.seed + home)
         yield OneTour(name, kind, home, tour)
 
 

@@ -79,7 +79,8 @@ def main() -> int:
         print(f"trust.py: {error}", file=sys.stderr)
         return 2
     facts = {**machine_facts(PACKAGES), "sets": sets, "seed": options.seed, "jobs": options.jobs}
-    facts |= {"homes": options.homes, "trials": options.trials, "data": str(plan.data)}
+    facts |= {"homes": options.homes, "photographed": options.photographed}
+    facts |= {"trials": options.trials, "data": str(plan.data)}
     print("\n".join(fact_lines(facts)), flush=True)
     judged, trials = _run(sets, plan, options)
     facts["load_average_at_end"] = load_average()
@@ -95,6 +96,9 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out/trust"), help="pictures and matches")
     parser.add_argument("--homes", type=_positive, default=4, help="rendered homes (4)")
     parser.add_argument("--width", type=_positive, default=1024, help="of rendered panoramas")
+    parser.add_argument(
+        "--photographed", action="store_true", help="rendered homes as cameras may take them"
+    )
     parser.add_argument("--trials", type=_positive, default=100, help="of each synthetic kind")
     parser.add_argument("--peer", action=flag, default=True, help="run pycolmap if installed")
     parser.add_argument("--seed", type=int, default=0, help="of homes, problems and sampling (0)")
@@ -128,6 +132,7 @@ def _plan(options: argparse.Namespace, sets: list[str]) -> Plan:
         out=options.out,
         num_homes=options.homes,
         tour_width=options.width,
+        photographed=options.photographed,
         seed=options.seed,
         jobs=options.jobs,
         with_peer=options.peer and _has_peer(),

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: BSD-3-Clause
+import cv2
+import numpy as np
+import pytest
+
+from epi360_scenes import photographs
+from epi360_scenes.photographs import photograph_tour, photographed
+from epi360_scenes.tours import render_tour
+
+WIDTH = 256
+
+
+@pytest.fixture(scope="module")
+def picture():
+    rng = np.random.default_rng(5)
+    coarse = rng.integers(40, 200, (16, 32, 3), dtype=np.uint8)
+    return cv2.resize(coarse, (WIDTH, WIDTH // 2), interpolation=cv2.INTER_CUBIC)
+
+
+@pytest.fixture
+def nothing_happens(monkeypatch):
+    for name in ("STOPS", "TINT", "CONTRAST", "BLUR_DEG", "NOISE", "STITCHING_DEG"):
+        monkeypatch.setattr(photographs, f"MOST_{name}", 0.0)
+    for name in ("PEOPLE", "THINGS"):
+        monkeypatch.setattr(photographs, f"MEAN_{name}", 0.0)
+    monkeypatch.setattr(photographs, "WORST_JPEG", 92)
+
+
+def taken(picture, seed):
+    content = np.frombuffer(photographed(picture, np.random.default_rng(seed)), np.uint8)
+    return cv2.cvtColor(cv2.imdecode(content, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def error(picture, seed):
+    return np.abs(taken(picture, seed).astype(float) - picture)
+
+
+def test_a_picture_stays_what_it_is_where_nothing_happens(nothing_happens, picture):
+    assert error(picture, 0).mean() < 3.0  # JPEG loses some of the colours
+
+
+def test_equal_seeds_make_equal_photographs(picture):
+    assert (taken(picture, 3) == taken(picture, 3)).all()
+    assert np.abs(taken(picture, 3).astype(float) - taken(picture, 4)).mean() > 5
+
+
+def test_what_has_come_covers_a_part_at_and_below_the_horizon(
+    nothing_happens, monkeypatch, picture
+):
+    monkeypatch.setattr(photographs, "MEAN_PEOPLE", 3.0)
+    changed = np.max([error(picture, seed) > 30 for seed in range(20)], axis=(0, -1))
+    rows, _ = np.nonzero(changed)
+    assert 0.01 < changed.mean() < 0.5
+    assert rows.mean() > WIDTH // 4
+
+
+def test_stitching_moves_things_by_about_what_it_says(nothing_happens, monkeypatch):
+    monkeypatch.setattr(photographs, "MOST_STITCHING_DEG", 4.0)
+    places = []
+    for seed in range(12):
+        point = np.zeros((WIDTH // 2, WIDTH, 3), np.uint8)
+        cv2.circle(point, (WIDTH // 2, WIDTH // 4), 3, (255, 255, 255), -1)
+        weights = taken(point, seed)[:, :, 0].astype(float)
+        weights[weights < 40] = 0.0
+        rows, columns = np.mgrid[: WIDTH // 2, :WIDTH]
+        places.append([np.average(each, weights=weights) for each in (columns, rows)])
+    moved_deg = (np.array(places) - [WIDTH // 2, WIDTH // 4]) * 360 / WIDTH
+    # Each strength up to the largest is as likely, so the mean square is a third of the largest.
+    assert np.sqrt(np.mean(np.square(moved_deg))) == pytest.approx(4.0 / 3.0**0.5, rel=0.5)
+
+
+def test_a_photographed_tour_keeps_its_poses_and_its_pictures(tmp_path):
+    tour = render_tour(tmp_path / "rendered", 0, is_level=True, width=64)
+    first = photograph_tour(tour, tmp_path / "photographed", 1)
+    assert first.panoramas == tour.panoramas and first.overlaps == tour.overlaps
+    contents = {path.name: path.read_bytes() for path in first.folder.iterdir()}
+    assert contents.keys() == {one.name for one in tour.panoramas}
+    photograph_tour(tour, tmp_path / "photographed", 2)
+    assert contents == {path.name: path.read_bytes() for path in first.folder.iterdir()}
+    other = photograph_tour(tour, tmp_path / "other", 2)
+    assert contents != {path.name: path.read_bytes() for path in other.folder.iterdir()}
