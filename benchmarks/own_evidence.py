@@ -2,9 +2,10 @@
 """Fits what a pair shows by itself to rendered homes, and says how well it tells copies.
 
 ``python benchmarks/own_evidence.py --seeds 0,30,40 --out DIR`` renders four homes from each seed
-on, level and tilted, matches all pairs of each, and prints how well weights that are fitted to the
-homes of the other seeds tell right pairs from copies and from other rooms. With ``--write`` the
-weights that are fitted to all of them become those of the package.
+on, level and tilted, and takes each home as it is and photographed. It matches all pairs of each,
+and prints how well weights that are fitted to the homes of the other seeds tell right pairs from
+copies and from other rooms. With ``--write`` the weights that are fitted to all of them become
+those of the package.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,22 +30,24 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import rankdata
 
-from epi360.features import read_image
+from epi360 import estimate_relative_pose
+from epi360.cameras import Equirectangular
+from epi360.features import Features, extract_features, match_features, read_image
 from epi360.features.warped_patches import Panorama
-from epi360.interop import MatchGraph
-from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.places import own_evidence
 from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
 from epi360.places.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX
+from epi360_scenes.photographs import photograph_tour
 from epi360_scenes.tours import Tour, render_tour
 
 Array = NDArray[np.float64]
 
 LEAST_SHARE, MOST_SHARE = 0.01, 0.99  # of the pairs that are beyond the limits of the numbers
+KINDS = RENDERED, PHOTOGRAPHED = "rendered", "photographed"
 CASES = ROOM, DOOR, COPY, OTHER = "one room", "through a door", "copy", "other room"
 RIGHT = {ROOM: 0.65, DOOR: 0.35}  # and their shares
 PENALTY = 3e-5  # of the squares of the weights; 1e-5 to 1e-4 tell pairs apart as well
@@ -52,12 +56,13 @@ FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass
 
 
 class Shown(NamedTuple):
-    """What one pair shows: the seed of its homes, its case, its seven numbers.
+    """What one pair shows: the seed of its homes, its pictures, its case, its seven numbers.
 
     A pair that lies on the floor alone has no numbers, for it has nothing to say.
     """
 
     seed: int
+    kind: str
     case: str
     numbers: Array
 
@@ -99,58 +104,75 @@ def _numbers(text: str) -> list[int]:
 def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
     for is_level, home in itertools.product((True, False), range(options.homes)):
         name = f"{'level' if is_level else 'tilted'}_{home}_{options.width}"
-        out = options.out / str(seed)
-        tour = render_tour(
-            out / "tours" / name, seed + home, is_level=is_level, width=options.width
-        )
-        found = [Shown(seed, *each) for each in _shown_in_tour(tour, out / "match" / name, seed)]
-        print(f"seed {seed}, {name}: {len(found)} pairs", flush=True)
-        yield from found
+        folder = options.out / str(seed) / "tours"
+        rendered = render_tour(folder / name, seed + home, is_level=is_level, width=options.width)
+        taken = photograph_tour(rendered, folder / f"photographed_{name}", seed + home)
+        for kind, tour in ((RENDERED, rendered), (PHOTOGRAPHED, taken)):
+            found = [Shown(seed, kind, *each) for each in _shown_in_tour(tour, seed)]
+            print(f"seed {seed}, {name}, {kind}: {len(found)} pairs", flush=True)
+            yield from found
 
 
-def _shown_in_tour(tour: Tour, output: Path, seed: int) -> list[tuple[str, Array]]:
-    """Cases and numbers of the pairs that are accepted by themselves, and right or wrong."""
-    match_images(find_images(tour.folder), output, MatchOptions(pairs="exhaustive", seed=seed))
-    posed = list(_accepted(load_matches(output, by_others=False)))
-    panoramas = {
-        one.name: Panorama.of(read_image(tour.folder / one.name)) for one in tour.panoramas
-    }
+def _shown_in_tour(tour: Tour, seed: int) -> list[tuple[str, Array]]:
+    """Cases and numbers of the pairs that are accepted by their matches, and right or wrong."""
+    views = dict(on_threads(partial(_View.of, tour.folder), _names(tour), num_cores()))
 
-    def look(row: int) -> tuple[str, Array] | None:
-        names, pair = posed[row]
-        case = _case(tour, names, pair.cam2_from_cam1)
-        if case is None:
+    def look(names: tuple[str, str]) -> tuple[str, Array] | None:
+        both = [views[name] for name in names]
+        pair = _posed(both, seed)
+        case = None if pair is None else _case(tour, names, pair.cam2_from_cam1)
+        if pair is None or case is None:
             return None
         if floor_share(*pair.bearings) > FLOOR_SHARE:
             return case, np.empty(0)
-        grown = grow_both(pair, [panoramas[name] for name in names])
+        grown = grow_both(pair, [view.panorama for view in both])
         return case, own_evidence.shown_by(pair, grown)
 
-    found = dict(on_threads(look, range(len(posed)), num_cores()))
-    return [each for row in sorted(found) if (each := found[row]) is not None]
+    pairs = list(itertools.combinations(_names(tour), 2))
+    found = dict(on_threads(look, pairs, num_cores()))
+    return [each for pair in pairs if (each := found[pair]) is not None]
 
 
-def _accepted(graph: MatchGraph) -> Iterator[tuple[tuple[str, str], PosedPair]]:
-    """Pairs of a folder that have a pose, with the names of their images."""
-    bearings = {
-        name: graph.cameras[image.camera].bearings_from_pixels(image.keypoints)
-        for name, image in graph.images.items()
-        if image.camera is not None
-    }
-    numbers = {name: number for number, name in enumerate(graph.images)}
-    for pair in graph.pairs:
-        if pair.geometry is not None and pair.geometry.status == "ok":
-            names = (pair.image1, pair.image2)
-            images = (numbers[pair.image1], numbers[pair.image2])
-            pose, inliers = pair.geometry.cam2_from_cam1, pair.geometry.inliers
-            yield names, PosedPair.of(images, pose, inliers, [bearings[name] for name in names])
+def _names(tour: Tour) -> list[str]:
+    return [one.name for one in tour.panoramas]
+
+
+class _View(NamedTuple):
+    """A panorama with its features."""
+
+    camera: Equirectangular
+    features: Features
+    panorama: Panorama
+
+    @classmethod
+    def of(cls, folder: Path, name: str) -> _View:
+        """Read a picture."""
+        picture = read_image(folder / name)
+        camera = Equirectangular(picture.shape[1], picture.shape[0])
+        return cls(camera, extract_features(picture, camera), Panorama.of(picture))
+
+
+def _posed(views: Sequence[_View], seed: int) -> PosedPair | None:
+    """The pose of two panoramas by their matches alone; None if these do not determine one."""
+    matches = match_features(*(view.features for view in views))
+    bearings = [
+        view.camera.bearings_from_pixels(view.features.keypoints[rows])
+        for view, rows in zip(views, matches.T, strict=True)
+    ]
+    noise_deg = MAX_NOISE_PX * 360 / views[0].camera.width
+    result = estimate_relative_pose(
+        *bearings, max_noise_deg=noise_deg, options=IMAGE_OPTIONS, seed=seed
+    )
+    if not result.success:
+        return None
+    (rows,) = np.nonzero(result.inlier_mask)
+    return PosedPair.of((0, 1), result.cam2_from_cam1, np.column_stack([rows, rows]), bearings)
 
 
 def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
     """Which case a pair is; None between right and wrong."""
     error = max(errors_of(pose, tour.cam2_from_cam1(*names)))
-    name1, name2 = sorted(names, key=[one.name for one in tour.panoramas].index)
-    relation = tour.relation(name1, name2)
+    relation = tour.relation(*names)
     if error < RIGHT_DEG:
         return ROOM if relation == "one room" else DOOR
     if error < WRONG_DEG:
@@ -160,17 +182,18 @@ def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
 
 def _rows(shown: Sequence[Shown]) -> list[list[str]]:
     """How well weights of the other seeds' homes tell right pairs from wrong ones."""
-    rows = [
-        ["right", "wrong", "pairs", "area under ROC", f"kept at {FALSE_SHARE:.0%} of the wrong"]
-    ]
+    kept_at = f"kept at {FALSE_SHARE:.0%} of the wrong"
+    rows = [["pictures", "right", "wrong", "pairs", "area under ROC", kept_at]]
     ratios, cases = _held_out(shown), np.array([each.case for each in shown])
-    for column, wrong in enumerate((OTHER, COPY)):
-        against = ratios[cases == wrong, column]
+    kinds = np.array([each.kind for each in shown])
+    for kind, (column, wrong) in itertools.product(KINDS, enumerate((OTHER, COPY))):
+        against = ratios[(kinds == kind) & (cases == wrong), column]
         for right in (ROOM, DOOR):
-            speaks = ratios[cases == right, column]
+            speaks = ratios[(kinds == kind) & (cases == right), column]
             counts = f"{len(speaks)}, {len(against)}"
             kept = np.mean(speaks > np.quantile(against, 1 - FALSE_SHARE))
-            rows.append([right, wrong, counts, f"{_area(speaks, against):.3f}", f"{kept:.0%}"])
+            area = f"{_area(speaks, against):.3f}"
+            rows.append([kind, right, wrong, counts, area, f"{kept:.0%}"])
     return rows
 
 

@@ -195,11 +195,13 @@ def test_the_fit_gives_log_likelihood_ratios_whatever_the_numbers_of_pairs(fitti
     rng, shown = np.random.default_rng(5), []
     moves = {"other room": (0, 4000), "copy": (1, 1500)}
     for case, count in (("one room", 3000), ("through a door", 700)):
-        shown += [fitting.Shown(0, case, each) for each in rng.normal(size=(count, 7))]
+        shown += [
+            fitting.Shown(0, fitting.RENDERED, case, each) for each in rng.normal(size=(count, 7))
+        ]
     for case, (number, count) in moves.items():
         numbers = rng.normal(size=(count, 7))
         numbers[:, number] -= 1.0
-        shown += [fitting.Shown(0, case, each) for each in numbers]
+        shown += [fitting.Shown(0, fitting.RENDERED, case, each) for each in numbers]
     fitted = fitting._weights(shown)
     for x in (np.zeros(7), np.eye(7)[0], -np.eye(7)[1], np.eye(7)[2]):
         # Of normal densities of unit variance, one of which is moved by -1.
