@@ -177,7 +177,7 @@ def test_no_more_is_believed_than_the_limits():
             ]
     assert min(own.over_others for own in found) == 0.0
     assert min(own.over_copies for own in found) == -2.0
-    assert max(own.over_copies for own in found) == 8.0
+    assert 4.0 < max(own.over_copies for own in found) <= 8.0
 
 
 @pytest.fixture
