@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from _data import read_poses
-from _trust_pairs import OURS, OneTour, Plan, judged_ones, judged_result, of_tour, tours
+from _homes import OneTour
+from _trust_pairs import OURS, Plan, judged_ones, judged_result, of_tour, tours
 from _trust_records import Judged
 
 from epi360.jobs.folder.image_set import find_images

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from _data import Matches, load_set, read_poses
+from _homes import OneTour, rendered_homes
 from _methods import Pycolmap
 from _trust_records import LISTED, Judged, errors_of, found_pose
 
@@ -33,8 +33,7 @@ from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
-from epi360_scenes.photographs import photograph_tour
-from epi360_scenes.tours import Tour, render_tour
+from epi360_scenes.tours import Tour
 
 OURS = "epi360"
 FOLDER = f"{OURS}, folder"  # given matches, judged together
@@ -117,32 +116,15 @@ def given_verdicts(plan: Plan) -> Iterator[Judged]:
         yield from (of_tour(run, f"given, {one.kind}", one.home, tour) for run in found)
 
 
-@dataclass(frozen=True)
-class OneTour:
-    """A rendered home, what it is called, and its number."""
-
-    name: str
-    kind: str
-    home: int
-    tour: Tour
-
-
 def tours(plan: Plan) -> Iterator[OneTour]:
-    """Rendered homes, the level ones first; as they are or photographed."""
-    for is_level, home in itertools.product((True, False), range(plan.num_homes)):
-        kind = "level" if is_level else "tilted"
-        name = f"{kind}_{home}_{plan.tour_width}"
-        tour = render_tour(
-            plan.out / "tours" / name,
-            plan.seed + home,
-            is_level=is_level,
-            width=plan.tour_width,
-            progress=lambda picture, of=name: print(f"{of}: {picture}", flush=True),
-        )
-        if plan.photographed:
-            name = f"photographed_{name}"
-            tour = photograph_tour(tour, plan.out / "tours" / name, plan.seed + home)
-        yield OneTour(name, kind, home, tour)
+    """Rendered homes, as they are or photographed."""
+    return rendered_homes(
+        plan.out / "tours",
+        plan.seed,
+        plan.num_homes,
+        plan.tour_width,
+        photographed=plan.photographed,
+    )
 
 
 def _alone(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
@@ -299,7 +281,7 @@ def judged_result(
         pair,
         result.status,
         result.success,
-        float(getattr(result, "probability", math.nan)),
+        result.probability,
         result.num_inliers,
         *errors_of(pose, truth),
         *pose_sigmas_deg(result),

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import _one_thread  # noqa: F401 - before NumPy
 import numpy as np
+from _homes import rendered_homes
 from _summary import text_table
 from _trust_records import RIGHT_DEG, WRONG_DEG, errors_of
 from numpy.typing import NDArray
@@ -41,8 +42,7 @@ from epi360.places.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX
-from epi360_scenes.photographs import photograph_tour
-from epi360_scenes.tours import Tour, render_tour
+from epi360_scenes.tours import Tour
 
 Array = NDArray[np.float64]
 
@@ -102,14 +102,14 @@ def _numbers(text: str) -> list[int]:
 
 
 def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
-    for is_level, home in itertools.product((True, False), range(options.homes)):
-        name = f"{'level' if is_level else 'tilted'}_{home}_{options.width}"
-        folder = options.out / str(seed) / "tours"
-        rendered = render_tour(folder / name, seed + home, is_level=is_level, width=options.width)
-        taken = photograph_tour(rendered, folder / f"photographed_{name}", seed + home)
-        for kind, tour in ((RENDERED, rendered), (PHOTOGRAPHED, taken)):
-            found = [Shown(seed, kind, *each) for each in _shown_in_tour(tour, seed)]
-            print(f"seed {seed}, {name}, {kind}: {len(found)} pairs", flush=True)
+    folder = options.out / str(seed) / "tours"
+    for kind in KINDS:
+        homes = rendered_homes(
+            folder, seed, options.homes, options.width, photographed=kind == PHOTOGRAPHED
+        )
+        for one in homes:
+            found = [Shown(seed, kind, *each) for each in _shown_in_tour(one.tour, seed)]
+            print(f"seed {seed}, {one.name}: {len(found)} pairs", flush=True)
             yield from found
 
 

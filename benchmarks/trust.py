@@ -78,9 +78,16 @@ def main() -> int:
     except ValueError as error:
         print(f"trust.py: {error}", file=sys.stderr)
         return 2
-    facts = {**machine_facts(PACKAGES), "sets": sets, "seed": options.seed, "jobs": options.jobs}
-    facts |= {"homes": options.homes, "photographed": options.photographed}
-    facts |= {"trials": options.trials, "data": str(plan.data)}
+    facts = {
+        **machine_facts(PACKAGES),
+        "sets": sets,
+        "seed": options.seed,
+        "jobs": options.jobs,
+        "homes": options.homes,
+        "photographed": options.photographed,
+        "trials": options.trials,
+        "data": str(plan.data),
+    }
     print("\n".join(fact_lines(facts)), flush=True)
     judged, trials = _run(sets, plan, options)
     facts["load_average_at_end"] = load_average()

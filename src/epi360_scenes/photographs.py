@@ -96,8 +96,7 @@ def _stitched(image: Picture, rng: np.random.Generator) -> Picture:
     """The picture with everything a little out of place, what is close together alike."""
     height, width = image.shape[:2]
     camera = Equirectangular(width, height)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = camera.bearings_from_pixels(np.column_stack([columns.ravel(), rows.ravel()]))
+    rays = camera.bearings_from_pixels(_pixel_centers(width, height).reshape(-1, 2))
     rms_rad = np.radians(rng.uniform(0.0, MOST_STITCHING_DEG))
     waves = rng.normal(0.0, 1.0 / np.radians(STITCHING_SCALE_DEG), (NUM_WAVES, 3))
     phases = rng.uniform(0.0, 2 * np.pi, NUM_WAVES)
@@ -116,7 +115,7 @@ def _cover(picture: Array, rng: np.random.Generator, width_deg: float, height_de
     half_width, half_height = np.radians([width_deg / 2, height_deg / 2])
     longitude = rng.uniform(-np.pi, np.pi)
     below = half_height * rng.uniform(0.2, 1.5)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    columns, rows = np.moveaxis(_pixel_centers(width, height), -1, 0)
     across = (columns / width - 0.5) * 2 * np.pi - longitude
     across = np.cos(below) * ((across + np.pi) % (2 * np.pi) - np.pi)
     down = (rows / height - 0.5) * np.pi - below
@@ -125,6 +124,11 @@ def _cover(picture: Array, rng: np.random.Generator, width_deg: float, height_de
     coarse = rng.normal(0.0, spread, (round(180 / CLOTH_DEG), round(360 / CLOTH_DEG)))
     pattern = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     picture[covered] = color + pattern[covered][:, None]
+
+
+def _pixel_centers(width: int, height: int) -> Array:
+    """Column and row (H, W, 2) of the centre of each pixel."""
+    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
 
 
 def _blurred(picture: Array, sigma_deg: float) -> Array:

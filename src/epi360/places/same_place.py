@@ -30,8 +30,7 @@ LEAST_PROBABILITY, _SURE = 0.85, 0.95
 STEEPNESS = 1.2
 # What is thought of a pose that the matches alone determine, before the pictures are compared: so
 # many are those of another place, or of a thing that moves, and so many of the others of a copy.
-_ELSEWHERE, _COPY = 0.1, 0.02
-_ELSEWHERE_IN_THE_OPEN, _COPY_IN_THE_OPEN = 0.05, 0.0006
+_INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
@@ -76,9 +75,7 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
 
 def same_place(own: OwnEvidence) -> SamePlace:
     """Probabilities of the three explanations of a pose, by what the pair shows by itself."""
-    elsewhere, copy = (
-        (_ELSEWHERE_IN_THE_OPEN, _COPY_IN_THE_OPEN) if own.in_the_open else (_ELSEWHERE, _COPY)
-    )
+    elsewhere, copy = _IN_THE_OPEN if own.in_the_open else _INDOORS
     if own.on_floor:
         elsewhere = _ELSEWHERE_ON_FLOOR
     own = limited(own)
