@@ -35,6 +35,7 @@ from epi360.features.warped_patches import Panorama
 from epi360.places.shared_points import FLOOR_SHARE, PosedPair, cloud_of, floor_share
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -51,7 +52,7 @@ _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
 _TURNED_DEG, _MUCH_TURNED_DEG = 20.0, 45.0
-_NUM_NEAR = 7  # cells that say how far the other camera sees in a direction
+_NUM_NEXT = 6  # cells around each that say how far the other camera sees there
 
 
 @dataclass(frozen=True)
@@ -189,8 +190,8 @@ class _Expected(NamedTuple):
     both rays.
     """
 
-    contrasts: NDArray[np.floating]
-    other_contrasts: NDArray[np.floating]
+    contrasts: Floats
+    other_contrasts: Floats
     differs: Mask
     at_edge: Mask
     turned_deg: Array
@@ -202,17 +203,24 @@ class _Expected(NamedTuple):
         expected = (here.expected_depths > 0) & (here.contrasts >= LEAST_CONTRAST)
         (cells,) = np.nonzero(expected & here.counts)
         seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
-        near = grid().nearest(seen.directions, _NUM_NEAR)
-        nearest = np.where(there.found[near], there.depths[near], np.inf).min(axis=1)
-        kept = (nearest >= _CLEARLY_HIDDEN * seen.ranges) & there.counts[near[:, 0]]
+        others = grid().nearest(seen.directions, 1).ravel()
+        hidden = _free_ranges(there)[others] < _CLEARLY_HIDDEN * seen.ranges
+        kept = ~hidden & there.counts[others]
         cells = cells[kept]
         return cls(
             here.contrasts[cells],
-            there.contrasts[near[kept, 0]],
+            there.contrasts[others[kept]],
             here.expected_likeness[cells] < _DIFFERS,
             _at_edge(here, cells),
             seen.changes_deg[kept],
         )
+
+
+def _free_ranges(view: SharedSurfaces) -> Floats:
+    """How far a camera sees past each cell and those next to it; infinite where nothing is."""
+    ranges = np.where(view.found, view.depths, np.float32(np.inf))
+    nearest: Floats = np.minimum(ranges, ranges[grid().around[:, :_NUM_NEXT]].min(axis=1))
+    return nearest
 
 
 def _share_that_counts(view: SharedSurfaces) -> float:
