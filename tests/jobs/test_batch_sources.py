@@ -139,6 +139,22 @@ def test_the_middle_of_a_panorama_is_ahead_and_its_border_behind(tmp_path):
     np.testing.assert_allclose(part.bearings2[0], [[0.0, 0.0, -1.0]], atol=1e-12)
 
 
+@pytest.mark.parametrize("num_pixels", [49, 50])
+def test_many_pixels_outside_of_the_picture_are_refused(tmp_path, num_pixels):
+    (tmp_path / "camera.yaml").write_text(YAML)
+    inside = np.random.default_rng(0).uniform(0.0, [CAMERA.width, CAMERA.height], (num_pixels, 2))
+    larger = 2.0 * inside
+    columns = {"image1": ["a"], "image2": ["b"]}
+    columns |= {"pixels1": [inside.ravel().tolist()], "pixels2": [larger.ravel().tolist()]}
+    path = write_matches(tmp_path / "in.parquet", columns)
+    source = MatchSource("parquet", str(path), str(tmp_path / "camera.yaml"))
+    if num_pixels < 50:
+        assert len(parts_in(source)) == 1
+    else:
+        with pytest.raises(ValueError, match="key points of b lie outside its .* larger picture"):
+            parts_in(source)
+
+
 def test_missing_matches_are_nan_rows(tmp_path):
     columns = columns_of(2)
     columns["bearings1"][0][3:6] = [np.nan, 0.0, 0.0]

@@ -16,7 +16,7 @@ from epi360.interop.hloc_pairs import HlocPairs
 from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
-    checked_camera,
+    bearings_of,
     named_camera,
     parts_of,
 )
@@ -33,8 +33,7 @@ def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
     with ColmapPairs(source.path) as database:
 
         def bearings(image: str) -> Array:
-            camera = checked_camera(database.camera(image), image, source)
-            return camera.bearings_from_pixels(database.keypoints(image))
+            return bearings_of(database.keypoints(image), database.camera(image), image, source)
 
         counts = (
             (table, list(database.rows(f"SELECT {key}, rows FROM {table} ORDER BY {key}")))
@@ -54,8 +53,7 @@ def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
 
         def bearings(image: str) -> Array:
             camera = named_camera(image, files.image_size(image), cameras)
-            checked_camera(camera, image, source)
-            return camera.bearings_from_pixels(files.keypoints(image))
+            return bearings_of(files.keypoints(image), camera, image, source)
 
         pairs = files.pairs()
         extra = (fingerprint_of_file(source.features), pairs, cameras)

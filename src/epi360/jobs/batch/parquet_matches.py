@@ -17,8 +17,8 @@ from epi360.extras import extra_library
 from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
+    bearings_of,
     check_rows,
-    checked_camera,
     named_camera,
     parts_of,
 )
@@ -128,8 +128,7 @@ class ParquetMatches:
         )
 
     def _bearings(self, image: str, pixels: Array) -> Array:
-        camera = named_camera(image, None, self._cameras)
-        return checked_camera(camera, image, self._source).bearings_from_pixels(pixels)
+        return bearings_of(pixels, named_camera(image, None, self._cameras), image, self._source)
 
     def _batch_names(self, batch: Any, first_row: int) -> tuple[list[str], list[str]]:
         names = []

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.upright import gravity_of
 from epi360.interop.hloc import camera_of_image
+from epi360.jobs.matching.check_keypoints import FEWEST_KEYPOINTS, check_inside
 from epi360.runs import storage
 
 Array = NDArray[np.float64]
@@ -144,11 +145,17 @@ def check_rows(path: str, pairs: PairMatches) -> None:
                 )
 
 
-def checked_camera(camera: Camera, image: str, source: MatchSource) -> Camera:
-    """Return the camera; ValueError where its images shall be upright and are no panoramas."""
+def bearings_of(pixels: Array, camera: Camera, image: str, source: MatchSource) -> Array:
+    """Bearings (N, 3) of the key points (N, 2) of an image.
+
+    Raises ``ValueError`` where its images shall be upright and are no panoramas, or where there are
+    many key points and they are no pixels of it, see `check_inside`.
+    """
     if source.upright:
         gravity_of(camera, None, image)
-    return camera
+    if len(pixels) >= FEWEST_KEYPOINTS:
+        check_inside(pixels, camera, image)
+    return camera.bearings_from_pixels(pixels)
 
 
 def named_camera(image: str, size: tuple[int, int] | None, cameras: Mapping[str, Camera]) -> Camera:

@@ -8,12 +8,15 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.cameras.upright import is_full_panorama
 from epi360.interop.match_graph import MatchGraph
 
+Array = NDArray[np.float64]
+
 _MARGIN_PX = 1.0  # beyond the border, where a corner that is half outside may be found
 _MOST_OUTSIDE = 0.1  # of the key points of an image
-_FEWEST = 50  # key points of an image that tell something
+FEWEST_KEYPOINTS = 50  # key points of an image that tell something
 _UPPER_LEFT = 0.55  # of the width and of the height
 
 
@@ -31,15 +34,10 @@ def check_keypoints(graph: MatchGraph, names: Iterable[str]) -> None:
         image = graph.images[name]
         assert image.camera is not None  # its pairs could not be verified
         camera, keypoints = graph.cameras[image.camera], image.keypoints
-        size = np.array([camera.width, camera.height], dtype=np.float64)
-        outside = int(_is_outside(keypoints, size).sum())
-        if outside > _MOST_OUTSIDE * len(keypoints):
-            raise ValueError(
-                f"{outside} of {len(keypoints)} key points of {name} lie outside its "
-                f"{camera.width}x{camera.height} pixels; were they found in a larger picture?"
-            )
-        if is_full_panorama(camera) and len(keypoints) >= _FEWEST:
-            quarters.append((name, camera, bool((keypoints < _UPPER_LEFT * size).all())))
+        check_inside(keypoints, camera, name)
+        if is_full_panorama(camera) and len(keypoints) >= FEWEST_KEYPOINTS:
+            quarter = _UPPER_LEFT * _size(camera)
+            quarters.append((name, camera, bool((keypoints < quarter).all())))
     if len(quarters) > 1 and all(is_all for _, _, is_all in quarters):
         name, camera, _ = quarters[0]
         raise ValueError(
@@ -49,6 +47,19 @@ def check_keypoints(graph: MatchGraph, names: Iterable[str]) -> None:
         )
 
 
-def _is_outside(keypoints: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.bool_]:
-    too_far = (keypoints < -_MARGIN_PX) | (keypoints > size + _MARGIN_PX)
-    return np.asarray(too_far.any(axis=1))
+def check_inside(keypoints: Array, camera: Camera, name: str) -> None:
+    """Raise ``ValueError`` if a tenth of the key points (N, 2) of an image lie outside it.
+
+    Missing ones, NaN, lie nowhere.
+    """
+    too_far = (keypoints < -_MARGIN_PX) | (keypoints > _size(camera) + _MARGIN_PX)
+    outside = int(too_far.any(axis=1).sum())
+    if outside > _MOST_OUTSIDE * len(keypoints):
+        raise ValueError(
+            f"{outside} of {len(keypoints)} key points of {name} lie outside its "
+            f"{camera.width}x{camera.height} pixels; were they found in a larger picture?"
+        )
+
+
+def _size(camera: Camera) -> Array:
+    return np.array([camera.width, camera.height], dtype=np.float64)
