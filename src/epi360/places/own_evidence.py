@@ -52,7 +52,7 @@ _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
 _TURNED_DEG, _MUCH_TURNED_DEG = 20.0, 45.0
-_NUM_NEXT = 6  # cells around each that say how far the other camera sees there
+_NUM_NEXT = 6  # cells around each that say what is nearest there
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class _Expected(NamedTuple):
         (cells,) = np.nonzero(expected & here.counts)
         seen = SeenCells.of(pair.other_from(side), cells, here.expected_depths[cells])
         others = grid().nearest(seen.directions, 1).ravel()
-        hidden = _free_ranges(there)[others] < _CLEARLY_HIDDEN * seen.ranges
+        hidden = _nearest_shown(there)[others] < _CLEARLY_HIDDEN * seen.ranges
         kept = ~hidden & there.counts[others]
         cells = cells[kept]
         return cls(
@@ -216,8 +216,8 @@ class _Expected(NamedTuple):
         )
 
 
-def _free_ranges(view: SharedSurfaces) -> Floats:
-    """How far a camera sees past each cell and those next to it; infinite where nothing is."""
+def _nearest_shown(view: SharedSurfaces) -> Floats:
+    """Distance (N,) of the nearest thing that a cell and those next to it show, or infinity."""
     ranges = np.where(view.found, view.depths, np.float32(np.inf))
     nearest: Floats = np.minimum(ranges, ranges[grid().around[:, :_NUM_NEXT]].min(axis=1))
     return nearest
