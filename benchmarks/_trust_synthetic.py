@@ -111,8 +111,7 @@ def _cell_trial(task: tuple[str, int], *, seed: int, is_peer: bool) -> Trial:
         return _trial(name, PEER, pycolmap_two_view(problem)(), problem.cam2_from_cam1)
     result = estimate_relative_pose(problem.bearings1, problem.bearings2, seed=index)
     answer = answer_from_result(result)
-    probability = result.probability
-    return _trial(name, OURS, answer, problem.cam2_from_cam1, probability)
+    return _trial(name, OURS, answer, problem.cam2_from_cam1, result.probability)
 
 
 def _degenerate_trial(task: tuple[str, int], *, seed: int) -> Trial:
@@ -124,8 +123,7 @@ def _degenerate_trial(task: tuple[str, int], *, seed: int) -> Trial:
         )
     except ValueError:
         return Trial(name, OURS, "ValueError", accepted=False, error_deg=math.nan)
-    probability = result.probability
-    return _trial(name, OURS, answer_from_result(result), data.cam2_from_cam1, probability)
+    return _trial(name, OURS, answer_from_result(result), data.cam2_from_cam1, result.probability)
 
 
 def _trial(

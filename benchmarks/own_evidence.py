@@ -41,7 +41,7 @@ from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
 from epi360.places.shared_points import FLOOR_SHARE, PosedPair, floor_share
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 from epi360_scenes.tours import Tour
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ def _posed(views: Sequence[_View], seed: int) -> PosedPair | None:
         view.camera.bearings_from_pixels(view.features.keypoints[rows])
         for view, rows in zip(views, matches.T, strict=True)
     ]
-    noise_deg = MAX_NOISE_PX * 360 / views[0].camera.width
+    noise_deg = MAX_NOISE_PX * smallest_pixel_deg((views[0].camera, views[1].camera))
     result = estimate_relative_pose(
         *bearings, max_noise_deg=noise_deg, options=IMAGE_OPTIONS, seed=seed
     )
