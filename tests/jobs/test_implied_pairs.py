@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from level_views import NAMES, doubted, judge_otherwise, truth, write_tour
 
+from epi360.jobs.graph.implied_poses import Way
 from epi360.jobs.matching import folder_verdicts
 from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair
 from epi360.jobs.matching.match_folder import load_matches, match_images
@@ -99,13 +100,22 @@ def test_matches_that_say_something_else_get_no_pose(tour, tmp_path, lost, statu
     assert not (tmp_path / "implied").exists()
 
 
-def test_inliers_that_only_lie_close_together_are_enough(tour, tmp_path, lost):
+@pytest.mark.parametrize("status", ["concentrated_inliers", "too_few_inliers"])
+def test_few_inliers_or_close_ones_are_enough(tour, tmp_path, lost, status):
     right = truth(*LOST, False)
     unit = Pose(right.rotation, right.translation / np.linalg.norm(right.translation))
-    lost.update(status="concentrated_inliers", cam2_from_cam1=Pose.nan(), doubted=unit)
+    lost.update(status=status, cam2_from_cam1=Pose.nan(), doubted=unit)
     found = verdict_on(match_images(tour, tmp_path))
     assert found.accepted
     np.testing.assert_array_equal(found.cam2_from_cam1.matrix(), unit.matrix())
+
+
+def test_as_many_as_chance_explains_are_not(tour, tmp_path, lost, monkeypatch):
+    right = truth(*LOST, False)
+    unit = Pose(right.rotation, right.translation / np.linalg.norm(right.translation))
+    lost.update(status="too_few_inliers", cam2_from_cam1=Pose.nan(), doubted=unit)
+    monkeypatch.setattr(Way, "is_chance", lambda *_: True)
+    assert not verdict_on(match_images(tour, tmp_path)).accepted
 
 
 def test_a_probability_of_close_inliers_must_do(tour, tmp_path, lost):

@@ -83,6 +83,18 @@ def test_matches_agree_that_are_near_to_the_epipolar_plane_and_in_front():
     assert near.all()  # 0.03 rad are 1.7 degrees
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_what_agrees_by_chance_is_said_to(seed):
+    pairs = [pair_of(0, 2, range(80)), pair_of(1, 2, range(80))]
+    (way,) = ImpliedPoses(pairs).ways(0, 1)
+    rng = np.random.default_rng(seed)
+    first, second = bearings(0, np.arange(100)), bearings(1, rng.permutation(100))
+    assert way.is_chance(first, second)
+    second[:12] = bearings(1, np.arange(12))
+    assert not way.is_chance(first, second)
+    assert way.is_chance(first[:2], second[1:3])
+
+
 def test_images_at_one_place_have_no_direction():
     pairs = [pair_of(0, 2, range(80)), pair_of(0, 2, range(80))]
     pairs[1] = replace(pairs[1], images=(1, 2))  # the same pose: both stand in one place

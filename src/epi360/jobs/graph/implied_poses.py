@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import poisson
 
 from epi360.epipolar.essential import cheirality_mask
 from epi360.epipolar.residuals import pose_residuals
@@ -19,12 +20,14 @@ from epi360.places.shared_points import Cloud, PosedPair, cloud_of, scale_betwee
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 RowSide = tuple[int, int]
 
 _LEAST_PARALLAX_DEG = 1.0  # of the points that say how large units are
 _MOST_WAYS = 8  # that are tried for one pair
 _FEWEST_SIGMAS = 5.0  # of its error by the scale, in the length of a translation
 _AGREES_DEG = 1.0  # so near to its epipolar plane lies a match that agrees with a pose
+_NUM_EXCHANGES, _CHANCE = 16, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +37,25 @@ class Way:
     cam2_from_cam1: Pose
     rows: tuple[int, int]
 
-    def num_agreeing(self, bearings1: Array, bearings2: Array) -> int:
-        """Count the matches in front of both cameras that lie near to their epipolar planes."""
+    def agreeing(self, bearings1: Array, bearings2: Array) -> Mask:
+        """Which matches lie in front of both cameras and near to their epipolar planes."""
         near = near_matches(self.cam2_from_cam1, bearings1, bearings2, _AGREES_DEG)
-        in_front = cheirality_mask(bearings1, bearings2, self.cam2_from_cam1)
-        return int(np.count_nonzero(near & in_front))
+        return near & cheirality_mask(bearings1, bearings2, self.cam2_from_cam1)
+
+    def num_agreeing(self, bearings1: Array, bearings2: Array) -> int:
+        """Count the matches that agree."""
+        return int(np.count_nonzero(self.agreeing(bearings1, bearings2)))
+
+    def is_chance(self, bearings1: Array, bearings2: Array) -> bool:
+        """Whether as many might agree if the partners of all matches were exchanged.
+
+        Once in a thousand times they do, where this is denied.
+        """
+        last = len(bearings1) - 1
+        steps = np.unique(np.linspace(1, last, min(last, _NUM_EXCHANGES)).astype(int))
+        exchanged = [self.num_agreeing(bearings1, np.roll(bearings2, step, 0)) for step in steps]
+        expected = float(np.mean(exchanged)) + 1.0 / len(steps)
+        return bool(poisson.sf(self.num_agreeing(bearings1, bearings2) - 1, expected) > _CHANCE)
 
 
 class ImpliedPoses:
@@ -86,9 +103,7 @@ class ImpliedPoses:
         return self._clouds[row, side]
 
 
-def near_matches(
-    pose: Pose, bearings1: Array, bearings2: Array, limit_deg: float
-) -> NDArray[np.bool_]:
+def near_matches(pose: Pose, bearings1: Array, bearings2: Array, limit_deg: float) -> Mask:
     """Which matches lie so near to the epipolar planes of a pose, in the second view."""
     residuals = pose_residuals(pose, bearings1, bearings2, "angular")
     return np.asarray(np.abs(residuals) < np.radians(limit_deg))

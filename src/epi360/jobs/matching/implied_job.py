@@ -7,7 +7,7 @@ other pairs say how both cameras stand, the matches that fit are enough.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -24,8 +24,11 @@ from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
-# Matches that may belong to the pose are those this near to its epipolar planes; what they say must
-# agree with the implied pose.
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Of matches this near to its epipolar planes more may belong to the pose, if it is not exact. What
+# they say must agree with it.
 _NEAR_DEG, _AGREES_DEG = 3.0, 2.0
 _FEWEST_MATCHES = 8
 _PAIRS_AT_ONCE = 256  # whose matches are in memory
@@ -43,12 +46,24 @@ class ImpliedPair:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A pair with its matches, those of them that may belong to an implied pose, and that pose."""
+    """A pair with its matches, where they look, and the pose that others imply."""
 
     verified: VerifiedPair
-    near: NDArray[np.bool_]
-    matched: Matched
+    bearings: tuple[Array, Array]
     way: Way
+
+    def agreeing(self) -> Mask:
+        """Matches that agree with the implied pose."""
+        return self.way.agreeing(*self.bearings)
+
+    def near(self) -> Mask:
+        """Matches that may belong to it even if it is a degree off."""
+        return near_matches(self.way.cam2_from_cam1, *self.bearings, _NEAR_DEG)
+
+    def matched(self, some: Mask) -> Matched:
+        """Some of the matches."""
+        first, second = self.bearings
+        return Matched(self.verified.matches[some], first[some], second[some])
 
 
 def find_implied(
@@ -74,12 +89,12 @@ def find_implied(
     known = ImpliedPoses([posed[keys] for keys in sure])
     others = {keys for keys in panoramas if keys not in accepted and keys[0] != keys[1]}
     candidates = _candidates(folder, panoramas, folder.settled_pairs(others, settled, level), known)
-    found = {}
-    while some := list(islice(candidates, _PAIRS_AT_ONCE)):
-        results = folder.estimated([(pair, each.matched) for pair, each in some], PRIOR)
-        for pair, each in some:
-            if (verified := _if_agrees(results[pair], each)) is not None:
-                row1, row2 = each.way.rows
+    found: dict[Keys, ImpliedPair] = {}
+    while some := dict(islice(candidates, _PAIRS_AT_ONCE)):
+        for which in (_Candidate.agreeing, _Candidate.near):
+            left = {p: each for p, each in some.items() if each.verified.keys not in found}
+            for pair, verified in _verified(folder, left, which).items():
+                row1, row2 = left[pair].way.rows
                 found[verified.keys] = ImpliedPair(verified, (sure[row1], sure[row2]))
     return found
 
@@ -90,41 +105,49 @@ def _candidates(
     others: Iterable[VerifiedPair],
     known: ImpliedPoses,
 ) -> Iterator[tuple[Pair, _Candidate]]:
-    """Pairs with enough matches that may belong to an implied pose."""
+    """Pairs with another pose than those that are implied, each with that of most matches."""
     for verified in others:
         pair = panoramas[verified.keys]
         ways = known.ways(*pair)
-        if ways and not any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
-            candidate = _nearest(folder, pair, verified, ways)
-            if len(candidate.matched.matches) >= _FEWEST_MATCHES:
-                yield pair, candidate
+        if not ways or any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
+            continue
+        rows1, rows2 = verified.matches.T
+        bearings = folder.bearings_of(pair[0])[rows1], folder.bearings_of(pair[1])[rows2]
+        way = max(ways, key=lambda each: each.num_agreeing(*bearings))
+        yield pair, _Candidate(verified, bearings, way)
 
 
-def _nearest(
-    folder: VerifiedFolder, pair: Pair, verified: VerifiedPair, ways: Sequence[Way]
-) -> _Candidate:
-    """Matches that may belong to the way with which most of them agree."""
-    rows1, rows2 = verified.matches.T
-    bearings1, bearings2 = folder.bearings_of(pair[0])[rows1], folder.bearings_of(pair[1])[rows2]
-    way = max(ways, key=lambda each: each.num_agreeing(bearings1, bearings2))
-    near = near_matches(way.cam2_from_cam1, bearings1, bearings2, _NEAR_DEG)
-    matched = Matched(verified.matches[near], bearings1[near], bearings2[near])
-    return _Candidate(verified, near, matched, way)
+def _verified(
+    folder: VerifiedFolder,
+    candidates: Mapping[Pair, _Candidate],
+    which: Callable[[_Candidate], Mask],
+) -> dict[Pair, VerifiedPair]:
+    """Pairs of which some matches, chosen by the implied pose, say that it is right."""
+    chosen = {pair: which(each) for pair, each in candidates.items()}
+    asked = {pair: some for pair, some in chosen.items() if some.sum() >= _FEWEST_MATCHES}
+    matched = [(pair, candidates[pair].matched(some)) for pair, some in asked.items()]
+    results = folder.estimated(matched, PRIOR) if matched else {}
+    told = {pair: _if_agrees(results[pair], candidates[pair], asked[pair]) for pair in asked}
+    return {pair: verified for pair, verified in told.items() if verified is not None}
 
 
-def _if_agrees(result: VerifiedPair, candidate: _Candidate) -> VerifiedPair | None:
-    """The pair with the pose of its near matches, if that is about the implied one."""
+def _if_agrees(result: VerifiedPair, candidate: _Candidate, chosen: Mask) -> VerifiedPair | None:
+    """The pair with the pose of the chosen matches, if that is about the implied one.
+
+    Through a door they may be few, or lie close together; then more of all matches must agree with
+    the implied pose than chance explains.
+    """
     verdict = result.verdict
     if verdict.accepted:
         pose = verdict.cam2_from_cam1
-    elif verdict.status == "concentrated_inliers" and awaits_confirmation(verdict):
-        pose = verdict.doubted  # all matches through a door lie close together
+    elif awaits_confirmation(verdict) and not candidate.way.is_chance(*candidate.bearings):
+        pose = verdict.doubted
     else:
         return None
     if not _agree(pose, candidate.way):
         return None
-    verified, mask = candidate.verified, np.zeros(len(candidate.near), dtype=bool)
-    mask[candidate.near] = result.inlier_mask
+    verified, mask = candidate.verified, np.zeros(len(chosen), dtype=bool)
+    mask[chosen] = result.inlier_mask
     told = replace(
         verdict,
         status="ok",
