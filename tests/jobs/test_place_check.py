@@ -25,7 +25,7 @@ from epi360.poses import Pose
 NUM_CELLS = 20
 NOBODY = np.empty(0, np.int64)
 # What pairs of one room show by themselves.
-ALL_GROWS, NOTHING_GROWS = OwnEvidence(4.0, 3.0), OwnEvidence()
+ALL_GROWS, LITTLE_GROWS, NOTHING_GROWS = OwnEvidence(4.0, 3.0), OwnEvidence(1.0, 1.0), OwnEvidence()
 
 
 def posed(images, *, turn=None):
@@ -142,10 +142,10 @@ def test_what_only_one_of_both_views_shows_speaks_for_no_pair():
     pairs, is_right = twin_rooms()
     shares = np.where(is_right, 1.0, 0.4)
     found = evidence_on(pairs, shares, one_sided=[0])
-    found[0] = replace(found[0], own=NOTHING_GROWS)
+    found[0] = replace(found[0], own=LITTLE_GROWS)
     assert judged(pairs, found)[0].refused.startswith(COPY)
     found = evidence_on(pairs, shares)
-    found[0] = replace(found[0], own=NOTHING_GROWS)
+    found[0] = replace(found[0], own=LITTLE_GROWS)
     assert not judged(pairs, found)[0].refused
 
 
@@ -199,7 +199,8 @@ def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
 def doubted(share):
     """Evidence on a further pair, by pairs of both of its panoramas."""
     rng = np.random.default_rng(5)
-    return Evidence((sightings(rng, [0, 1], share), sightings(rng, [3, 4], share)))
+    sides = sightings(rng, [0, 1], share), sightings(rng, [3, 4], share)
+    return Evidence(sides, own=OwnEvidence(2.0, 2.0))
 
 
 def test_doubted_poses_are_judged_by_what_the_others_know():

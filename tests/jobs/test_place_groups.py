@@ -14,7 +14,7 @@ from epi360.poses import Pose, rotation_from_vector
 
 NOBODY = np.empty(0, np.int64)
 # Where ratios depend on nobody, hearsay is what is known, and a share of it is added.
-HEARD = 1.3
+HEARD = 1.6
 
 
 def turned(degrees):
@@ -77,8 +77,8 @@ def test_pairs_that_say_the_same_are_weighed_together():
     pairs = [pair_of(images) for images in [(0, 1), *all_between((0, 1), (2,))]]
     ratios = [5.0, 0.6, 0.6]
     linked = [(), (Sibling(2, via=0),), (Sibling(1, via=0),)]
-    assert groups_of(pairs, ratios, 0.9).joined.tolist() == [True, False, False]
-    groups = groups_of(pairs, ratios, 0.9, linked)
+    assert groups_of(pairs, ratios, 1.0).joined.tolist() == [True, False, False]
+    groups = groups_of(pairs, ratios, 1.0, linked)
     assert groups.joined.all()
     # Two that are correlated say less than twice as much.
     assert groups.ratios[1] == groups.ratios[2] == pytest.approx(HEARD * 2 * 0.6 / 1.15)
@@ -87,7 +87,7 @@ def test_pairs_that_say_the_same_are_weighed_together():
 def test_they_say_the_same_only_if_what_leads_from_one_to_the_other_is_joined():
     pairs = [pair_of(images) for images in [(0, 1), *all_between((0, 1), (2,))]]
     linked = [(), (Sibling(2, via=0),), (Sibling(1, via=0),)]
-    assert not groups_of(pairs, [0.5, 0.6, 0.6], 0.9, linked).joined.any()
+    assert not groups_of(pairs, [0.5, 0.6, 0.6], 1.0, linked).joined.any()
 
 
 def test_one_poor_pose_among_good_ones_is_accepted_with_them_and_not_heard():

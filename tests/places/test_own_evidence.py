@@ -177,7 +177,7 @@ def test_no_more_is_believed_than_the_limits():
                 for differs in (None, holes & grown)
             ]
     assert min(own.over_others for own in found) == 0.0
-    assert min(own.over_copies for own in found) == -2.0
+    assert min(own.over_copies for own in found) == -4.0
     assert max(own.over_copies for own in found) == 8.0
     assert OwnEvidence(20.0, 20.0).in_folder() == OwnEvidence(8.0, 8.0)
 

@@ -42,7 +42,7 @@ Mask = NDArray[np.bool_]
 WEIGHTS = "own_evidence.json"  # beside this file
 SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
 # In photographed homes less grows than in rendered ones, so this never speaks for another place.
-_LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -2.0, 8.0
+_LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -4.0, 8.0
 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
 # copies 4 % have more, and of street scenes nearly all.

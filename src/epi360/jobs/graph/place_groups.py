@@ -31,9 +31,9 @@ GroupPair = tuple[int, int]
 # What pairs say that agree is not independent: their correlation.
 _CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
-_LEAST_OF_ONE = -2.0
+_LEAST_OF_ONE = -4.0
 # What all others say about a claim, right and wrong ones, counts too: this share of it, limited.
-_HEARSAY_SHARE, _MOST_HEARSAY = 0.3, 6.0
+_HEARSAY_SHARE, _MOST_HEARSAY = 0.6, 6.0
 # A pair contradicts its group if it turns a camera otherwise by more than so many degrees and
 # sigmas of all rotations on the way.
 _AGREES_DEG, _NUM_SIGMAS = 5.0, 3.0
