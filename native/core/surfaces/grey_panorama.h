@@ -56,7 +56,7 @@ EPI360_INLINE float angle_of(float y, float x) {
   return std::copysign(angle, y);
 }
 
-// Directions; their number is a multiple of 8, for loops that take so many at once.
+// Directions; their number is a multiple of 16, for loops that take so many at once.
 template <int room>
 struct Rays {
   float x[room], y[room], z[room];

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/surfaces/growth.h"
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 #include <queue>
 
 namespace epi360 {
@@ -15,7 +17,6 @@ constexpr int kMostTries = 24, kMostTriesFound = 6;
 constexpr float kOneSurface = 0.25f, kAbout = 0.3f;  // logarithms of depths
 constexpr int kFewestAround = 5, kFewestOfPlane = 4;
 constexpr float kFlattest = 0.1f;
-constexpr int kPowerSteps = 12;
 
 using Points = std::array<Vec3f, SphereGrid::kAround + 1>;
 
@@ -23,38 +24,63 @@ struct FittedPlane {
   Vec3f normal, middle;
 };
 
+struct Vector {
+  double x, y, z;
+};
+
+struct SymmetricMatrix {
+  double xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;
+
+  double trace() const { return xx + yy + zz; }
+
+  Vector times(const Vector& v) const {
+    return {xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z,
+            xz * v.x + yz * v.y + zz * v.z};
+  }
+
+  SymmetricMatrix squared() const {
+    return {xx * xx + xy * xy + xz * xz, xx * xy + xy * yy + xz * yz, xx * xz + xy * yz + xz * zz,
+            xy * xy + yy * yy + yz * yz, xy * xz + yy * yz + yz * zz, xz * xz + yz * yz + zz * zz};
+  }
+
+  // The inverse but for a factor: of trace 1, so that its powers neither vanish nor overflow.
+  SymmetricMatrix inverse() const {
+    const SymmetricMatrix m{yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy,
+                            xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy};
+    const double scale = 1.0 / std::max(m.trace(), 1e-300);
+    return {scale * m.xx, scale * m.xy, scale * m.xz, scale * m.yy, scale * m.yz, scale * m.zz};
+  }
+};
+
 // Plane through points. Inverse iteration starts at the viewing direction: where points lie on a
-// line, the plane through it that faces the camera most comes out.
+// line, the plane through it that faces the camera most comes out. Its twelve steps are three
+// squarings: the twelfth power is the eighth times the fourth.
 FittedPlane plane_through(const Points& points, int count, const Vec3f& direction) {
   Vec3f middle{0, 0, 0};
   for (int k = 0; k < count; ++k) middle = middle + points[k];
   middle = (1.0f / count) * middle;
-  double xx = 0, xy = 0, xz = 0, yy = 0, yz = 0, zz = 0;
+  SymmetricMatrix spread;
   for (int k = 0; k < count; ++k) {
     const Vec3f p = points[k] - middle;
-    xx += p.x * p.x;
-    xy += p.x * p.y;
-    xz += p.x * p.z;
-    yy += p.y * p.y;
-    yz += p.y * p.z;
-    zz += p.z * p.z;
+    spread.xx += p.x * p.x;
+    spread.xy += p.x * p.y;
+    spread.xz += p.x * p.z;
+    spread.yy += p.y * p.y;
+    spread.yz += p.y * p.z;
+    spread.zz += p.z * p.z;
   }
-  const double damping = 1e-3 * (xx + yy + zz) + 1e-12;
-  xx += damping;
-  yy += damping;
-  zz += damping;
-  const double ixx = yy * zz - yz * yz, ixy = xz * yz - xy * zz, ixz = xy * yz - xz * yy;
-  const double iyy = xx * zz - xz * xz, iyz = xy * xz - xx * yz, izz = xx * yy - xy * xy;
-  double x = direction.x, y = direction.y, z = direction.z;
-  for (int step = 0; step < kPowerSteps; ++step) {
-    const double nx = ixx * x + ixy * y + ixz * z, ny = ixy * x + iyy * y + iyz * z;
-    const double nz = ixz * x + iyz * y + izz * z;
-    const double scale = 1.0 / std::max(std::sqrt(nx * nx + ny * ny + nz * nz), 1e-300);
-    x = scale * nx;
-    y = scale * ny;
-    z = scale * nz;
-  }
-  return {{static_cast<float>(x), static_cast<float>(y), static_cast<float>(z)}, middle};
+  const double damping = 1e-3 * spread.trace() + 1e-12;
+  spread.xx += damping;
+  spread.yy += damping;
+  spread.zz += damping;
+  const SymmetricMatrix fourth = spread.inverse().squared().squared();
+  const Vector normal =
+      fourth.squared().times(fourth.times({direction.x, direction.y, direction.z}));
+  const double length = std::sqrt(normal.x * normal.x + normal.y * normal.y + normal.z * normal.z);
+  const double scale = 1.0 / std::max(length, 1e-300);
+  return {{static_cast<float>(scale * normal.x), static_cast<float>(scale * normal.y),
+           static_cast<float>(scale * normal.z)},
+          middle};
 }
 
 struct Queued {
@@ -68,7 +94,7 @@ struct Queued {
 class Growth {
  public:
   Growth(const PanoramaPair& pair, const SphereGrid& grid)
-      : pair_(pair), grid_(grid), tries_(grid.count, 0) {
+      : pair_(pair), grid_(grid), tries_(grid.count, 0), log_depth_(grid.count, 0.0f) {
     patches_.reserve(grid.count);
     found_.contrast.resize(grid.count);
     for (std::size_t i = 0; i < grid.count; ++i) {
@@ -118,18 +144,19 @@ class Growth {
     for (std::size_t i = 0; i < grid_.count; ++i) {
       if (is_bare(static_cast<std::int32_t>(i))) continue;
       Points points;
-      std::array<float, SphereGrid::kAround> logs, sorted;
+      std::array<float, SphereGrid::kAround> logs, ordered;
       int count = 0;
       for (int k = 0; k < SphereGrid::kAround; ++k) {
         const std::int32_t j = grid_.around[SphereGrid::kAround * i + k];
         if (found_.depth[j] <= 0.0f) continue;
         points[count] = point(j);
-        logs[count++] = std::log(found_.depth[j]);
+        logs[count++] = log_depth_[j];
       }
       if (count < kFewestAround) continue;
-      sorted = logs;
-      std::sort(sorted.begin(), sorted.begin() + count);
-      const float middle = sorted[count / 2];
+      ordered = logs;
+      const auto middle_place = ordered.begin() + count / 2;
+      std::nth_element(ordered.begin(), middle_place, ordered.begin() + count);
+      const float middle = *middle_place;
       int near = 0;
       for (int k = 0; k < count; ++k) {
         if (std::fabs(logs[k] - middle) < kAbout) points[near++] = points[k];
@@ -142,10 +169,11 @@ class Growth {
 
  private:
   bool is_bare(std::int32_t i) const { return found_.contrast[i] < kLeastContrast; }
-  Vec3f point(std::size_t i) const { return found_.depth[i] * patches_[i].direction; }
+  Vec3f point(std::size_t i) const { return found_.depth[i] * grid_.direction(i); }
 
   void keep(std::int32_t i, const Surface& surface) {
     found_.depth[i] = surface.depth;
+    log_depth_[i] = std::log(surface.depth);
     found_.likeness[i] = surface.likeness;
     found_.normal[3 * i] = surface.normal.x;
     found_.normal[3 * i + 1] = surface.normal.y;
@@ -167,7 +195,7 @@ class Growth {
     for (int k = 0; k < SphereGrid::kNeighbours; ++k) {
       const std::int32_t j = grid_.neighbours[SphereGrid::kNeighbours * i + k];
       if (found_.depth[j] <= 0.0f) continue;
-      if (std::fabs(std::log(found_.depth[j] / found_.depth[i])) >= kOneSurface) continue;
+      if (std::fabs(log_depth_[j] - log_depth_[i]) >= kOneSurface) continue;
       points[count++] = point(j);
     }
     const Vec3f own{found_.normal[3 * i], found_.normal[3 * i + 1], found_.normal[3 * i + 2]};
@@ -215,6 +243,7 @@ class Growth {
   const SphereGrid& grid_;
   std::vector<Patch> patches_;
   std::vector<int> tries_;
+  std::vector<float> log_depth_;  // where something was found
   SharedSurfaces found_;
   std::priority_queue<Queued> queue_;
 };

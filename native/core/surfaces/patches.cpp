@@ -36,18 +36,21 @@ EPI360_INLINE Lanes operator*(float scale, const Lanes& a) {
 }
 #endif
 
-constexpr int whole_lanes(int count) { return (count + kLanes - 1) / kLanes * kLanes; }
-constexpr int kPatchRoom = whole_lanes(kPatchSize);
+constexpr int kWideLanes = 16;  // of the widest vectors
+constexpr int whole_vectors(int count) {
+  return (count + kWideLanes - 1) / kWideLanes * kWideLanes;
+}
+constexpr int kPatchRoom = whole_vectors(kPatchSize);
 // The last of the lanes go beyond the last row.
-constexpr int kWindowRoom = whole_lanes(kWindowX * kWindowY + kLanes - 1 - 2 * kAlong);
+constexpr int kWindowRoom = whole_vectors(kWindowX * kWindowY + kLanes - 1 - 2 * kAlong);
 
 constexpr float kFlattest = 0.15f;  // cosine; patches on flatter planes are smeared
 constexpr float kNearest = 0.02f, kFarthest = 1000.0f;  // depths, in units of the baseline
 constexpr float kLikeEnough = 0.9f;
 
-// Weights of a patch's samples: its middle counts most.
+// Weights of a patch's samples: its middle counts most. The rest of the room counts nothing.
 struct Weights {
-  float values[kPatchSize];
+  float values[kPatchRoom] = {};
   Weights() {
     float sum = 0.0f;
     for (int k = 0; k < kPatchSize; ++k) {
@@ -59,6 +62,21 @@ struct Weights {
   }
 };
 const Weights kWeights;
+
+// Weighted sum of values of a patch's samples, all lanes at once.
+template <typename Value>
+EPI360_INLINE float weighted_sum(const Value& value) {
+  float sums[kWideLanes] = {};
+  for (int first = 0; first < kPatchRoom; first += kWideLanes) {
+    for (int lane = 0; lane < kWideLanes; ++lane) {
+      sums[lane] += kWeights.values[first + lane] * value(first + lane);
+    }
+  }
+  for (int half = kWideLanes / 2; half > 0; half /= 2) {
+    for (int lane = 0; lane < half; ++lane) sums[lane] += sums[lane + half];
+  }
+  return sums[0];
+}
 
 // Where the samples of a rectangle lie on a plane at distance 1, row by row.
 template <int width, int height, int room>
@@ -190,7 +208,8 @@ PanoramaPair make_panorama_pair(const GreyPanorama& first, const GreyPanorama& s
   return pair;
 }
 
-EPI360_MULTIVERSION Patch patch_at(const PanoramaPair& pair, const Vec3f& direction) {
+EPI360_MULTIVERSION_WIDE
+Patch patch_at(const PanoramaPair& pair, const Vec3f& direction) {
   Patch patch;
   patch.direction = direction;
   patch.along = unit(pair.other_center - dot(direction, pair.other_center) * direction);
@@ -203,21 +222,17 @@ EPI360_MULTIVERSION Patch patch_at(const PanoramaPair& pair, const Vec3f& direct
   }
   float values[kPatchRoom];
   values_along(pair.first, level, rays, values);
-  float mean = 0.0f;
-  for (int k = 0; k < kPatchSize; ++k) mean += kWeights.values[k] * values[k];
-  float variance = 0.0f;
-  for (int k = 0; k < kPatchSize; ++k) {
-    patch.values[k] = values[k] - mean;
-    variance += kWeights.values[k] * patch.values[k] * patch.values[k];
-  }
-  patch.contrast = std::sqrt(variance);
+  const float mean = weighted_sum([&](int k) EPI360_INLINE_LAMBDA { return values[k]; });
+  for (float& value : values) value -= mean;
+  patch.contrast =
+      std::sqrt(weighted_sum([&](int k) EPI360_INLINE_LAMBDA { return values[k] * values[k]; }));
   const float scale = 1.0f / std::max(patch.contrast, 1e-3f);
-  for (int k = 0; k < kPatchSize; ++k) patch.values[k] *= kWeights.values[k] * scale;
+  for (int k = 0; k < kPatchSize; ++k) patch.values[k] = kWeights.values[k] * scale * values[k];
   return patch;
 }
 
-EPI360_MULTIVERSION Surface look_for(const PanoramaPair& pair, const Patch& patch, float depth,
-                                     const Vec3f& normal) {
+EPI360_MULTIVERSION_WIDE
+Surface look_for(const PanoramaPair& pair, const Patch& patch, float depth, const Vec3f& normal) {
   const Plane plane(pair, patch, depth, normal);
   float window[kWindowRoom];
   sample_window(pair, plane, window);

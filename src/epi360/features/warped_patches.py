@@ -31,6 +31,7 @@ _HALF, _RADIUS_DEG = 5, 1.5  # a patch has 11 x 11 samples
 _ALONG, _ACROSS = 2, 1
 _STEP = _RADIUS_DEG / _HALF
 _PIXEL_DEG = 360.0 / WIDTH
+_BLURS_PX = (0.8, 1.6, 3.2)
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
 _IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 to 1 MB
@@ -94,8 +95,11 @@ class Panorama:
         cls, sharp: NDArray[np.uint8], usable: NDArray[np.bool_] | None = None
     ) -> Panorama:
         """Make one of its sharp grey values (512, 1024)."""
-        blurred = [cv2.GaussianBlur(sharp, (0, 0), sigma) for sigma in (0.8, 1.6, 3.2)]
-        return cls(np.stack([sharp, *blurred]).astype(np.uint8), usable)
+        levels = np.empty((1 + len(_BLURS_PX), *sharp.shape), np.uint8)
+        levels[0] = sharp
+        for level, sigma in zip(levels[1:], _BLURS_PX, strict=True):
+            cv2.GaussianBlur(sharp, (0, 0), sigma, dst=level)
+        return cls(levels, usable)
 
     def counts_at(self, directions: Array) -> NDArray[np.bool_]:
         """Whether the picture counts in directions (N, 3)."""
