@@ -196,6 +196,18 @@ def test_surfaces_of_other_pairs_speak_for_and_against_a_pair():
     assert told[0] < told[1] - 0.1 and told[1] + 0.1 < told[2]
 
 
+def test_what_moves_is_no_copy_where_most_pairs_are_in_the_open():
+    pairs, is_right = twin_rooms()
+    found = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])
+    outdoors = [replace(each, own=replace(each.own, in_the_open=True)) for each in found]
+    differs = OwnEvidence(8.0, 1.0, in_the_open=True)  # as if its owners had put other things there
+    in_a_home, in_a_street = (
+        judged(pairs, [replace(folder[0], own=differs), *folder[1:]])[0]
+        for folder in (found, outdoors)
+    )
+    assert in_a_home.refused.startswith(COPY) and not in_a_street.refused
+
+
 def doubted(share):
     """Evidence on a further pair, by pairs of both of its panoramas."""
     rng = np.random.default_rng(5)

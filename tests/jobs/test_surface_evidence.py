@@ -11,6 +11,7 @@ from epi360.cameras import Equirectangular
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.place_evidence import Surroundings
 from epi360.jobs.graph.surface_evidence import OWN, Sibling, SurfaceWitnesses, surfaces_ratio
+from epi360.places.same_place import limited_in_folder
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
@@ -70,7 +71,7 @@ def test_a_right_pair_speaks_for_itself_and_a_wrong_one_does_not():
     assert min(own.over_others for _, own in grown) > 2.0
     assert min(own.over_copies for _, own in grown) > 1.0
     assert wrong.over_others < -2.0
-    assert wrong.in_folder().over_others == 0.0
+    assert limited_in_folder(wrong).over_others == 0.0
 
 
 @pytest.mark.parametrize("row", range(3))

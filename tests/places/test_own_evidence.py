@@ -12,6 +12,7 @@ import pytest
 from epi360.features.shared_surfaces import NUM_CELLS, SharedSurfaces, grid
 from epi360.places import own_evidence
 from epi360.places.own_evidence import SHOWN, WEIGHTS, OwnEvidence, Weights, shown_by, terms
+from epi360.places.same_place import STEEPNESS, limited_in_folder, same_place
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 
@@ -125,10 +126,10 @@ def test_a_pair_on_the_floor_alone_has_nothing_to_say_in_a_folder():
         bearings = np.array([down] * (100 - num_above) + [up] * num_above)
         own = OwnEvidence.of(replace(PAIR, bearings=(bearings, bearings)), shown_there)
         assert own.on_floor != is_heard
-        assert (own.in_folder() != OwnEvidence()) == is_heard
+        assert (limited_in_folder(own) != OwnEvidence()) == is_heard
     higher = np.array([up] * 50 + [down] * 50)  # both images must see it below
     own = OwnEvidence.of(replace(PAIR, bearings=(bearings, higher)), shown_there)
-    assert own.in_folder() != OwnEvidence()
+    assert limited_in_folder(own) != OwnEvidence()
 
 
 def test_the_file_holds_weights_from_many_pairs():
@@ -167,19 +168,32 @@ def test_beyond_what_pairs_have_shown_nothing_more_is_said():
 
 def test_no_more_is_believed_than_the_limits():
     rng = np.random.default_rng(2)
-    found = [OwnEvidence.of(PAIR, views_of(CAP, contrasts=6.0, depth=1.0)).in_folder()]
+    found = [OwnEvidence.of(PAIR, views_of(CAP, contrasts=6.0, depth=1.0))]
     for share in (0.02, 0.3, 1.0):
         for contrast in (6.0, 20.0):
             holes = CAP & (rng.uniform(size=NUM_CELLS) < 0.3)
             grown = CAP & (rng.uniform(size=NUM_CELLS) < share)
             found += [
-                OwnEvidence.of(PAIR, views_of(grown, differs, contrast)).in_folder()
+                OwnEvidence.of(PAIR, views_of(grown, differs, contrast))
                 for differs in (None, holes & grown)
             ]
-    assert min(own.over_others for own in found) == 0.0
-    assert min(own.over_copies for own in found) == -4.0
-    assert max(own.over_copies for own in found) == 8.0
-    assert OwnEvidence(20.0, 20.0).in_folder() == OwnEvidence(8.0, 8.0)
+    in_folder = list(map(limited_in_folder, found))
+    assert min(own.over_others for own in in_folder) == 0.0
+    assert min(own.over_copies for own in in_folder) == -4.0
+    assert max(own.over_copies for own in in_folder) == 8.0
+    assert limited_in_folder(OwnEvidence(20.0, 20.0)) == OwnEvidence(8.0, 8.0)
+
+
+def test_in_the_open_a_folder_believes_as_little_in_copies_as_a_pair_does():
+    for over_copies in (-9.0, -2.0, 3.0):
+        indoors = OwnEvidence(8.0, over_copies)
+        in_the_open = replace(indoors, in_the_open=True)
+        less, more = (
+            limited_in_folder(in_the_open, street).over_copies for street in (False, True)
+        )
+        assert less == limited_in_folder(indoors, folder_in_the_open=True).over_copies
+        odds = [place.copy / place.here for place in map(same_place, (indoors, in_the_open))]
+        assert STEEPNESS * (more - less) == pytest.approx(np.log(odds[0] / odds[1]), rel=0.02)
 
 
 @pytest.fixture

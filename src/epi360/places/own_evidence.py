@@ -41,8 +41,6 @@ Mask = NDArray[np.bool_]
 
 WEIGHTS = "own_evidence.json"  # beside this file
 SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
-# In photographed homes less grows than in rendered ones, so this never speaks for another place.
-_LEAST_OVER_OTHERS, _LEAST_OVER_COPIES, _MOST = 0.0, -4.0, 8.0
 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
 # copies 4 % have more, and of street scenes nearly all.
@@ -83,15 +81,6 @@ class OwnEvidence:
             over_copies,
             on_floor=floor_share(*pair.bearings) > FLOOR_SHARE,
             in_the_open=min(map(_depth_spread, views)) > _LARGEST_SPREAD,
-        )
-
-    def in_folder(self) -> OwnEvidence:
-        """What counts beside that of other pairs: a pair on the floor alone has nothing to say."""
-        if self.on_floor or not self.is_known:
-            return OwnEvidence()
-        return OwnEvidence(
-            float(np.clip(self.over_others, _LEAST_OVER_OTHERS, _MOST)),
-            float(np.clip(self.over_copies, _LEAST_OVER_COPIES, _MOST)),
         )
 
 

@@ -31,10 +31,14 @@ STEEPNESS = 1.2
 # What is thought of a pose that the matches alone determine, before the pictures are compared: so
 # many are those of another place, or of a thing that moves, and so many of the others of a copy.
 _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
+# As much more must speak for a copy in the open; a folder says itself how common they are, of both
+# kinds together.
+_MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1]) / STEEPNESS
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 8.0, -4.0
+_LEAST_OVER_OTHERS_IN_FOLDER = 0.0  # other pairs say more of another place
 
 # Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
 _FEWEST_PIXELS = 512
@@ -95,6 +99,23 @@ def limited(own: OwnEvidence) -> OwnEvidence:
         own,
         over_others=float(np.clip(own.over_others, -_MOST, _MOST)),
         over_copies=float(np.clip(own.over_copies, _LEAST_OVER_COPIES, _MOST)),
+    )
+
+
+def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> OwnEvidence:
+    """As much of the evidence as counts beside that of other pairs.
+
+    A pair on the floor alone has nothing to say. Copies are rarer in the open; that a pair is there
+    is only believed in a folder in the open, for some pairs of copies look so, too.
+    """
+    if own.on_floor or not own.is_known:
+        return OwnEvidence()
+    own = limited(own)
+    more = _MORE_IN_THE_OPEN if own.in_the_open and folder_in_the_open else 0.0
+    return replace(
+        own,
+        over_others=max(own.over_others, _LEAST_OVER_OTHERS_IN_FOLDER),
+        over_copies=own.over_copies + more,
     )
 
 

@@ -49,7 +49,7 @@ class Way:
     def is_chance(self, bearings1: Array, bearings2: Array) -> bool:
         """Whether as many might agree if the partners of all matches were exchanged.
 
-        Once in a thousand times they do, where this is denied.
+        It is chance unless that would happen once in a thousand times at most.
         """
         last = len(bearings1) - 1
         steps = np.unique(np.linspace(1, last, min(last, _NUM_EXCHANGES)).astype(int))

@@ -29,7 +29,13 @@ from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
 from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
-from epi360.places.same_place import LEAST_PROBABILITY, STEEPNESS, limited, same_place
+from epi360.places.same_place import (
+    LEAST_PROBABILITY,
+    STEEPNESS,
+    limited,
+    limited_in_folder,
+    same_place,
+)
 from epi360.places.shared_points import PosedPair
 
 Array = NDArray[np.float64]
@@ -188,6 +194,8 @@ class _Court:
     ) -> None:
         self._pairs = pairs
         self._evidence = evidence
+        in_the_open = _mostly_in_the_open(evidence[: len(pairs)])
+        self._own = [limited_in_folder(each.own, in_the_open) for each in evidence]
         self._logs = [tuple(_logs(s, rates) for s in each.sides) for each in evidence]
         self._testimonies = [
             Testimony(each.siblings, _asked(each) - {row})
@@ -200,7 +208,7 @@ class _Court:
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
-        heard, own = self.heard(row, trusted), self._evidence[row].own.in_folder()
+        heard, own = self.heard(row, trusted), self._own[row]
         return min(heard.ratio_over_copies + own.over_copies, heard.ratio + own.over_others)
 
     def place(self, row: int, trusted: Mask) -> SamePlace:
@@ -267,6 +275,12 @@ class _Court:
                 found += np.bincount(s.changes[kept], s.found[kept], minlength=len(_RATES))
         rates: Array = np.clip(found / counts, _RATES - _LOWER, _RATES + _HIGHER)
         return rates
+
+
+def _mostly_in_the_open(evidence: Sequence[Evidence]) -> bool:
+    """Whether most pairs show things at distances that differ more than in rooms."""
+    known = [each.own.in_the_open for each in evidence if each.own.is_known]
+    return 2 * sum(known) > len(known)
 
 
 def _must_be_seen(sightings: Sightings, trusted: Mask) -> Mask:
