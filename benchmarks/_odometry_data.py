@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from _data import read_poses
 
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt, load_camera
 from epi360.features import read_image
 from epi360.image_folders import natural_order
 from epi360.jobs.trajectories import PosedFrames, posed_frames, read_trajectory
-from epi360.poses import pose_from_quaternion
 from epi360_scenes import SCENES, handheld_path, scene
 from epi360_scenes.film import Effects
 from epi360_scenes.mp3d_layout import POSES_FILE
@@ -89,16 +88,6 @@ def real_clip(data: Path, name: str) -> Clip:
     files = sorted(images.glob("*.jpg"), key=natural_order)
     height, width = read_image(files[0]).shape[:2]
     table = folder / "poses.csv"
-    truth = _read_poses(table) if table.is_file() else None
+    poses = read_poses(table) if table.is_file() else None
+    truth = posed_frames(list(poses), None, list(poses.values())) if poses else None
     return Clip(name, tuple(files), Equirectangular(width, height), truth, masks)
-
-
-def _read_poses(table: Path) -> PosedFrames:
-    names, poses = [], []
-    with table.open(newline="") as file:
-        for row in csv.DictReader(file):
-            wxyz = np.array([float(row[key]) for key in ("qw", "qx", "qy", "qz")])
-            centre = np.array([float(row[key]) for key in ("cx", "cy", "cz")])
-            names.append(Path(row["image"]).name)
-            poses.append(pose_from_quaternion(centre, wxyz / np.linalg.norm(wxyz)))
-    return posed_frames(names, None, poses)

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 from mapped_room import CAMERA, room_poses, write_picture
+from real_data import reference_poses
 
 from epi360.cameras import DoubleSphere, KannalaBrandt, Pinhole
-from epi360.interop.text_tables import read_table
-from epi360.poses import Pose, pose_from_quaternion, rotation_error_deg, rotation_from_vector
+from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
 pycolmap = pytest.importorskip("pycolmap")
 
@@ -317,14 +317,8 @@ def test_options_out_of_range_are_refused(wrong, words):
 
 def test_five_real_panoramas_agree_with_their_reference_poses(data_dir, tmp_path):
     folder = data_dir / "theta_flat"
-    columns = ("index", "image", "qw", "qx", "qy", "qz", "cx", "cy", "cz")
-    table = read_table(folder / "poses.csv", columns, ",")
-    names = [Path(row[1]).name for row in table.cells]
-    truth = {
-        name: pose_from_quaternion(centre, wxyz)
-        for name, centre, wxyz in zip(names, table.floats(6, 9), table.quaternions(2), strict=True)
-    }
-    truth = {name: truth[name] for name in names[::2][:5]}
+    truth = reference_poses(folder / "poses.csv")
+    truth = {name: truth[name] for name in list(truth)[::2][:5]}
     for name in truth:
         picture = cv2.imread(str(folder / "images" / name))
         small = cv2.resize(picture, (1344, 672), interpolation=cv2.INTER_AREA)

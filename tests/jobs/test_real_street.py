@@ -1,30 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A real street on which a tram and cars drive along: its pairs are no copies of each other."""
 
-import csv
 import shutil
 
 import numpy as np
 import pytest
-from real_data import is_picture
+from real_data import is_picture, reference_poses
 
 from epi360 import rotation_error_deg, translation_error_deg
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
-from epi360.poses import pose_from_quaternion
 
 ALL = MatchOptions(pairs="exhaustive")
-_CENTER, _QUATERNION = ("cx", "cy", "cz"), ("qw", "qx", "qy", "qz")
-
-
-def reference(folder):
-    """Poses world_from_cam by name, of two mappers that agree to 0.13 % of the path."""
-    rows = csv.DictReader((folder / "poses.csv").read_text(encoding="utf-8").splitlines())
-    found = {}
-    for row in rows:
-        center, wxyz = ([float(row[c]) for c in names] for names in (_CENTER, _QUATERNION))
-        found[row["image"]] = pose_from_quaternion(np.array(center), np.array(wxyz))
-    return found
 
 
 @pytest.mark.parametrize("step", [3, 5])
@@ -39,7 +26,7 @@ def test_what_drives_along_is_not_taken_for_a_copy(data_dir, tmp_path, step):
         shutil.copy(path, tmp_path / "frames")
     run = match_images(find_images(tmp_path / "frames"), tmp_path / "out", ALL)
     assert all(verdict.accepted for verdict in run.verdicts)
-    poses, errors = reference(folder), []
+    poses, errors = reference_poses(folder / "poses.csv"), []
     for verdict in run.verdicts:
         truth = poses[verdict.image2].inverse() @ poses[verdict.image1]
         errors.append(

@@ -38,7 +38,8 @@ _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 8.0, -4.0
-_LEAST_OVER_OTHERS_IN_FOLDER = 0.0  # other pairs say more of another place
+# In photographed homes less grows than in rendered ones, so this never speaks for another place.
+_LEAST_OVER_OTHERS_IN_FOLDER = 0.0
 
 # Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
 _FEWEST_PIXELS = 512
