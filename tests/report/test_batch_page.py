@@ -180,7 +180,7 @@ def test_hostile_names_stay_text_on_any_screen_and_nobody_is_asked(browser, tmp_
     path = tmp_path / "report.html"
     write_batch_report(path, write_poses(tmp_path / "p.parquet", 8, name="{} " + HOSTILE))
     show(browser, path, width=width, dark=dark)
-    assert HOSTILE in browser.execute_script(CELLS.format(0))[0]
+    assert HOSTILE in wait_for(browser, CELLS.format(0))[0]  # it draws a moment later
     assert not browser.execute_script("return window.broken")
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     assert requests_elsewhere(browser) == []
