@@ -45,3 +45,11 @@ def wait_until_gone(processes, *, timeout_s=30.0):
     while living_processes().keys() & processes:
         assert time.monotonic() < deadline, "workers outlive their driver"
         time.sleep(0.05)
+
+
+def wait_until_idle(pid, task, *, timeout_s=30.0):
+    """A driver that has ended leaves tasks that began in its last moment; they end, too."""
+    deadline = time.monotonic() + timeout_s
+    while busy_workers(pid, task):
+        assert time.monotonic() < deadline, "tasks outlive their driver"
+        time.sleep(0.05)

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from ray_workers import busy_workers, wait_until_gone
+from ray_workers import busy_workers, wait_until_gone, wait_until_idle
 from rendered_views import NAMES, write_views
 
 import epi360
@@ -176,6 +176,7 @@ def test_killed_and_interrupted_drivers_lose_nothing(folder, local, ray_session,
         assert child.returncode == (-signal.SIGKILL if blow is signal.SIGKILL else 130), said
         assert "Traceback" not in said
         wait_until_gone(workers)
+        wait_until_idle(os.getpid(), "_")
         with pytest.raises(FileNotFoundError, match="no complete result"):
             load_matches(output)
         now = {path: path.stat().st_ino for path in output.glob("*/*.npz")}
