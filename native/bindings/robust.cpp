@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "bindings/arrays.h"
-#include "core/robust/covariance.h"
+#include "core/robust/derivative_noise.h"
 #include "core/robust/pairs.h"
 
 using namespace nanobind::literals;

@@ -3,6 +3,7 @@
 #include <nanobind/stl/string.h>
 
 #include "bindings/arrays.h"
+#include "core/robust/derivative_noise.h"
 #include "core/robust/neighbourhoods.h"
 #include "core/robust/shared_error.h"
 #include "core/robust/testimony.h"
@@ -11,6 +12,25 @@
 using namespace nanobind::literals;
 
 namespace epi360 {
+namespace {
+
+// Residuals and derivatives at a pose, with the matches' own weights.
+Linearisation linearised(const Matches& m, const RelativePose& pose, Residual residual) {
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+  Linearisation at;
+  at.resize(m.padded);
+  compute_jacobians(m, residual, plain(pose), basis.data(), at.residuals.data(), at.margins.data(),
+                    at.jacobian.data());
+  std::copy(m.weight.begin(), m.weight.end(), at.weights.begin());
+  return at;
+}
+
+// The entries (25) of a covariance, row by row.
+auto rows_of(const Eigen::Matrix<double, 5, 5, Eigen::RowMajor>& covariance) {
+  return taken(std::vector<double>(covariance.data(), covariance.data() + 25));
+}
+
+}  // namespace
 
 void bind_testimony(nb::module_& m) {
   m.def(
@@ -36,17 +56,27 @@ void bind_testimony(nb::module_& m) {
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double least) {
         const Matches m = to_matches(b1, b2);
         const RelativePose pose = to_pose(R, t);
-        const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
-        Linearisation at;
-        at.resize(m.padded);
-        compute_jacobians(m, Residual::kSampson, plain(pose), basis.data(), at.residuals.data(),
-                          at.margins.data(), at.jacobian.data());
-        std::copy(m.weight.begin(), m.weight.end(), at.weights.begin());
-        const Eigen::Matrix<double, 5, 5, Eigen::RowMajor> covariance =
-            shared_error_covariance(m, pose, at, scale, least);
-        return taken(std::vector<double>(covariance.data(), covariance.data() + 25));
+        return rows_of(shared_error_covariance(m, pose, linearised(m, pose, Residual::kSampson),
+                                               scale, least));
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a, "least"_a);
+  m.def(
+      "errors_in_variables",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale,
+         const std::string& residual) {
+        const Matches m = to_matches(b1, b2);
+        const RelativePose pose = to_pose(R, t);
+        const Residual kind = residual_named(residual);
+        const Linearisation at = linearised(m, pose, kind);
+        double upper[15], gradient[5];
+        accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(),
+                                    at.weights.data(), upper, gradient);
+        const double variance = scale * scale;
+        return rows_of(errors_in_variables(symmetric(upper) / variance,
+                                           noise_of_derivatives(m, kind, pose, at.weights, variance)));
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a,
+      "residual"_a = "sampson");
   m.def(
       "region_weights",
       [](Bearings b1, Bearings b2) { return taken(region_weights(to_matches(b1, b2))); },

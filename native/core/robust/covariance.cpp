@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "core/bearings.h"
+#include "core/robust/derivative_noise.h"
 #include "core/robust/evidence.h"
 #include "core/robust/shared_error.h"
 
@@ -14,7 +15,6 @@ namespace {
 
 // Clustering above which a shared error is looked for; independent errors give 1.1 at most.
 constexpr double kSuspicious = 1.15;
-constexpr double kFreeSigma = 60.0 * kDegree;  // of an angle of which nothing is known
 
 // Of so many inliers, after five parameters were fitted to them.
 double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }
@@ -41,63 +41,7 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
   return std::sqrt(variance);
 }
 
-// What the noise of the bearings alone adds to J^T W J / variance: noisy copies of one point seem
-// to lie in different directions, and matches without parallax seem to have some. The derivatives
-// by the rotation have up to half the variance of the noise, those by the translation that of the
-// parallax, 2 (I - b b^T) / |g|^2 with the gradient g of the residual; neither more than is there.
-Matrix5 noise_in_information(const Matches& m, const RelativePose& cam2_from_cam1,
-                             const Linearisation& at, double variance) {
-  const Eigen::Matrix<double, 3, 2> basis = tangent_basis(cam2_from_cam1.t);
-  Matrix5 noise = Matrix5::Zero();
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (!(at.weights[i] > 0.0)) continue;
-    const Vector5 J = jacobian_of(at, m.padded, i);
-    const Eigen::Vector3d b = view2(m, i);
-    const double gradient = 2.0 * std::max(b.cross(cam2_from_cam1.t).squaredNorm(), 1e-12);
-    const Eigen::Vector2d along = basis.transpose() * b;
-    const Eigen::Matrix2d parallax =
-        2.0 / gradient * (Eigen::Matrix2d::Identity() - along * along.transpose());
-    const double there = J.tail<2>().squaredNorm() / variance;
-    const double most = J.head<3>().squaredNorm() / (3.0 * variance);
-    noise.topLeftCorner<3, 3>().diagonal().array() += at.weights[i] * std::min(0.5, most);
-    noise.bottomRightCorner<2, 2>() +=
-        at.weights[i] * std::min(1.0, there / parallax.trace()) * parallax;
-  }
-  return noise;
-}
-
-// Covariance A^-1 + A^-1 N A^-1 of what J^T W J / variance = A + N determines, where N is the noise
-// of the derivatives: errors in variables (Fuller 1987, section 2.2). The second term counts where
-// the parallax is not large against the noise.
-Matrix5 errors_in_variables(const Matrix5& information, const Matrix5& noise) {
-  const Matrix5 without = bounded_inverse(information - noise);
-  const Matrix5 covariance = without + without * noise * without;
-  if (!covariance.allFinite()) return without;
-  const Matrix5 axes = symmetric_eigenvectors(covariance);
-  Vector5 variances;
-  for (int k = 0; k < 5; ++k) {
-    variances[k] = std::min(axes.col(k).dot(covariance * axes.col(k)), kFreeSigma * kFreeSigma);
-  }
-  return axes * variances.asDiagonal() * axes.transpose();
-}
-
 }  // namespace
-
-Matrix5 bounded_inverse(const Matrix5& information) {
-  constexpr double kFree = kFreeSigma * kFreeSigma;
-  if (!information.allFinite()) return kFree * Matrix5::Identity();
-  const Matrix5 axes = symmetric_eigenvectors(information);
-  Vector5 variances;
-  for (int k = 0; k < 5; ++k) {
-    const double value = axes.col(k).dot(information * axes.col(k));
-    variances[k] = value > 1.0 / kFree ? 1.0 / value : kFree;
-  }
-  return axes * variances.asDiagonal() * axes.transpose();
-}
-
-double noise_per_residual(Residual residual) {
-  return residual == Residual::kPaper || residual == Residual::kAngular ? std::sqrt(0.5) : 1.0;
-}
 
 Vector5 jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i) {
   Vector5 J;
@@ -152,8 +96,9 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =
       std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
-  Matrix5 errors = errors_in_variables(symmetric(upper) / inflated,
-                                       noise_in_information(m, cam2_from_cam1, at, inflated));
+  Matrix5 errors =
+      errors_in_variables(symmetric(upper) / inflated,
+                          noise_of_derivatives(m, residual, cam2_from_cam1, at.weights, inflated));
   if (shared_error > 0.0 || result.clustering > kSuspicious) {
     errors += shared_error_covariance(m, cam2_from_cam1, at, std::sqrt(inflated), shared_error);
   }

@@ -51,16 +51,8 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const std::vector<double>& residuals, const PosePrior& prior,
                              double shared_error);
 
-// Inverse of an information matrix; a direction that it does not determine gets the standard
-// deviation of knowing nothing, never an infinite or a negative variance.
-Matrix5 bounded_inverse(const Matrix5& information);
-
-// The same of a rotation alone: NaN where the translation would be.
+// The same of a rotation alone, NaN where the translation would be.
 Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,
                                  const std::vector<double>& residuals);
-
-// Standard deviations of the bearings' noise, per axis and view, that one of the residuals stands
-// for: the one-sided ones see the noise of both views at once.
-double noise_per_residual(Residual residual);
 
 }  // namespace epi360

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "core/robust/covariance.h"
+#include "core/robust/derivative_noise.h"
 #include "core/robust/evidence.h"
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"

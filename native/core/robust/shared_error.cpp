@@ -7,6 +7,7 @@
 #include "core/constants.h"
 #include "core/multiversion.h"
 #include "core/robust/covariance.h"
+#include "core/robust/derivative_noise.h"
 #include "core/vector_exp.h"
 
 namespace epi360 {

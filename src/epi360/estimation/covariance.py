@@ -6,8 +6,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.epipolar.residuals import residual_jacobians, tangent_basis
 from epi360.estimation.refinement_reference import loss_terms
 from epi360.estimation.weights import WeightModel
+from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -87,6 +89,64 @@ def reweighting_influence(
     psi, slopes = np.zeros_like(residuals), np.zeros_like(residuals)
     psi[used], slopes[used] = model.weights * residuals[used], model.slopes
     return psi, slopes
+
+
+# Noise of the bearings, per axis and view, over that of a residual which sees both views' noise.
+ONE_SIDED = {"paper": 0.5**0.5, "angular": 0.5**0.5}
+FREE_RAD = np.radians(60.0)  # standard deviation of an angle of which nothing is known
+STEP_RAD = 1e-5  # of a bearing, in numeric derivatives
+
+
+def errors_in_variables(
+    cam2_from_cam1: Pose, bearings1: Array, bearings2: Array, scale: float, residual: str = "sampson"
+) -> Array:
+    """Return the covariance (5, 5) of a pose that allows for the noise of its own derivatives.
+
+    Parameters
+    ----------
+    cam2_from_cam1 : Pose
+        With a unit translation.
+    bearings1, bearings2 : ndarray, shape (N, 3)
+        Unit bearings of the inliers.
+    scale : float
+        Standard deviation of the residuals, in radians.
+    residual : str
+        As `residual_jacobians` knows it.
+
+    Notes
+    -----
+    J^T J / scale^2 = A + N, where N is what the noise of the bearings adds to it: of each match
+    D D^T, with the derivatives D of its J by both bearings along two axes each, but no more than is
+    there. The covariance is A^-1 + A^-1 N A^-1 (Fuller, "Measurement Error Models", 1987, section
+    2.2). N is a sum of squares and scatters; in A^-1 it is taken one standard deviation larger.
+    """
+    J = residual_jacobians(cam2_from_cam1, bearings1, bearings2, residual)
+    moved = []
+    for view in (0, 1):
+        axes = np.stack([tangent_basis(b) for b in (bearings1, bearings2)[view]])
+        for axis in (0, 1):
+            ends = []
+            for step in (STEP_RAD, -STEP_RAD):
+                both = [bearings1, bearings2]
+                there = both[view] + step * axes[:, :, axis]
+                both[view] = there / np.linalg.norm(there, axis=1, keepdims=True)
+                ends.append(residual_jacobians(cam2_from_cam1, *both, residual))
+            moved.append((ends[0] - ends[1]) / (2.0 * STEP_RAD))
+    D = np.stack(moved, axis=1) * ONE_SIDED.get(residual, 1.0)  # (N, 4, 5)
+    added = scale**2 * np.sum(D**2, axis=(1, 2))
+    D *= np.sqrt(np.minimum(np.sum(J**2, axis=1) / added, 1.0))[:, None, None]
+    N = np.einsum("nki,nkj->ij", D, D)
+    traces = np.sum(D**2, axis=(1, 2))
+    deviation = np.sqrt(2.0 * np.sum(traces**2)) / traces.sum()
+    inverse = bounded_inverse(J.T @ J / scale**2 - (1.0 + deviation) * N)
+    variances, axes = np.linalg.eigh(inverse + inverse @ N @ inverse)
+    return np.asarray((axes * np.minimum(variances, FREE_RAD**2)) @ axes.T)
+
+
+def bounded_inverse(information: Array) -> Array:
+    """Inverse of an information matrix; what it does not determine has the variance of 60 deg."""
+    values, axes = np.linalg.eigh(information)
+    return np.asarray((axes / np.maximum(values, FREE_RAD**-2)) @ axes.T)
 
 
 SHARED_ERROR_REACH_RAD = np.radians(45.0)  # as a chord: there the correlation has fallen to 1 / e
