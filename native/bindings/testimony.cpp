@@ -72,8 +72,9 @@ void bind_testimony(nb::module_& m) {
         accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(),
                                     at.weights.data(), upper, gradient);
         const double variance = scale * scale;
-        return rows_of(errors_in_variables(symmetric(upper) / variance,
-                                           noise_of_derivatives(m, kind, pose, at.weights, variance)));
+        return rows_of(
+            errors_in_variables(symmetric(upper) / variance,
+                                noise_of_derivatives(m, kind, pose, at.weights, variance)));
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a,
       "residual"_a = "sampson");

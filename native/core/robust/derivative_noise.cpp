@@ -67,8 +67,8 @@ SecondDerivatives second_derivatives(const RelativePose& pose, const Basis& basi
     const Eigen::Vector3d da = moves.a.col(k), db = moves.b.col(k), dbt = db.cross(t);
     result.D.col(k) = by_pose(da.cross(bt), da.cross(b)) -
                       of_b.dot(t.cross(da)) / squared * C_by_pose - C_by_a[k] * g_by_pose;
-    result.D.col(2 + k) = by_pose(a.cross(dbt), a.cross(db)) -
-                          of_a.dot(dbt) / squared * C_by_pose - C_by_b[k] * g_by_pose;
+    result.D.col(2 + k) = by_pose(a.cross(dbt), a.cross(db)) - of_a.dot(dbt) / squared * C_by_pose -
+                          C_by_b[k] * g_by_pose;
   }
   result.D /= std::sqrt(squared);
   result.squared_jacobian = C_by_pose.squaredNorm() / squared;

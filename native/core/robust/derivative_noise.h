@@ -18,8 +18,8 @@ struct DerivativeNoise {
 };
 
 // With the derivatives D of J by what is noisy in both views (pixels, or bearings along two axes)
-// the noise adds the sum of w D D^T, for it has the variance that J^T W J is divided by. To no match
-// it adds more than is there: at an epipole D has no limit.
+// the noise adds the sum of w D D^T, for it has the variance that J^T W J is divided by. To no
+// match it adds more than is there: at an epipole D has no limit.
 //
 // weights: w of the matches; variance: of their residuals.
 DerivativeNoise noise_of_derivatives(const Matches& m, Residual residual,

@@ -20,8 +20,8 @@ namespace epi360 {
 // u are the gradients of the residual by the two bearings, scaled to |u1|^2 + |u2|^2 = 1. tau^2 is
 // estimated by the method of moments from r^T K r of the residuals left by the fit, the matches of
 // one cell together, and counts if it is significant; at least (least * scale)^2 is assumed, as the
-// longest waves of the field are those that the fit takes for motion and hides. Matches in few cells
-// show nothing of the field: then the least is all.
+// longest waves of the field are those that the fit takes for motion and hides. Matches in few
+// cells show nothing of the field: then the least is all.
 //
 // at: residuals and Jacobians at the pose, weights zero for matches that do not count.
 Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_cam1,
