@@ -13,8 +13,8 @@
 namespace epi360 {
 namespace {
 
-// Clustering above which a shared error is looked for; independent errors give 1.1 at most.
-constexpr double kSuspicious = 1.15;
+// Clustering above which a shared error is looked for: one in forty sets of independent errors.
+constexpr double kSuspicious = 1.3;
 
 // Of so many inliers, after five parameters were fitted to them.
 double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }

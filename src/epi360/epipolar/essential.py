@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The essential matrix, the four poses in it, and the depths of matches along their rays."""
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,11 +21,11 @@ def skew(vector: ArrayLike) -> Array:
 def essential_from_pose(cam2_from_cam1: Pose) -> Array:
     """Return E = [t]x R with t scaled to unit length (paper eq. 3); NaN if t is zero."""
     t = checked_pose(cam2_from_cam1).translation
-    largest = float(np.abs(t).max())
+    largest = max(map(abs, t.tolist()))
     if not largest > 0.0:
         return np.full((3, 3), np.nan)
     t = t / largest  # so that squares neither overflow nor vanish
-    return skew(t / np.linalg.norm(t)) @ cam2_from_cam1.rotation
+    return skew(t / math.hypot(*t.tolist())) @ cam2_from_cam1.rotation
 
 
 def project_to_essential(E: ArrayLike) -> Array:
