@@ -67,14 +67,8 @@ void bind_testimony(nb::module_& m) {
         const Matches m = to_matches(b1, b2);
         const RelativePose pose = to_pose(R, t);
         const Residual kind = residual_named(residual);
-        const Linearisation at = linearised(m, pose, kind);
-        double upper[15], gradient[5];
-        accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(),
-                                    at.weights.data(), upper, gradient);
-        const double variance = scale * scale;
-        return rows_of(
-            errors_in_variables(symmetric(upper) / variance,
-                                noise_of_derivatives(m, kind, pose, at.weights, variance)));
+        return rows_of(errors_in_variables(
+            noisy_information(m, kind, pose, linearised(m, pose, kind), scale * scale)));
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a,
       "residual"_a = "sampson");

@@ -90,15 +90,12 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   result.clustering = std::max(1.0, solve_symmetric(symmetric(upper), clustered).trace() / 5.0);
 
   for (std::size_t i = 0; i < m.size; ++i) at.weights[i] = inlier[i] * m.weight[i] * trusts[i];
-  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
-                              upper, gradient);
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =
       std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
   Matrix5 errors =
-      errors_in_variables(symmetric(upper) / inflated,
-                          noise_of_derivatives(m, residual, cam2_from_cam1, at.weights, inflated));
+      errors_in_variables(noisy_information(m, residual, cam2_from_cam1, at, inflated));
   if (shared_error > 0.0 || result.clustering > kSuspicious) {
     errors += shared_error_covariance(m, cam2_from_cam1, at, std::sqrt(inflated), shared_error);
   }

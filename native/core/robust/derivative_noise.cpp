@@ -13,74 +13,51 @@ namespace epi360 {
 namespace {
 
 constexpr double kFreeSigma = 60.0 * kDegree;  // of an angle of which nothing is known
-constexpr std::size_t kMost = 512;             // matches that tell the noise: more are thinned out
-
-// Some of the matches that have a weight, evenly over all; and how many times their weights all
-// weigh.
-struct Told {
-  Matches matches;
-  double times = 1.0;
-};
-
-Told thinned(const Matches& m, const std::vector<double>& weights) {
-  std::vector<std::size_t> counted, chosen;
-  double total = 0.0, kept = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (!(weights[i] > 0.0)) continue;
-    counted.push_back(i);
-    total += weights[i];
-  }
-  const std::size_t step = std::max<std::size_t>(1, (counted.size() + kMost - 1) / kMost);
-  for (std::size_t row = 0; row < counted.size(); row += step) chosen.push_back(counted[row]);
-  Told told{chosen_matches(m, chosen)};
-  for (std::size_t k = 0; k < chosen.size(); ++k) {
-    told.matches.weight[k] = weights[chosen[k]];
-    kept += weights[chosen[k]];
-  }
-  if (kept > 0.0) told.times = total / kept;
-  return told;
-}
+// Share of a match's information that is noise, at which half of it counts.
+constexpr double kHalfTrusted = 1.0 / 20.0;
 
 }  // namespace
 
-DerivativeNoise noise_of_derivatives(const Matches& m, Residual residual,
-                                     const RelativePose& cam2_from_cam1,
-                                     const std::vector<double>& weights, double variance) {
+NoisyInformation noisy_information(const Matches& m, Residual residual,
+                                   const RelativePose& cam2_from_cam1, const Linearisation& at,
+                                   double variance) {
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(cam2_from_cam1.t);
   const double per_residual = noise_per_residual(residual) * noise_per_residual(residual);
-  Told told = thinned(m, weights);
-  std::vector<double>& weight = told.matches.weight;
-  const std::size_t padded = told.matches.padded;
-  std::vector<double> D(5 * kMoves * padded), there(padded), added(padded, 1e-300);
-  compute_second_derivatives(told.matches, residual, plain(cam2_from_cam1), basis.data(), D.data(),
+  std::vector<double> D(5 * kMoves * m.padded), there(m.padded), added(m.padded, 0.0);
+  compute_second_derivatives(m, residual, plain(cam2_from_cam1), basis.data(), D.data(),
                              there.data());
   for (std::size_t k = 0; k < 5 * kMoves; ++k) {
-    for (std::size_t i = 0; i < padded; ++i) added[i] += D[k * padded + i] * D[k * padded + i];
+    const double* row = D.data() + k * m.padded;
+    for (std::size_t i = 0; i < m.padded; ++i) added[i] += row[i] * row[i];
   }
-  DerivativeNoise noise{Matrix5::Zero(), 0.0};
-  double sum = 0.0, squares = 0.0;  // of traces
-  for (std::size_t i = 0; i < told.matches.size; ++i) {
-    weight[i] *= std::min(there[i] / (per_residual * variance * added[i]), 1.0);
-    const double trace = weight[i] * added[i];
-    sum += trace;
-    squares += trace * trace;
+  std::vector<double> weights(m.padded, 0.0);
+  double sum = 0.0, squares = 0.0;  // of what each match adds
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(at.weights[i] > 0.0)) continue;
+    const double share = per_residual * variance * added[i] / std::max(there[i], 1e-300);
+    weights[i] = at.weights[i] / (1.0 + share / kHalfTrusted);
+    sum += weights[i] * added[i];
+    squares += std::pow(weights[i] * added[i], 2);
   }
-  if (!(sum > 0.0)) return noise;
+  NoisyInformation information{Matrix5::Zero(), Matrix5::Zero(), 0.0};
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), weights.data(),
+                              upper, gradient);
+  information.total = symmetric(upper) / variance;
   for (std::size_t move = 0; move < kMoves; ++move) {
-    double upper[15], gradient[5];
-    accumulate_normal_equations(padded, D.data() + 5 * move * padded, there.data(), weight.data(),
-                                upper, gradient);
-    noise.information += symmetric(upper);
+    accumulate_normal_equations(m.padded, D.data() + 5 * move * m.padded, at.residuals.data(),
+                                weights.data(), upper, gradient);
+    information.noise += per_residual * symmetric(upper);
   }
-  noise.information *= per_residual * told.times;
-  noise.deviation = std::sqrt(2.0 * squares) / sum;
-  return noise;
+  if (sum > 0.0) information.deviation = std::sqrt(2.0 * squares) / sum;
+  return information;
 }
 
-Matrix5 errors_in_variables(const Matrix5& information, const DerivativeNoise& noise) {
+Matrix5 errors_in_variables(const NoisyInformation& information) {
+  const Matrix5& noise = information.noise;
   const Matrix5 without =
-      bounded_inverse(information - (1.0 + noise.deviation) * noise.information);
-  const Matrix5 covariance = without + without * noise.information * without;
+      bounded_inverse(information.total - (1.0 + information.deviation) * noise);
+  const Matrix5 covariance = without + without * noise * without;
   if (!covariance.allFinite()) return without;
   const Matrix5 axes = symmetric_eigenvectors(covariance);
   Vector5 variances;

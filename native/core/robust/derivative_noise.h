@@ -3,34 +3,34 @@
 // of one point seem to lie in different directions, and matches without parallax seem to have some.
 #pragma once
 
-#include <vector>
-
 #include "core/matches.h"
 #include "core/pose.h"
+#include "core/refinement/refine.h"
 #include "core/residuals/residuals.h"
 #include "core/solvers/dense.h"
 
 namespace epi360 {
 
-struct DerivativeNoise {
-  Matrix5 information;  // that the noise adds to J^T W J / variance
-  double deviation;     // of that, as a share of it: squares of Gaussian numbers scatter
+struct NoisyInformation {
+  Matrix5 total;     // J^T W J / variance, with what noise adds to it
+  Matrix5 noise;     // that
+  double deviation;  // of the noise, as a share of it: squares of Gaussian numbers scatter
 };
 
 // With the derivatives D of J by what is noisy in both views (pixels, or bearings along two axes)
-// the noise adds the sum of w D D^T, for it has the variance that J^T W J is divided by. To no
-// match it adds more than is there: at an epipole D has no limit.
+// the noise adds the sum of w D D^T, for it has the variance that J^T W J is divided by. A match of
+// which it makes up much, as near an epipole, counts less.
 //
-// weights: w of the matches; variance: of their residuals.
-DerivativeNoise noise_of_derivatives(const Matches& m, Residual residual,
-                                     const RelativePose& cam2_from_cam1,
-                                     const std::vector<double>& weights, double variance);
+// at: Jacobians at the pose, and the matches' weights; variance: of their residuals.
+NoisyInformation noisy_information(const Matches& m, Residual residual,
+                                   const RelativePose& cam2_from_cam1, const Linearisation& at,
+                                   double variance);
 
 // Covariance A^-1 + A^-1 N A^-1 of what J^T W J / variance = A + N determines, where N is the noise
 // of the derivatives: errors in variables (Fuller 1987, section 2.2). The second term counts where
 // the parallax is not large against the noise. In A^-1 the noise is taken to have added one
 // standard deviation more than usual.
-Matrix5 errors_in_variables(const Matrix5& information, const DerivativeNoise& noise);
+Matrix5 errors_in_variables(const NoisyInformation& information);
 
 // Inverse of an information matrix; a direction that it does not determine gets the standard
 // deviation of knowing nothing, never an infinite or a negative variance.

@@ -93,6 +93,7 @@ def reweighting_influence(
 
 # Noise of the bearings, per axis and view, over that of a residual which sees both views' noise.
 ONE_SIDED = {"paper": 0.5**0.5, "angular": 0.5**0.5}
+HALF_TRUSTED = 0.05  # share of a match's information that is noise, at which half of it counts
 FREE_RAD = np.radians(60.0)  # standard deviation of an angle of which nothing is known
 STEP_RAD = 1e-5  # of a bearing, in numeric derivatives
 
@@ -115,10 +116,11 @@ def errors_in_variables(
 
     Notes
     -----
-    J^T J / scale^2 = A + N, where N is what the noise of the bearings adds to it: of each match
-    D D^T, with the derivatives D of its J by both bearings along two axes each, but no more than is
-    there. The covariance is A^-1 + A^-1 N A^-1 (Fuller, "Measurement Error Models", 1987, section
-    2.2). N is a sum of squares and scatters; in A^-1 it is taken one standard deviation larger.
+    J^T W J / scale^2 = A + N, where N is what the noise of the bearings adds to it: of each match
+    w D D^T, with the derivatives D of its J by both bearings along two axes each. Matches of which
+    it makes up much, as near an epipole, have less weight. The covariance is A^-1 + A^-1 N A^-1
+    (Fuller, "Measurement Error Models", 1987, section 2.2). N is a sum of squares and scatters; in
+    A^-1 it is taken one standard deviation larger.
     """
     J = residual_jacobians(cam2_from_cam1, bearings1, bearings2, residual)
     moved = []
@@ -133,12 +135,12 @@ def errors_in_variables(
                 ends.append(residual_jacobians(cam2_from_cam1, *both, residual))
             moved.append((ends[0] - ends[1]) / (2.0 * STEP_RAD))
     D = np.stack(moved, axis=1) * ONE_SIDED.get(residual, 1.0)  # (N, 4, 5)
-    added = scale**2 * np.sum(D**2, axis=(1, 2))
-    D *= np.sqrt(np.minimum(np.sum(J**2, axis=1) / added, 1.0))[:, None, None]
-    N = np.einsum("nki,nkj->ij", D, D)
-    traces = np.sum(D**2, axis=(1, 2))
-    deviation = np.sqrt(2.0 * np.sum(traces**2)) / traces.sum()
-    inverse = bounded_inverse(J.T @ J / scale**2 - (1.0 + deviation) * N)
+    added = np.sum(D**2, axis=(1, 2))
+    noisy_share = scale**2 * added / np.sum(J**2, axis=1)
+    weights = 1.0 / (1.0 + noisy_share / HALF_TRUSTED)
+    N = np.einsum("n,nki,nkj->ij", weights, D, D)
+    deviation = np.sqrt(2.0 * np.sum((weights * added) ** 2)) / np.sum(weights * added)
+    inverse = bounded_inverse((J.T * weights) @ J / scale**2 - (1.0 + deviation) * N)
     variances, axes = np.linalg.eigh(inverse + inverse @ N @ inverse)
     return np.asarray((axes * np.minimum(variances, FREE_RAD**2)) @ axes.T)
 
