@@ -15,7 +15,7 @@ from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360.synthetic.landmarks import rotation_from_heading
-from epi360_scenes.home import Home, twin_home
+from epi360_scenes.home import twin_home
 from epi360_scenes.room import Room, demo_poses, furnished_room
 
 Picture = NDArray[np.uint8]
@@ -97,7 +97,7 @@ def _room_views(name: str) -> tuple[tuple[Picture, Picture], Pose | None]:
 
 
 def _home_views(name: str) -> tuple[tuple[Picture, Picture], None]:
-    home = _home()
+    home = twin_home(_HOME_SEED)
     rooms = {room.name: room for room in home.rooms}
     pictures = []
     for room in (rooms[each] for each in _ROOMS_OF_HOME[name]):
@@ -107,11 +107,6 @@ def _home_views(name: str) -> tuple[tuple[Picture, Picture], None]:
         seen = home.seen_from(place).render(PANORAMA, Pose(heading, place))
         pictures.append(seen.image)
     return (pictures[0], pictures[1]), None
-
-
-@cache
-def _home() -> Home:
-    return twin_home(_HOME_SEED)
 
 
 @cache

@@ -4,6 +4,7 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -148,6 +149,7 @@ def sphere_directions(num: int) -> NDArray[np.float64]:
     return np.stack([radius * np.cos(azimuth), y, radius * np.sin(azimuth)], axis=1)
 
 
+@lru_cache(maxsize=1)
 def twin_home(seed: int) -> Home:
     """Home of eight furnished rooms along a corridor, with two kinds of twin rooms.
 
@@ -164,7 +166,8 @@ def twin_home(seed: int) -> Home:
     -----
     Two bedrooms are twins (equal but for pictures, bedspread and what lies about), a third has the
     same pieces with left and right exchanged, and two studies are twins. Doors, windows with
-    their blinds and most floors are the same everywhere.
+    their blinds and most floors are the same everywhere. It takes some six seconds, and the last
+    home is kept: do not change it.
     """
     plan = plan_home(np.random.Generator(np.random.PCG64([seed, 0])))
     parts = [_shell(plan), *(_furnished(room, number, seed) for number, room in enumerate(plan))]

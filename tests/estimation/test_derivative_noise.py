@@ -62,9 +62,7 @@ def test_pixels_of_one_size_are_as_noisy_as_bearings():
         np.stack([tangent_basis(b) for b in view]) for view in (scene.bearings1, scene.bearings2)
     ]
     bearings, pixels = (
-        estimate_relative_pose(
-            scene.bearings1, scene.bearings2, residual=name, **more
-        ).covariance
+        estimate_relative_pose(scene.bearings1, scene.bearings2, residual=name, **more).covariance
         for name, more in (
             ("sampson", {}),
             ("tangent_sampson", {"jacobians1": jacobians[0], "jacobians2": jacobians[1]}),

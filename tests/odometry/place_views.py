@@ -20,14 +20,9 @@ FIRST_VISIT = [(0.0, 0.0), (0.2, 0.1), (0.35, 0.25)]
 SECOND_VISIT = [(0.3, -0.1), (0.15, 0.1), (0.0, 0.25)]
 
 
-@cache
-def _home():
-    return twin_home(0)
-
-
 def twin_bedrooms():
     """Two rooms with the same arrangement."""
-    rooms = [room for room in _home().rooms if room.kind == "bedroom"]
+    rooms = [room for room in twin_home(0).rooms if room.kind == "bedroom"]
     sides = [room.side for room in rooms]
     twin = next(s for s in sides if sides.count(s) > 1)
     return [room for room in rooms if room.side == twin][:2]
@@ -41,7 +36,7 @@ def _free_place():
     least = np.full(len(spots), np.inf)
     for room in twin_bedrooms():
         world = np.array([room.place.to_world(spot) for spot in spots])
-        least = np.minimum(least, _home().solids.distances(world))
+        least = np.minimum(least, twin_home(0).solids.distances(world))
     return spots[int(np.argmax(least))]
 
 
@@ -58,7 +53,7 @@ def visit(number, offsets, heading):
     views = []
     for offset in offsets:
         pose = _world_from_cam(room, offset, heading)
-        image = _home().seen_from(pose.translation).render(CAMERA, pose, supersample=1).image
+        image = twin_home(0).seen_from(pose.translation).render(CAMERA, pose, supersample=1).image
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         views.append((pose.inverse(), extract_binary_features(grey, CAMERA)))
     return views

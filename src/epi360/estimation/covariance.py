@@ -99,7 +99,11 @@ STEP_RAD = 1e-5  # of a bearing, in numeric derivatives
 
 
 def errors_in_variables(
-    cam2_from_cam1: Pose, bearings1: Array, bearings2: Array, scale: float, residual: str = "sampson"
+    cam2_from_cam1: Pose,
+    bearings1: Array,
+    bearings2: Array,
+    scale: float,
+    residual: str = "sampson",
 ) -> Array:
     """Return the covariance (5, 5) of a pose that allows for the noise of its own derivatives.
 
@@ -123,18 +127,7 @@ def errors_in_variables(
     A^-1 it is taken one standard deviation larger.
     """
     J = residual_jacobians(cam2_from_cam1, bearings1, bearings2, residual)
-    moved = []
-    for view in (0, 1):
-        axes = np.stack([tangent_basis(b) for b in (bearings1, bearings2)[view]])
-        for axis in (0, 1):
-            ends = []
-            for step in (STEP_RAD, -STEP_RAD):
-                both = [bearings1, bearings2]
-                there = both[view] + step * axes[:, :, axis]
-                both[view] = there / np.linalg.norm(there, axis=1, keepdims=True)
-                ends.append(residual_jacobians(cam2_from_cam1, *both, residual))
-            moved.append((ends[0] - ends[1]) / (2.0 * STEP_RAD))
-    D = np.stack(moved, axis=1) * ONE_SIDED.get(residual, 1.0)  # (N, 4, 5)
+    D = _by_bearings(cam2_from_cam1, bearings1, bearings2, residual) * ONE_SIDED.get(residual, 1.0)
     added = np.sum(D**2, axis=(1, 2))
     noisy_share = scale**2 * added / np.sum(J**2, axis=1)
     weights = 1.0 / (1.0 + noisy_share / HALF_TRUSTED)
@@ -143,6 +136,22 @@ def errors_in_variables(
     inverse = bounded_inverse((J.T * weights) @ J / scale**2 - (1.0 + deviation) * N)
     variances, axes = np.linalg.eigh(inverse + inverse @ N @ inverse)
     return np.asarray((axes * np.minimum(variances, FREE_RAD**2)) @ axes.T)
+
+
+def _by_bearings(pose: Pose, bearings1: Array, bearings2: Array, residual: str) -> Array:
+    """Derivatives (N, 4, 5) of J by bearings that move along two axes in either view."""
+
+    def jacobians(moved1: Array, moved2: Array) -> Array:
+        b1, b2 = bearings1 + moved1, bearings2 + moved2
+        b1, b2 = (b / np.linalg.norm(b, axis=1, keepdims=True) for b in (b1, b2))
+        return residual_jacobians(pose, b1, b2, residual)
+
+    axes1, axes2 = (np.stack(list(map(tangent_basis, view))) for view in (bearings1, bearings2))
+    still = np.zeros_like(bearings1)
+    moves = [(STEP_RAD * axes1[:, :, k], still) for k in (0, 1)]
+    moves += [(still, STEP_RAD * axes2[:, :, k]) for k in (0, 1)]
+    differences = [jacobians(*move) - jacobians(-move[0], -move[1]) for move in moves]
+    return np.stack(differences, axis=1) / (2.0 * STEP_RAD)
 
 
 def bounded_inverse(information: Array) -> Array:

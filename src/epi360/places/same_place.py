@@ -38,8 +38,8 @@ _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 8.0, -4.0
-# In photographed homes less grows than in rendered ones, so this never speaks for another place; nor
-# for a copy in the open, where what drives along looks like what other owners have put there.
+# In photographed homes less grows than in rendered ones, so this never speaks for another place;
+# nor for a copy in the open, where what drives along looks like what other owners have put there.
 _LEAST_IN_FOLDER = 0.0
 
 # Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
@@ -116,9 +116,7 @@ def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> Own
     over_copies = own.over_copies
     if own.in_the_open and folder_in_the_open:
         over_copies = max(over_copies + _MORE_IN_THE_OPEN, _LEAST_IN_FOLDER)
-    return replace(
-        own, over_others=max(own.over_others, _LEAST_IN_FOLDER), over_copies=over_copies
-    )
+    return replace(own, over_others=max(own.over_others, _LEAST_IN_FOLDER), over_copies=over_copies)
 
 
 def _refused(result: ImagePairResult) -> ImagePairResult:
