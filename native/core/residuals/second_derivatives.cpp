@@ -25,9 +25,14 @@ EPI360_INLINE void set_axes(const Vec3& across, const Vec3& bearing, Vec3* axes)
 // moves (by those of b alone in one-sided residuals). So dJ = (dC' - C' dg / g - dC g' / g) / g
 // where C is zero, with a prime for the derivative by the pose: C' = a x (b x t) by w and a x b by
 // t.
+struct Row {
+  Vec3 by_w[kMoves];
+  double by_d1[kMoves], by_d2[kMoves], squared_jacobian;
+};
+
 template <bool has_pixels, bool one_sided>
-EPI360_INLINE double second_derivatives(const Matches& m, const PlainPose& p, const double* B,
-                                        std::size_t i, double* D) {
+EPI360_INLINE Row second_derivatives(const Matches& m, const PlainPose& p, const double* B,
+                                     std::size_t i) {
   const Vec3 t{p.t[0], p.t[1], p.t[2]};
   const Vec3 a = product(p.R, bearing1(m, i)), b = bearing2(m, i);
   const Vec3 bt = cross(b, t), ta = cross(t, a);
@@ -51,24 +56,26 @@ EPI360_INLINE double second_derivatives(const Matches& m, const PlainPose& p, co
   const Vec3 Cw = cross(a, bt), Ct = cross(a, b);
   const Vec3 gw = inverse * add_cross(cross(of_a, bt), a, cross(of_b, t));  // g' / g
   const Vec3 gt = inverse * add_cross(cross(of_a, b), a, of_b);
+  const auto along1 = [&](const Vec3& v)
+                          EPI360_INLINE_LAMBDA { return B[0] * v.x + B[2] * v.y + B[4] * v.z; };
+  const auto along2 = [&](const Vec3& v)
+                          EPI360_INLINE_LAMBDA { return B[1] * v.x + B[3] * v.y + B[5] * v.z; };
+  Row row;
   const auto set = [&](std::size_t k, const Vec3& dCw, const Vec3& dCt, double dg, double dC)
                        EPI360_INLINE_LAMBDA {
-                         const Vec3 w = by_g * (dCw - combination(dg, Cw, dC, gw));
+                         row.by_w[k] = by_g * (dCw - combination(dg, Cw, dC, gw));
                          const Vec3 by_t = by_g * (dCt - combination(dg, Ct, dC, gt));
-                         D[5 * k] = w.x;
-                         D[5 * k + 1] = w.y;
-                         D[5 * k + 2] = w.z;
-                         D[5 * k + 3] = B[0] * by_t.x + B[2] * by_t.y + B[4] * by_t.z;
-                         D[5 * k + 4] = B[1] * by_t.x + B[3] * by_t.y + B[5] * by_t.z;
+                         row.by_d1[k] = along1(by_t);
+                         row.by_d2[k] = along2(by_t);
                        };
   set(0, cross(move[0], bt), cross(move[0], b), inverse * dot(of_b, cross(t, move[0])), C1);
   set(1, cross(move[1], bt), cross(move[1], b), inverse * dot(of_b, cross(t, move[1])), C2);
   const Vec3 bt3 = cross(move[2], t), bt4 = cross(move[3], t);
   set(2, cross(a, bt3), cross(a, move[2]), inverse * dot(of_a, bt3), C3);
   set(3, cross(a, bt4), cross(a, move[3]), inverse * dot(of_a, bt4), C4);
-  const double by_d1 = B[0] * Ct.x + B[2] * Ct.y + B[4] * Ct.z;
-  const double by_d2 = B[1] * Ct.x + B[3] * Ct.y + B[5] * Ct.z;
-  return inverse * (dot(Cw, Cw) + by_d1 * by_d1 + by_d2 * by_d2);
+  const double d1 = along1(Ct), d2 = along2(Ct);
+  row.squared_jacobian = inverse * (dot(Cw, Cw) + d1 * d1 + d2 * d2);
+  return row;
 }
 
 template <bool has_pixels, bool one_sided>
@@ -76,17 +83,24 @@ EPI360_INLINE void loop(const Matches& m, const PlainPose& pose, const double* b
                         double* derivatives, double* squared_jacobian) {
   const PlainPose p = pose;
   const double B[6] = {basis[0], basis[1], basis[2], basis[3], basis[4], basis[5]};
-  double squares[kBlock], D[5 * kMoves][kBlock];
+  double squares[kBlock], D[kMoves][5][kBlock];
   for (std::size_t start = 0; start < m.padded; start += kBlock) {
     for (std::size_t j = 0; j < kBlock; ++j) {
-      double row[5 * kMoves];
-      squares[j] = second_derivatives<has_pixels, one_sided>(m, p, B, start + j, row);
+      const Row row = second_derivatives<has_pixels, one_sided>(m, p, B, start + j);
+      squares[j] = row.squared_jacobian;
       EPI360_UNROLL
-      for (std::size_t k = 0; k < 5 * kMoves; ++k) D[k][j] = row[k];
+      for (std::size_t k = 0; k < kMoves; ++k) {
+        D[k][0][j] = row.by_w[k].x;
+        D[k][1][j] = row.by_w[k].y;
+        D[k][2][j] = row.by_w[k].z;
+        D[k][3][j] = row.by_d1[k];
+        D[k][4][j] = row.by_d2[k];
+      }
     }
     std::copy(squares, squares + kBlock, squared_jacobian + start);
     for (std::size_t k = 0; k < 5 * kMoves; ++k) {
-      std::copy(D[k], D[k] + kBlock, derivatives + k * m.padded + start);
+      const double* column = D[k / 5][k % 5];
+      std::copy(column, column + kBlock, derivatives + k * m.padded + start);
     }
   }
 }
