@@ -56,6 +56,18 @@ def test_noise_in_the_derivatives_never_makes_a_pose_surer(seed, layout):
     assert np.linalg.eigvalsh(more).min() > -1e-9
 
 
+def test_a_match_at_one_epipole_takes_nothing_off():
+    """Its residual is zero whatever it is matched with, and its derivatives have no limit."""
+    scene = scene_of("room", 0)
+    pose = unit(scene.cam2_from_cam1)
+    epipole = pose.rotation.T @ pose.translation
+    without = core_covariance(scene, pose)
+    b1 = np.vstack([scene.bearings1, epipole])
+    b2 = np.vstack([scene.bearings2, [[0.0, 0.6, 0.8]]])
+    entries = internals.errors_in_variables(b1, b2, pose.rotation, pose.translation, SCALE)
+    assert np.trace(entries.reshape(5, 5)) == pytest.approx(np.trace(without), rel=0.1)
+
+
 def test_pixels_of_one_size_are_as_noisy_as_bearings():
     scene = two_view_scene(0, num_matches=200, noise_deg=1.0, noise_in_both_views=True)
     jacobians = [

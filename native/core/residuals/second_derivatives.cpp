@@ -15,16 +15,19 @@ constexpr double kLeast = 1e-20;  // squared denominator, at an epipole
 
 EPI360_INLINE double at_least(double squared) { return squared > kLeast ? squared : kLeast; }
 
-// Two unit vectors across a bearing, the first of which is across the epipolar plane.
-EPI360_INLINE void set_axes(const Vec3& across, const Vec3& bearing, Vec3* axes) {
-  axes[0] = 1.0 / std::sqrt(at_least(dot(across, across))) * across;
+// Two unit vectors across a bearing. Which ones does not matter, as all that is made of them is
+// summed over both; the first is across the x or the y axis, whichever is not near.
+EPI360_INLINE void set_axes(const Vec3& bearing, Vec3* axes) {
+  const double x = std::abs(bearing.x) < 0.6 ? 1.0 : 0.0, y = 1.0 - x;
+  const Vec3 across{y * bearing.z, -x * bearing.z, x * bearing.y - y * bearing.x};
+  axes[0] = 1.0 / std::sqrt(dot(across, across)) * across;
   axes[1] = cross(axes[0], bearing);
 }
 
 // The residual is C / g with C = t . (a x b), a = R b1, b = b2, and the gradient g of C by the
-// moves (by those of b alone in one-sided residuals). So dJ = (dC' - C' dg / g - dC g' / g) / g
-// where C is zero, with a prime for the derivative by the pose: C' = a x (b x t) by w and a x b by
-// t.
+// moves (by those of b alone in one-sided residuals). Where C is zero, so that J = C' / g, it is
+// dJ = (dC' - C' dg / g - dC g' / g) / g, with a prime for the derivative by the pose:
+// C' = a x (b x t) by w and a x b by t.
 struct Row {
   Vec3 by_w[kMoves];
   double by_d1[kMoves], by_d2[kMoves], squared_jacobian;
@@ -43,8 +46,8 @@ EPI360_INLINE Row second_derivatives(const Matches& m, const PlainPose& p, const
     move[2] = {m.u2x[i], m.u2y[i], m.u2z[i]};
     move[3] = {m.v2x[i], m.v2y[i], m.v2z[i]};
   } else {
-    set_axes(ta, a, move);
-    set_axes(bt, b, move + 2);
+    set_axes(a, move);
+    set_axes(b, move + 2);
   }
   const double part = one_sided ? 0.0 : 1.0;
   const double C1 = dot(move[0], bt), C2 = dot(move[1], bt);  // C by the moves
