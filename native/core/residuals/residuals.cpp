@@ -7,15 +7,13 @@
 
 #include "core/block_sum.h"
 #include "core/multiversion.h"
+#include "core/residuals/denominator.h"
 #include "core/vector3.h"
 
 namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-// Least squared denominator: at an epipole residual and Jacobian stay finite, and their product
-// with a weight of zero is zero.
-constexpr double kLeast = 1e-20;
 
 // All residuals are C / sqrt(D) with C = t . (a x b), a = R b1, b = b2:
 //   paper, signed sine (eq. 13)       D = |t x a|^2
@@ -36,8 +34,6 @@ EPI360_INLINE Geometry geometry_of(const Matches& m, const PlainPose& p, std::si
 }
 
 EPI360_INLINE double lesser(double a, double b) { return a < b ? a : b; }
-
-EPI360_INLINE double at_least(double squared) { return squared > kLeast ? squared : kLeast; }
 
 // The smaller of two numbers with the signs of the depths: parallax of the wrong sign, in radians,
 // where it is negative.

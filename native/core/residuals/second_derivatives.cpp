@@ -5,15 +5,13 @@
 #include <cmath>
 
 #include "core/multiversion.h"
+#include "core/residuals/denominator.h"
 #include "core/vector3.h"
 
 namespace epi360 {
 namespace {
 
 constexpr std::size_t kBlock = Matches::kBlock;
-constexpr double kLeast = 1e-20;  // squared denominator, at an epipole
-
-EPI360_INLINE double at_least(double squared) { return squared > kLeast ? squared : kLeast; }
 
 // Two unit vectors across a bearing. Which ones does not matter, as all that is made of them is
 // summed over both; the first is across the x or the y axis, whichever is not near.
@@ -24,15 +22,17 @@ EPI360_INLINE void set_axes(const Vec3& bearing, Vec3* axes) {
   axes[1] = cross(axes[0], bearing);
 }
 
-// The residual is C / g with C = t . (a x b), a = R b1, b = b2, and the gradient g of C by the
-// moves (by those of b alone in one-sided residuals). Where C is zero, so that J = C' / g, it is
-// dJ = (dC' - C' dg / g - dC g' / g) / g, with a prime for the derivative by the pose:
-// C' = a x (b x t) by w and a x b by t.
+// Derivatives of one match by each move, by w and by the two components of d; see
+// compute_jacobians.
 struct Row {
   Vec3 by_w[kMoves];
   double by_d1[kMoves], by_d2[kMoves], squared_jacobian;
 };
 
+// The residual is C / g with C = t . (a x b), a = R b1, b = b2, and the gradient g of C by the
+// moves (by those of b alone in one-sided residuals). Where C is zero, so that J = C' / g, it is
+// dJ = (dC' - C' dg / g - dC g' / g) / g, with a prime for the derivative by the pose:
+// C' = a x (b x t) by w and a x b by t.
 template <bool has_pixels, bool one_sided>
 EPI360_INLINE Row second_derivatives(const Matches& m, const PlainPose& p, const double* B,
                                      std::size_t i) {
