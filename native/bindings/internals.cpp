@@ -143,6 +143,10 @@ void bind_internals(nb::module_& module) {
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "residual"_a, "range"_a,
       "seed"_a);
   m.def(
+      "density_in_view",
+      [](Bearings b1, Bearings b2) { return density_in_view(to_matches(b1, b2)); }, "bearings1"_a,
+      "bearings2"_a);
+  m.def(
       "rotation_chance",
       [](Bearings b1, Bearings b2, Matrix3 R, double gate, std::uint64_t seed) {
         return ChanceDensity(to_matches(b1, b2), Residual::kSampson, seed)

@@ -140,6 +140,38 @@ def test_chance_does_not_see_what_the_matches_say():
     assert density < 2.0  # all of them would give 25
 
 
+def bearings_within(seed, half_angle_deg, n=4000):
+    rng = np.random.default_rng(seed)
+    cosine = rng.uniform(np.cos(np.radians(half_angle_deg)), 1.0, n)
+    sine, around = np.sqrt(1.0 - cosine**2), rng.uniform(0.0, 2.0 * np.pi, n)
+    return np.stack([sine * np.cos(around), sine * np.sin(around), cosine], axis=1)
+
+
+@pytest.mark.parametrize("half_angle_deg", [5.0, 15.0, 30.0, 45.0])
+def test_wrong_matches_of_a_narrow_view_are_as_dense_as_points_beside_curves_through_others(
+    half_angle_deg,
+):
+    wrong, right = bearings_within(1, half_angle_deg), bearings_within(2, half_angle_deg)
+    other = random_directions(3, len(right))
+    normals = np.cross(right, other)  # of great circles through one point in any direction
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    near = 0.05 * np.radians(half_angle_deg)
+    expected = np.mean(np.abs(np.sum(normals * wrong, axis=1)) < near) / (2.0 * near)
+    assert internals.density_in_view(right, wrong) == pytest.approx(expected, rel=0.12)
+
+
+def test_the_wider_of_two_views_tells_how_far_wrong_matches_lie():
+    around, narrow = random_directions(1, 2000), bearings_within(2, 20.0)[:2000]
+    all_around = internals.density_in_view(around, around)
+    assert all_around == 0.35
+    assert internals.density_in_view(around, narrow) == all_around
+    assert internals.density_in_view(narrow, around) == all_around
+    assert internals.density_in_view(narrow, narrow) > 4.0 * all_around
+    assert internals.density_in_view(around, bearings_within(3, 90.0)[:2000]) == all_around
+    one = np.tile([0.0, 0.0, 1.0], (5, 1))
+    assert np.isfinite(internals.density_in_view(one, one))
+
+
 def test_a_wrong_match_agrees_with_a_rotation_as_often_as_a_cap_is_large():
     b1, b2 = random_directions(1, 2000), random_directions(2, 2000)
     gate = np.radians(20.0)

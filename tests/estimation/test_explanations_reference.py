@@ -17,12 +17,14 @@ from epi360.estimation.explanations_reference import (
 from epi360.estimation.pair_arrays import native_pair
 from epi360.estimation.testimony_reference import (
     LARGEST_GROUP,
+    agreement_by_exchange,
     neighbour_groups,
     reference_testimony,
     region_votes,
     rotation_log_ratio_reference,
 )
 from epi360.poses import Pose, rotation_from_vector
+from epi360.synthetic import two_view_scene
 
 internals = _core.internals
 NAMES = [field.name for field in fields(PairEvidence)]
@@ -106,9 +108,35 @@ def test_by_hand_three_matches_far_apart_have_a_vote_each_and_neighbours_share_t
 
 def test_groups_of_neighbours_hold_every_match_once():
     b = units(np.random.default_rng(0).normal(size=(203, 3)))
-    groups = list(neighbour_groups(b))
+    groups = list(neighbour_groups(b, reach=0.0))
     assert max(map(len, groups)) <= LARGEST_GROUP and min(map(len, groups)) >= 3
     np.testing.assert_array_equal(np.sort(np.concatenate(groups)), np.arange(203))
+
+
+def test_neighbours_nearer_than_the_reach_are_not_parted():
+    b = units(np.random.default_rng(0).normal(size=(203, 3)))
+    for reach in np.radians([10.0, 40.0, 90.0]):
+        groups = list(neighbour_groups(b, reach))
+        np.testing.assert_array_equal(np.sort(np.concatenate(groups)), np.arange(203))
+        sides = np.array([np.ptp(b[group], axis=0).max() for group in groups])
+        sizes = np.array([len(group) for group in groups])
+        assert (sides[sizes > LARGEST_GROUP] < reach).all()
+        assert (sides > 0.3 * reach)[sizes > LARGEST_GROUP].all()
+    assert len(list(neighbour_groups(b, reach=4.0))) == 1
+
+
+def test_in_a_large_neighbourhood_each_exchanges_partners_with_four_from_all_over_it():
+    b = units(np.array([[x, 0.0, 1.0] for x in np.linspace(-0.5, 0.5, 20)]))
+    asked = []
+
+    def agrees(b1, b2):
+        asked.append(np.abs(b1[:, 0] - b2[:, 0]))
+        return np.ones(len(b1), dtype=bool)
+
+    np.testing.assert_array_equal(agreement_by_exchange(b, b, gate=1.0, agrees=agrees), 1.0)
+    for apart in asked:
+        assert len(apart) == 4 * len(b)
+        assert apart.min() > 0.15 and apart.max() > 0.6
 
 
 # ---- against the native ones
@@ -174,6 +202,21 @@ def test_the_core_hears_the_same_of_the_regions_as_numpy(make, gravity):
         np.testing.assert_allclose(said, heard, rtol=1e-7)
         compared += 1
     assert compared or (gravity and make is not in_a_room)
+
+
+@pytest.mark.parametrize("half_angle_deg", [20.0, 40.0])
+def test_the_core_hears_the_same_of_neighbours_that_noise_hides_as_numpy(half_angle_deg):
+    for seed in range(3):
+        scene = two_view_scene(
+            seed, num_matches=150, layout="cone", cone_half_angle_deg=half_angle_deg
+        )
+        b1, b2, pose = scene.bearings1, scene.bearings2, unit_pose(scene)
+        noise = {"scale": 1.5 * DEGREE, "gate": 4.0 * DEGREE, "density": 1.0}
+        groups = list(neighbour_groups(b1, 4.0 * noise["gate"]))
+        assert max(map(len, groups)) > LARGEST_GROUP
+        heard = internals.testimony(b1, b2, pose.rotation, pose.translation, **noise)
+        said = reference_testimony(b1, b2, pose, **noise)
+        np.testing.assert_allclose((said.log_ratio, said.direction_sigma), heard, rtol=1e-7)
 
 
 def test_the_core_hears_the_same_of_a_rotation_as_numpy():

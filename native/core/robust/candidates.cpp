@@ -43,7 +43,7 @@ double gate_of(const LossModel& mixture) {
 }
 
 Candidates::Candidates(const Matches& m, Residual residual, const PosePrior& prior)
-    : m_(m), residual_(residual), prior_(prior) {
+    : m_(m), residual_(residual), prior_(prior), outlier_density_(density_in_view(m)) {
   workspace_.resize(m.padded);
 }
 
@@ -55,7 +55,7 @@ void Candidates::compute_residuals_at(const RelativePose& pose) {
 LossModel Candidates::fitted_mixture(const RelativePose& pose) {
   compute_residuals_at(pose);
   return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.margins.data(),
-                     depth_tolerance_, kTypicalDensity, kSmallestScale);
+                     depth_tolerance_, outlier_density_, kSmallestScale);
 }
 
 LossModel Candidates::mixture_at(const RelativePose& pose) {
@@ -73,6 +73,7 @@ RefineResult Candidates::local(const RelativePose& pose, const LossModel& start,
   options.residual = residual_;
   options.prior = prior_;
   options.loss = start;
+  options.loss.outlier_density = outlier_density_;
   options.behind = behind;
   options.max_iterations = max_iterations;
   options.step_tolerance = 1e-12;

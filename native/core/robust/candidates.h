@@ -90,6 +90,7 @@ class Candidates {
   Residual residual_;
   PosePrior prior_;
   double depth_tolerance_ = 0.0;
+  double outlier_density_;
   std::vector<Candidate> candidates_;
   RefineWorkspace workspace_;
 };

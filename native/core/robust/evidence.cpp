@@ -13,7 +13,11 @@
 namespace epi360 {
 namespace {
 
+constexpr double kNarrowestView = 1.0 * kDegree;
 constexpr double kTan60 = 1.7320508075688772;
+// Density of wrong residuals in a disc of radius 1: two points of it, of which a curve in a random
+// direction passes through one, are 1 / (16 / (3 pi)) apart in the harmonic mean.
+constexpr double kDensityInDisc = 16.0 / (3.0 * kPi * kPi);
 constexpr std::size_t kChancePairs = 1536;
 
 int cell_index(double x, double y, double z) {
@@ -96,6 +100,17 @@ double ChanceDensity::rotation_share(const Eigen::Matrix3d& R, double gate) cons
   double count = 1.0;
   for (std::size_t i = 0; i < shuffled_.size; ++i) count += residuals_[i] < gate;
   return count / static_cast<double>(shuffled_.size + 1);
+}
+
+double density_in_view(const Matches& m) {
+  double length = 1.0;  // of the mean bearing: (1 + cos r) / 2 for a disc of radius r
+  for (const auto view : {view1, view2}) {
+    Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+    for (std::size_t i = 0; i < m.size; ++i) sum += view(m, i);
+    length = std::min(length, sum.norm() / static_cast<double>(std::max<std::size_t>(m.size, 1)));
+  }
+  const double radius = std::acos(std::min(std::max(2.0 * length - 1.0, -1.0), 1.0));
+  return std::max(kTypicalDensity, kDensityInDisc / std::max(radius, kNarrowestView));
 }
 
 double log10_false_alarms(int matches, int inliers, double probability, int sample_size) {

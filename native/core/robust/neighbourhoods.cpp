@@ -15,7 +15,7 @@ namespace {
 using Index = std::uint32_t;
 using Indices = std::vector<Index>;
 
-constexpr std::size_t kLargestGroup = 5;   // matches that exchange partners
+constexpr std::size_t kLargestGroup = 5;   // matches that all exchange partners
 constexpr double kRegion = 3.0 * kDegree;  // matches nearer in both views are one region
 
 // Numbers of [-1, 1] in their order; equal ones stay in the order of their places. Sixteen bits by
@@ -46,13 +46,14 @@ Indices order_of(const std::vector<double>& values, std::size_t n) {
   return order;
 }
 
-// Halves the longest side of a set of points until a few are left. Each axis keeps all points in
-// its order, so that the sides and the middle of a set are known.
+// Halves the longest side of a set of points until a few are left, or that side is short. Each axis
+// keeps all points in its order, so that the sides and the middle of a set are known.
 class Halving {
  public:
   Halving(const std::vector<double>& x, const std::vector<double>& y, const std::vector<double>& z,
-          std::size_t n)
-      : axes_{&x, &y, &z},
+          std::size_t n, double shortest)
+      : shortest_(shortest),
+        axes_{&x, &y, &z},
         order_{order_of(x, n), order_of(y, n), order_of(z, n)},
         second_(n),
         spare_(n) {
@@ -64,10 +65,6 @@ class Halving {
 
  private:
   void halve(std::size_t begin, std::size_t end) {
-    if (end - begin <= kLargestGroup) {
-      ends_.push_back(end);
-      return;
-    }
     const auto side = [&](std::size_t axis) {
       const Indices& order = order_[axis];
       return (*axes_[axis])[order[end - 1]] - (*axes_[axis])[order[begin]];
@@ -75,6 +72,10 @@ class Halving {
     std::size_t longest = 0;
     for (std::size_t axis = 1; axis < 3; ++axis) {
       if (side(axis) > side(longest)) longest = axis;
+    }
+    if (end - begin <= kLargestGroup || side(longest) < shortest_) {
+      ends_.push_back(end);
+      return;
     }
     const std::size_t middle = begin + (end - begin) / 2;
     for (std::size_t k = begin; k < end; ++k) second_[order_[longest][k]] = k >= middle;
@@ -98,6 +99,7 @@ class Halving {
     std::copy_n(spare_.begin(), second, order.begin() + static_cast<std::ptrdiff_t>(middle));
   }
 
+  double shortest_;
   std::array<const std::vector<double>*, 3> axes_;
   std::array<Indices, 3> order_;
   std::vector<unsigned char> second_;
@@ -107,19 +109,20 @@ class Halving {
 
 }  // namespace
 
-Exchange exchanged_partners(const Matches& m, int view) {
-  const Halving groups =
-      view == 1 ? Halving(m.x1, m.y1, m.z1, m.size) : Halving(m.x2, m.y2, m.z2, m.size);
+Exchange exchanged_partners(const Matches& m, int view, double reach) {
+  const double shortest = 2.0 * std::sin(0.5 * std::min(reach, kPi));
+  const Halving groups = view == 1 ? Halving(m.x1, m.y1, m.z1, m.size, shortest)
+                                   : Halving(m.x2, m.y2, m.z2, m.size, shortest);
   Exchange out;
   out.own.reserve((kLargestGroup - 1) * m.size);
   out.other.reserve((kLargestGroup - 1) * m.size);
   std::size_t begin = 0;
   for (const std::size_t end : groups.ends()) {
-    for (std::size_t a = begin; a < end; ++a) {
-      for (std::size_t b = begin; b < end; ++b) {
-        if (a == b) continue;
-        out.own.push_back(groups.members()[a]);
-        out.other.push_back(groups.members()[b]);
+    const std::size_t size = end - begin, num_others = std::min(size, kLargestGroup);
+    for (std::size_t a = 0; a < size; ++a) {
+      for (std::size_t k = 1; k < num_others; ++k) {
+        out.own.push_back(groups.members()[begin + a]);
+        out.other.push_back(groups.members()[begin + (a + k * size / num_others) % size]);
       }
     }
     begin = end;

@@ -9,11 +9,12 @@
 
 namespace epi360 {
 
-// Pairs of matches that share a neighbourhood of a few in view 1 or 2, each in both orders.
+// Pairs of matches that share a neighbourhood in view 1 or 2: that of a few, or one that no side of
+// is longer than `reach` (radians), in which each exchanges partners with a few from all over it.
 struct Exchange {
   std::vector<std::size_t> own, other;
 };
-Exchange exchanged_partners(const Matches& m, int view);
+Exchange exchanged_partners(const Matches& m, int view, double reach);
 
 // What each match says: matches that lie near one another in both views share one vote, or less if
 // together they weigh less than one match.

@@ -20,16 +20,18 @@ namespace {
 constexpr std::size_t kMostWitnesses = 512;  // more are thinned out at random
 constexpr double kFixed = 1.0 * kDegree;     // of what stands still, if stitched or bent
 constexpr double kUnderfoot = 0.866;         // cosine of 30 degrees
+// Side of a neighbourhood in gates: nearer partners agree with whatever their matches agree with.
+constexpr double kNeighbourhood = 4.0;
 constexpr double kFreeInformation = 1.0;     // per radian^2: what is known without matches
 
 // For each match the share of exchanged partners of its neighbourhoods, in either view, with which
 // it would be an inlier too; `agree` marks the inliers of other matches.
 template <typename Agree>
-std::vector<double> agreement_by_exchange(const Matches& m, const Agree& agree) {
+std::vector<double> agreement_by_exchange(const Matches& m, double gate, const Agree& agree) {
   std::vector<double> agreeing(m.size, 0.0), tried(m.size, 0.0);
   std::vector<unsigned char> agrees;
   for (int view = 1; view <= 2; ++view) {
-    const Exchange e = exchanged_partners(m, view);
+    const Exchange e = exchanged_partners(m, view, kNeighbourhood * gate);
     const Matches exchanged =
         view == 1 ? paired_matches(m, e.own, e.other) : paired_matches(m, e.other, e.own);
     agrees.resize(exchanged.padded);
@@ -110,7 +112,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
   const double tolerance = std::min(gate, kLargestWrongParallax);
   std::vector<double> residuals, margins;
   const std::vector<double> exchanged =
-      agreement_by_exchange(m, [&](const Matches& other, std::vector<unsigned char>& agrees) {
+      agreement_by_exchange(m, gate, [&](const Matches& other, std::vector<unsigned char>& agrees) {
         residuals.resize(other.padded);
         margins.resize(other.padded);
         compute_residuals(other, residual, plain(pose), residuals.data(), margins.data());
@@ -164,7 +166,7 @@ double rotation_log_ratio(const Matches& all, const Eigen::Matrix3d& R, double s
   const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = R;
   std::vector<double> residuals;
   const std::vector<double> exchanged =
-      agreement_by_exchange(m, [&](const Matches& other, std::vector<unsigned char>& agrees) {
+      agreement_by_exchange(m, gate, [&](const Matches& other, std::vector<unsigned char>& agrees) {
         residuals.resize(other.padded);
         compute_rotation_residuals(other, rows.data(), residuals.data());
         for (std::size_t k = 0; k < other.size; ++k) agrees[k] = residuals[k] < gate;

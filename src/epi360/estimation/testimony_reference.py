@@ -16,7 +16,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Gravity = tuple[Array, Array]
 
-LARGEST_GROUP = 5  # matches that exchange partners
+LARGEST_GROUP = 5  # matches that all exchange partners
+NEIGHBOURHOOD = 4.0  # side of one, in gates: nearer partners agree with whatever theirs agree with
 REGION_RAD = np.radians(3.0)  # matches nearer in both views share one vote
 STILL_RAD = np.radians(1.0)
 UNDERFOOT_COSINE = 0.866  # of 30 degrees
@@ -61,7 +62,7 @@ def reference_testimony(
         votes[still] = 0.0
     right = np.exp(-0.5 * (residuals / scale) ** 2) / (np.sqrt(2.0 * np.pi) * scale)
     right *= in_front(cam2_from_cam1, bearings1, bearings2, front_rad)
-    exchanged = agreement_by_exchange(bearings1, bearings2, agrees)
+    exchanged = agreement_by_exchange(bearings1, bearings2, gate, agrees)
     odds = right / np.maximum(density, exchanged / (2.0 * gate))
     share = share_of_right(votes, odds)
     both = share * odds + 1.0 - share
@@ -90,7 +91,7 @@ def rotation_log_ratio_reference(
         return rotation_residuals(b1, b2, rotation) < gate
 
     residuals = rotation_residuals(bearings1, bearings2, rotation)
-    within = np.maximum(wrong_share, agreement_by_exchange(bearings1, bearings2, agrees))
+    within = np.maximum(wrong_share, agreement_by_exchange(bearings1, bearings2, gate, agrees))
     # Right ones scatter as two Gaussian components do; wrong ones fill the disc of the gate evenly.
     odds = 0.5 * (gate / scale) ** 2 / within * np.exp(-0.5 * (residuals / scale) ** 2)
     votes = region_votes(bearings1, bearings2)
@@ -145,34 +146,47 @@ def votes_of(bearings1: Array, bearings2: Array, gravity: Gravity | None) -> Arr
 
 
 def agreement_by_exchange(
-    bearings1: Array, bearings2: Array, agrees: Callable[[Array, Array], Mask]
+    bearings1: Array, bearings2: Array, gate: float, agrees: Callable[[Array, Array], Mask]
 ) -> Array:
     """Share (N,) of its neighbours' partners with which each match would be an inlier too."""
     agreeing, tried = np.zeros(len(bearings1)), np.zeros(len(bearings1))
     for view in (bearings1, bearings2):
-        for group in neighbour_groups(view):
-            own, other = (x.ravel() for x in np.meshgrid(group, group, indexing="ij"))
-            own, other = own[own != other], other[own != other]
+        for group in neighbour_groups(view, NEIGHBOURHOOD * gate):
+            num_others = min(len(group), LARGEST_GROUP)
+            shifts = np.arange(1, num_others) * len(group) // num_others
+            own, other = np.repeat(group, len(shifts)), _shifted(group, shifts)
             rows1, rows2 = (own, other) if view is bearings1 else (other, own)
             np.add.at(agreeing, own, agrees(bearings1[rows1], bearings2[rows2]))
             np.add.at(tried, own, 1.0)
     return agreeing / np.maximum(tried, 1.0)
 
 
-def neighbour_groups(bearings: Array) -> Iterator[NDArray[np.intp]]:
-    """Rows of three to five neighbours: the longest side of a set is halved until few are left."""
-    yield from _halves(bearings, np.arange(len(bearings)))
+def _shifted(group: NDArray[np.intp], shifts: NDArray[np.intp]) -> NDArray[np.intp]:
+    places = (np.arange(len(group))[:, None] + shifts) % len(group)
+    return group[places].ravel()
 
 
-def _halves(bearings: Array, rows: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    if len(rows) <= LARGEST_GROUP:
+def neighbour_groups(bearings: Array, reach: float) -> Iterator[NDArray[np.intp]]:
+    """Rows of neighbours along x.
+
+    The longest side of a set is halved until three to five are left, or it is shorter than
+    ``reach`` (radians).
+    """
+    shortest = 2.0 * np.sin(0.5 * min(reach, np.pi))
+    for rows in _halves(bearings, np.arange(len(bearings)), shortest):
+        yield rows[np.argsort(bearings[rows, 0], kind="stable")]
+
+
+def _halves(bearings: Array, rows: NDArray[np.intp], shortest: float) -> Iterator[NDArray[np.intp]]:
+    sides = np.ptp(bearings[rows], axis=0)
+    if len(rows) <= LARGEST_GROUP or sides.max() < shortest:
         yield rows
         return
-    axis = int(np.argmax(np.ptp(bearings[rows], axis=0)))
+    axis = int(np.argmax(sides))
     order = rows[np.argsort(bearings[rows, axis], kind="stable")]
     middle = len(rows) // 2
     for half in (order[:middle], order[middle:]):
-        yield from _halves(bearings, np.sort(half))
+        yield from _halves(bearings, np.sort(half), shortest)
 
 
 def share_of_right(votes: Array, odds: Array) -> float:
