@@ -100,7 +100,7 @@ EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
 
 }  // namespace
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 MixtureSums mixture_pass(const Matches& m, const double* residuals, const double* margins,
                          double tolerance, bool may_be_near_miss, const LossModel& model,
                          double* weights) {
@@ -110,7 +110,7 @@ MixtureSums mixture_pass(const Matches& m, const double* residuals, const double
              : pass_loop<false>(m, residuals, margins, tolerance, near_miss, model, weights);
 }
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 double geman_mcclure_pass(const Matches& m, const double* residuals, const double* margins,
                           double tolerance, double scale, double* weights) {
   const double squared_scale = scale * scale, inverse = 1.0 / squared_scale;

@@ -210,7 +210,7 @@ EPI360_INLINE auto with_kind(Residual kind, const Loop& loop) {
 
 }  // namespace
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, double* residuals,
                        double* margins) {
   with_kind(kind, [&](auto loop_kind) EPI360_INLINE_LAMBDA {
@@ -220,7 +220,7 @@ void compute_residuals(const Matches& m, Residual kind, const PlainPose& pose, d
   for (std::size_t i = 0; i < m.padded; ++i) residuals[i] = std::asin(within_one(residuals[i]));
 }
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void compute_jacobians(const Matches& m, Residual kind, const PlainPose& pose, const double* basis,
                        double* residuals, double* margins, double* jacobian) {
   with_kind(kind, [&](auto loop_kind) EPI360_INLINE_LAMBDA {
@@ -236,7 +236,7 @@ void compute_jacobians(const Matches& m, Residual kind, const PlainPose& pose, c
 }
 
 // The sine serves for the angle here: they differ by less than the gate's own meaning.
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 double truncated_score(const Matches& m, Residual kind, const PlainPose& pose, const double* gates,
                        int num_gates, double limit) {
   const Gates g = make_gates(gates, num_gates);
@@ -246,7 +246,7 @@ double truncated_score(const Matches& m, Residual kind, const PlainPose& pose, c
   });
 }
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 double truncated_rotation_score(const Matches& m, const double* R, const double* gates,
                                 int num_gates, double limit) {
   const Gates g = make_gates(gates, num_gates);
@@ -254,7 +254,7 @@ double truncated_rotation_score(const Matches& m, const double* R, const double*
                        : rotation_score_loop<false>(m, R, g, limit);
 }
 
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void compute_rotation_residuals(const Matches& m, const double* R, double* residuals) {
   for (std::size_t i = 0; i < m.padded; ++i) {
     const double half_chord = 0.5 * std::sqrt(squared_chord(m, R, i));
@@ -264,7 +264,7 @@ void compute_rotation_residuals(const Matches& m, const double* R, double* resid
 
 // Eight lanes a sum, carried over all blocks: the order of additions does not depend on the vector
 // width, and nothing is added across lanes before the end (measured: 2.3 times as fast).
-EPI360_MULTIVERSION
+EPI360_MULTIVERSION_WIDE
 void accumulate_normal_equations(std::size_t padded, const double* jacobian,
                                  const double* residuals, const double* weights, double* hessian,
                                  double* gradient) {

@@ -210,6 +210,7 @@ EPI360_INLINE void polish_four(const double* c, double* low, double* high, doubl
 // Cuts of the real line: roots spread over orders of magnitude.
 constexpr double kGrid[kCuts - 1] = {-64.0, -16.0, -6.0, -2.5, -1.2, -0.6, -0.25, 0.0,
                                      0.25,  0.6,   1.2,  2.5,  6.0,  16.0, 64.0};
+constexpr double kOutermost = 64.0;  // only brackets beyond it span orders of magnitude
 
 // Roots of a monic polynomial of degree ten; -1 where the chain is not regular.
 EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
@@ -250,7 +251,10 @@ EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {
   }
   for (int start = 0; start < found; start += kTogether) {
     double start_at[kTogether];
-    for (int j = 0; j < kTogether; ++j) start_at[j] = cut(low[start + j], high[start + j]);
+    for (int j = 0; j < kTogether; ++j) {
+      const double a = low[start + j], b = high[start + j];
+      start_at[j] = std::max(b, -a) > kOutermost ? cut(a, b) : 0.5 * (a + b);
+    }
     polish_four(c, low + start, high + start, start_at);
     for (int j = 0; j < kTogether && start + j < found; ++j) roots[start + j] = start_at[j];
   }
