@@ -14,7 +14,7 @@ namespace {
 
 // When a pose without depths takes the place of the best candidate: how far apart they are, and
 // what share of its inliers and parallax it has.
-constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.8;
+constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedParallax = 0.9;
 // In noise: with less parallax than that a pose is a rotation, whose direction means nothing.
 constexpr double kLeastReleased = 2.5;
 constexpr double kReleasedEvidence = 60.0;  // how much less likely the candidate behind it may be
