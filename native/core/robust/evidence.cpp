@@ -106,8 +106,12 @@ double density_in_view(const Matches& m) {
   double length = 1.0;  // of the mean bearing: (1 + cos r) / 2 for a disc of radius r
   for (const auto view : {view1, view2}) {
     Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < m.size; ++i) sum += view(m, i);
-    length = std::min(length, sum.norm() / static_cast<double>(std::max<std::size_t>(m.size, 1)));
+    double weights = 0.0;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      sum += m.weight[i] * view(m, i);
+      weights += m.weight[i];
+    }
+    if (weights > 0.0) length = std::min(length, sum.norm() / weights);
   }
   const double radius = std::acos(std::min(std::max(2.0 * length - 1.0, -1.0), 1.0));
   return std::max(kTypicalDensity, kDensityInDisc / std::max(radius, kNarrowestView));
