@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // EPI360_MULTIVERSION compiles a function once more for AVX2 + FMA processors and picks at load
 // time, where the compiler and the platform can; elsewhere it is empty and the code is the same.
-// EPI360_MULTIVERSION_WIDE does so for AVX-512, too: for loops over rows of pictures or over matches,
-// which gain a tenth to a fifth by it; solvers of single samples lose a tenth. EPI360_CLONES says whether there are such copies. Both are only for files
-// without Eigen, which chooses its vector code by preprocessor.
+// EPI360_MULTIVERSION_WIDE does so for AVX-512, too: for loops over rows of pictures or over
+// matches, which gain a tenth to a fifth by it; solvers of single samples lose a tenth.
+// EPI360_CLONES says whether there are such copies. Both are only for files without Eigen, which
+// chooses its vector code by preprocessor.
 #pragma once
 
 #include <climits>  // declares __GLIBC__ where there is one

@@ -13,11 +13,11 @@
 namespace epi360 {
 namespace {
 
-constexpr double kNarrowestView = 1.0 * kDegree;
 constexpr double kTan60 = 1.7320508075688772;
-// Density of wrong residuals in a disc of radius 1: two points of it, of which a curve in a random
-// direction passes through one, are 1 / (16 / (3 pi)) apart in the harmonic mean.
+// Density of wrong residuals in a flat disc of radius 1. A line in a random direction through one
+// point has the density 1 / (pi d) at another at the distance d, and 1 / d has the mean 16 / (3 pi).
 constexpr double kDensityInDisc = 16.0 / (3.0 * kPi * kPi);
+constexpr double kNarrowestView = 1.0 * kDegree;  // all matches may have one bearing
 constexpr std::size_t kChancePairs = 1536;
 
 int cell_index(double x, double y, double z) {
