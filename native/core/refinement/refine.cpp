@@ -27,17 +27,18 @@ double tolerance_of(const RefineOptions& options, const LossModel& loss) {
   return options.behind == Behind::kAsOthers ? kInfinity : depth_tolerance(loss.scale);
 }
 
-// Weights of all matches and what they cost together; the user's weights multiply both.
+// Weights of all matches and what they cost together, with the given depths; the user's weights
+// multiply both.
 void weigh_matches(const Matches& m, const RefineOptions& options, const LossModel& loss,
-                   Linearisation& at) {
+                   const std::vector<double>& margins, Linearisation& at) {
   if (loss.loss == Loss::kMixture) {
-    at.sums = mixture_pass(m, at.residuals.data(), at.margins.data(), at.tolerance,
+    at.sums = mixture_pass(m, at.residuals.data(), margins.data(), at.tolerance,
                            options.behind == Behind::kNearMiss, loss, at.weights.data());
     at.objective = -at.sums.log_likelihood;
     return;
   }
   if (loss.loss == Loss::kGemanMcClure) {
-    at.objective = geman_mcclure_pass(m, at.residuals.data(), at.margins.data(), at.tolerance,
+    at.objective = geman_mcclure_pass(m, at.residuals.data(), margins.data(), at.tolerance,
                                       loss.scale, at.weights.data());
     return;
   }
@@ -51,8 +52,8 @@ void weigh_matches(const Matches& m, const RefineOptions& options, const LossMod
 
 // The same, with what the prior costs in the unit of the loss.
 void weigh(const Matches& m, const RefineOptions& options, const LossModel& loss,
-           const RelativePose& pose, Linearisation& at) {
-  weigh_matches(m, options, loss, at);
+           const RelativePose& pose, const std::vector<double>& margins, Linearisation& at) {
+  weigh_matches(m, options, loss, margins, at);
   const double unit = loss.loss == Loss::kMixture ? 1.0 : 2.0 * loss.scale * loss.scale;
   if (options.prior.has_gravity) at.objective += unit * options.prior.cost(pose);
 }
@@ -77,13 +78,33 @@ bool changed(const LossModel& before, const LossModel& after) {
   return any;
 }
 
+// With the depths of `margins`, which may be those of another pose.
 void linearise(const Matches& m, const RefineOptions& options, const LossModel& loss,
-               const RelativePose& pose, Linearisation& at) {
+               const RelativePose& pose, const std::vector<double>& margins, Linearisation& at) {
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
   compute_jacobians(m, options.residual, plain(pose), basis.data(), at.residuals.data(),
                     at.margins.data(), at.jacobian.data());
   at.tolerance = tolerance_of(options, loss);
-  weigh(m, options, loss, pose, at);
+  weigh(m, options, loss, pose, margins, at);
+}
+
+// Whether a step is judged with the depths of the pose that it starts from, as of an expectation
+// step. Those of the pose that it leads to would stop it wherever a match changes sides, which noise
+// makes many do where it is so large that the tolerance is at its limit: then the pose with the most
+// parallax wins, under which all lie in front for certain.
+bool holds_depths(const RefineOptions& options, const LossModel& loss) {
+  return options.behind == Behind::kOutlier && loss.loss == Loss::kMixture &&
+         !(depth_tolerance(loss.scale) < kLargestWrongParallax);
+}
+
+// Whether a match lies in front at one pose and behind a camera at the other.
+bool changes_sides(const std::vector<double>& margins, const std::vector<double>& others,
+                   double tolerance) {
+  std::size_t num = 0;
+  for (std::size_t i = 0; i < margins.size(); ++i) {
+    num += (margins[i] > -tolerance) != (others[i] > -tolerance);
+  }
+  return num > 0;
 }
 
 }  // namespace
@@ -116,10 +137,13 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
   result.cam2_from_cam1.R = Eigen::Quaterniond(start.R).normalized().toRotationMatrix();
   result.loss = options.loss;
   bool adaptive = options.loss.loss == Loss::kMixture;
-  linearise(m, options, result.loss, result.cam2_from_cam1, w.current);
+  const auto weigh_again = [&] {
+    weigh(m, options, result.loss, result.cam2_from_cam1, w.current.margins, w.current);
+  };
+  linearise(m, options, result.loss, result.cam2_from_cam1, w.current.margins, w.current);
   if (adaptive) {  // the start's mixture may come from other residuals
     update_mixture(w.current.sums, options, result.loss);
-    weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
+    weigh_again();
   }
   double damping = 1e-4;
   bool fresh = true;  // the weights are those of the loss
@@ -158,14 +182,19 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       // -g.step = step^T H step: its squared length in units of the covariance scale^2 H^-1.
       if (-gradient.dot(step) < sigma * sigma) break;
       const RelativePose candidate = moved(result.cam2_from_cam1, basis, step);
-      linearise(m, options, result.loss, candidate, w.trial);
+      const bool held = holds_depths(options, result.loss);
+      linearise(m, options, result.loss, candidate, held ? w.current.margins : w.trial.margins,
+                w.trial);
       if (w.trial.objective < w.current.objective) {
         result.cam2_from_cam1 = candidate;
         std::swap(w.current, w.trial);
+        if (held && changes_sides(w.current.margins, w.trial.margins, w.current.tolerance)) {
+          weigh_again();
+        }
         accepted = fresh = true;
         damping = std::max(damping * 0.1, 1e-9);
       } else if (!fresh) {  // limits on the shares can make the new mixture the less likely one
-        weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
+        weigh_again();
         fresh = true;
         if (w.trial.objective >= w.current.objective) damping *= 10.0;
       } else {
@@ -183,7 +212,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     w.current.tolerance = tolerance;
     fresh = false;
   }
-  if (!fresh) weigh(m, options, result.loss, result.cam2_from_cam1, w.current);
+  if (!fresh) weigh_again();
   result.cost = w.current.objective;
   if (options.loss.loss == Loss::kMixture) {
     result.cost *= 2.0 * result.loss.scale * result.loss.scale;
