@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The covariance predicts the errors of 0.1 degrees of noise, and narrow views keep their turn."""
+"""The covariance predicts the errors of 0.1 degrees of noise, and those of little parallax."""
 
 import numpy as np
 import pytest
-from noisy_problems import errors_deg, normalised_squared_error, unit_pose
+from noisy_problems import normalised_squared_error, unit_pose
 
-from epi360 import estimate_relative_pose, estimate_relative_poses
+from epi360 import estimate_relative_poses
 from epi360.synthetic import two_view_scene
 
 
@@ -39,26 +39,3 @@ def test_a_direction_from_little_parallax_comes_with_its_error():
     # Parallax of two to three times the noise. Measured 1.22, and 1.52 if what the noise of the
     # derivatives costs is left out.
     assert len(ratios) > 70 and 0.8 < np.mean(ratios) < 1.4
-
-
-def test_a_narrow_view_with_much_noise_and_outliers_keeps_its_rotation():
-    # In a cone of 30 degrees and with 2.6 degrees of noise, turning along the epipolar planes
-    # hardly changes a residual; large false parallax must not win by its depths.
-    errors = []
-    for seed in range(24):
-        scene = two_view_scene(
-            seed,
-            num_matches=400,
-            layout="cone",
-            cone_half_angle_deg=30.0,
-            kappa=500.0,
-            outlier_ratio=0.3,
-        )
-        result = estimate_relative_pose(scene.bearings1, scene.bearings2)
-        if result.status in ("ok", "planar_ambiguous"):
-            errors.append(errors_deg(result.cam2_from_cam1, unit_pose(scene))[0])
-    # Others are refused: exchanged neighbours agree nearly as well where noise is that large.
-    assert len(errors) > 15  # measured: 18
-    # Measured 2.0, worst 7.1; a pose with false parallax is off by some 30 degrees.
-    assert np.median(errors) < 5.0
-    assert np.max(errors) < 15.0
