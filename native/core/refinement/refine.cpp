@@ -89,9 +89,9 @@ void linearise(const Matches& m, const RefineOptions& options, const LossModel& 
 }
 
 // Whether a step is judged with the depths of the pose that it starts from, as of an expectation
-// step. Those of the pose that it leads to would stop it wherever a match changes sides, which noise
-// makes many do where it is so large that the tolerance is at its limit: then the pose with the most
-// parallax wins, under which all lie in front for certain.
+// step. Those of the pose that it leads to would stop it wherever a match changes sides, which
+// noise makes many do where it is so large that the tolerance is at its limit: then the pose with
+// the most parallax wins, under which all lie in front for certain.
 bool holds_depths(const RefineOptions& options, const LossModel& loss) {
   return options.behind == Behind::kOutlier && loss.loss == Loss::kMixture &&
          !(depth_tolerance(loss.scale) < kLargestWrongParallax);

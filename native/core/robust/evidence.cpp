@@ -15,7 +15,8 @@ namespace {
 
 constexpr double kTan60 = 1.7320508075688772;
 // Density of wrong residuals in a flat disc of radius 1. A line in a random direction through one
-// point has the density 1 / (pi d) at another at the distance d, and 1 / d has the mean 16 / (3 pi).
+// point has the density 1 / (pi d) at another at the distance d, and 1 / d has the mean 16 / (3
+// pi).
 constexpr double kDensityInDisc = 16.0 / (3.0 * kPi * kPi);
 constexpr double kNarrowestView = 1.0 * kDegree;  // all matches may have one bearing
 constexpr std::size_t kChancePairs = 1536;

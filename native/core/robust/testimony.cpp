@@ -22,7 +22,7 @@ constexpr double kFixed = 1.0 * kDegree;     // of what stands still, if stitche
 constexpr double kUnderfoot = 0.866;         // cosine of 30 degrees
 // Side of a neighbourhood in gates: nearer partners agree with whatever their matches agree with.
 constexpr double kNeighbourhood = 4.0;
-constexpr double kFreeInformation = 1.0;     // per radian^2: what is known without matches
+constexpr double kFreeInformation = 1.0;  // per radian^2: what is known without matches
 
 // For each match the share of exchanged partners of its neighbourhoods, in either view, with which
 // it would be an inlier too; `agree` marks the inliers of other matches.

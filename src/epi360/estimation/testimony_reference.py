@@ -163,7 +163,7 @@ def agreement_by_exchange(
 
 def _shifted(group: NDArray[np.intp], shifts: NDArray[np.intp]) -> NDArray[np.intp]:
     places = (np.arange(len(group))[:, None] + shifts) % len(group)
-    return group[places].ravel()
+    return np.asarray(group[places].ravel())
 
 
 def neighbour_groups(bearings: Array, reach: float) -> Iterator[NDArray[np.intp]]:
