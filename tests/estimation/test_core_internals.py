@@ -157,7 +157,13 @@ def test_wrong_matches_of_a_narrow_view_are_as_dense_as_points_beside_curves_thr
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     near = 0.05 * np.radians(half_angle_deg)
     expected = np.mean(np.abs(np.sum(normals * wrong, axis=1)) < near) / (2.0 * near)
-    assert internals.density_in_view(right, wrong) == pytest.approx(expected, rel=0.12)
+    density = internals.density_in_view(right, wrong)
+    assert density == pytest.approx(expected, rel=0.12)
+    # Residuals of wrong matches in front, as they are counted under a pose; it varies with the pose.
+    counted = [
+        internals.chance_density(right, wrong, np.eye(3), t, "sampson", near, 1) for t in np.eye(3)
+    ]
+    assert np.mean(counted) == pytest.approx(density, rel=0.4)
 
 
 def test_the_wider_of_two_views_tells_how_far_wrong_matches_lie():
@@ -167,7 +173,9 @@ def test_the_wider_of_two_views_tells_how_far_wrong_matches_lie():
     assert internals.density_in_view(around, narrow) == all_around
     assert internals.density_in_view(narrow, around) == all_around
     assert internals.density_in_view(narrow, narrow) > 4.0 * all_around
-    assert internals.density_in_view(around, bearings_within(3, 90.0)[:2000]) == all_around
+    hemisphere, less = bearings_within(3, 90.0), bearings_within(4, 80.0)
+    assert internals.density_in_view(hemisphere, hemisphere) == pytest.approx(all_around, rel=0.02)
+    assert internals.density_in_view(less, less) > 1.05 * all_around
     one = np.tile([0.0, 0.0, 1.0], (5, 1))
     assert np.isfinite(internals.density_in_view(one, one))
 

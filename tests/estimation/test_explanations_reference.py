@@ -113,6 +113,14 @@ def test_groups_of_neighbours_hold_every_match_once():
     np.testing.assert_array_equal(np.sort(np.concatenate(groups)), np.arange(203))
 
 
+@pytest.mark.parametrize("num", [0, 1])
+def test_without_neighbours_nobody_exchanges_partners(num):
+    b = np.array([[0.0, 0.0, 1.0]])[:num]
+    (group,) = neighbour_groups(b, reach=0.1)
+    assert len(group) == num
+    internals.testimony(b, b, np.eye(3), np.array([0.0, 0.0, 1.0]), **SAID)
+
+
 def test_neighbours_nearer_than_the_reach_are_not_parted():
     b = units(np.random.default_rng(0).normal(size=(203, 3)))
     for reach in np.radians([10.0, 40.0, 90.0]):

@@ -58,14 +58,14 @@ def test_depths_that_noise_hides_do_not_hold_a_pose_back():
     # A step that makes some matches change sides is no worse for it: at the end expectation
     # maximisation, here written out in NumPy, has nothing left to gain.
     steps = []
-    for seed in range(40):
+    for seed in range(80):
         scene = cone(seed)
         result = estimate_relative_pose(scene.bearings1, scene.bearings2)
         if result.success:
             pose = result.cam2_from_cam1
             steps.append(step_of_expectation_maximisation(pose, scene.bearings1, scene.bearings2))
-    assert len(steps) > 35
+    assert len(steps) > 70
     assert np.median(steps) < 1e-2
-    # Where poses are released from their depths, or the mixture kept its wider parts, it has; 0.74
-    # when the depths of a trial could refuse it.
-    assert np.mean(np.array(steps) < 0.05) > 0.85  # measured: 0.89
+    # The others were released from their depths, or their mixture kept its wider parts. It was 0.76
+    # where the depths of a trial could refuse a step.
+    assert np.mean(np.array(steps) < 0.05) > 0.87  # measured: 0.95

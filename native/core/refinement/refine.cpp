@@ -97,12 +97,13 @@ bool holds_depths(const RefineOptions& options, const LossModel& loss) {
          !(depth_tolerance(loss.scale) < kLargestWrongParallax);
 }
 
-// Whether a match lies in front at one pose and behind a camera at the other.
-bool changes_sides(const std::vector<double>& margins, const std::vector<double>& others,
+// Whether a match lies in front at one pose and behind a camera at the other; counted, because a
+// loop without an exit goes through vectors.
+bool changes_sides(const std::vector<double>& before, const std::vector<double>& after,
                    double tolerance) {
   std::size_t num = 0;
-  for (std::size_t i = 0; i < margins.size(); ++i) {
-    num += (margins[i] > -tolerance) != (others[i] > -tolerance);
+  for (std::size_t i = 0; i < before.size(); ++i) {
+    num += (before[i] > -tolerance) != (after[i] > -tolerance);
   }
   return num > 0;
 }
@@ -146,7 +147,8 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     weigh_again();
   }
   double damping = 1e-4;
-  bool fresh = true;  // the weights are those of the loss
+  bool may_hold = true;  // depths, until the objective rises as matches change sides
+  bool fresh = true;     // the weights are those of the loss
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
     double upper[15];
     Vector5 gradient;
@@ -157,7 +159,7 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
     options.prior.accumulate(result.cam2_from_cam1, basis, result.loss.scale * result.loss.scale,
                              hessian, gradient);
     // Pose and mixture step from one set of posterior probabilities (expectation conditional
-    // maximisation); together they may only become more likely.
+    // maximisation); together they may only become more likely, unless depths are held.
     const bool updated = adaptive;
     if (adaptive) {
       const LossModel before = result.loss;
@@ -182,14 +184,16 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
       // -g.step = step^T H step: its squared length in units of the covariance scale^2 H^-1.
       if (-gradient.dot(step) < sigma * sigma) break;
       const RelativePose candidate = moved(result.cam2_from_cam1, basis, step);
-      const bool held = holds_depths(options, result.loss);
+      const bool held = may_hold && holds_depths(options, result.loss);
       linearise(m, options, result.loss, candidate, held ? w.current.margins : w.trial.margins,
                 w.trial);
       if (w.trial.objective < w.current.objective) {
         result.cam2_from_cam1 = candidate;
         std::swap(w.current, w.trial);
-        if (held && changes_sides(w.current.margins, w.trial.margins, w.current.tolerance)) {
+        if (held && changes_sides(w.trial.margins, w.current.margins, w.current.tolerance)) {
+          const double before = w.trial.objective;
           weigh_again();
+          may_hold = w.current.objective <= before;  // else steps might go in circles
         }
         accepted = fresh = true;
         damping = std::max(damping * 0.1, 1e-9);
@@ -201,7 +205,8 @@ RefineResult refine(const Matches& m, const RelativePose& start, const RefineOpt
         damping *= 10.0;
       }
     }
-    // Without a step that lowers the cost it is a minimum to working precision.
+    // Without a step that lowers the cost, at the depths it has, it is a minimum to working
+    // precision.
     result.converged = !accepted || step.norm() < options.step_tolerance;
     if (result.converged) break;
   }

@@ -195,7 +195,7 @@ class Estimate {
       const Candidate& candidate = candidates.all()[k];
       Evidence evidence;
       listen(candidate.cam2_from_cam1, candidate.loss.scale, gate_of_mixture(candidate.loss),
-             kTypicalDensity, evidence);
+             candidate.loss.outlier_density, evidence);
       if (probability_by_regions(evidence) <= highest) continue;
       highest = probability_by_regions(evidence);
       best = k;

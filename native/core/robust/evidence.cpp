@@ -14,8 +14,10 @@ namespace epi360 {
 namespace {
 
 constexpr double kTan60 = 1.7320508075688772;
-// Density of wrong residuals in a flat disc of radius 1: 1 / (pi d) at the distance d from a point
-// through which a line goes in any direction, where 1 / d of two points has the mean 16 / (3 pi).
+// Density of distances from a line in a flat disc of radius 1: 1 / (pi d) at the distance d from a
+// point through which the line goes in any direction, where 1 / d of two points has the mean
+// 16 / (3 pi). Residuals share a distance between two views, which makes them denser by a root of
+// two, and some wrong matches lie behind a camera: the two about cancel.
 constexpr double kDensityInDisc = 16.0 / (3.0 * kPi * kPi);
 constexpr double kNarrowestView = 1.0 * kDegree;  // all matches may have one bearing
 constexpr std::size_t kChancePairs = 1536;

@@ -27,9 +27,9 @@ class ChanceDensity {
   mutable std::vector<double> residuals_, margins_;
 };
 
-// The same of any pose, from how far the matches reach in the wider view: kTypicalDensity where
-// that is a hemisphere or more. In a narrower view a wrong match cannot be far from any epipolar
-// curve.
+// Density per radian of wrong residuals under a typical pose, from the length of the mean bearing
+// of the wider view: kTypicalDensity where that is a hemisphere or more. In a narrower view a wrong
+// match cannot be far from any epipolar curve. It is right to a third.
 double density_in_view(const Matches& m);
 
 // log10 of the expected number of poses with `inliers` of `matches` inside a gate that a wrong

@@ -65,6 +65,10 @@ class Halving {
 
  private:
   void halve(std::size_t begin, std::size_t end) {
+    if (end - begin <= kLargestGroup) {
+      ends_.push_back(end);
+      return;
+    }
     const auto side = [&](std::size_t axis) {
       const Indices& order = order_[axis];
       return (*axes_[axis])[order[end - 1]] - (*axes_[axis])[order[begin]];
@@ -73,7 +77,7 @@ class Halving {
     for (std::size_t axis = 1; axis < 3; ++axis) {
       if (side(axis) > side(longest)) longest = axis;
     }
-    if (end - begin <= kLargestGroup || side(longest) < shortest_) {
+    if (side(longest) < shortest_) {
       ends_.push_back(end);
       return;
     }

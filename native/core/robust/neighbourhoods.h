@@ -9,8 +9,9 @@
 
 namespace epi360 {
 
-// Pairs of matches that share a neighbourhood in view 1 or 2: that of a few, or one that no side of
-// is longer than `reach` (radians), in which each exchanges partners with a few from all over it.
+// Pairs of matches that share a neighbourhood in view 1 or 2. That is a few matches or, where more
+// lie within `reach` (radians), all of these, of which each exchanges partners with a few from all
+// over.
 struct Exchange {
   std::vector<std::size_t> own, other;
 };

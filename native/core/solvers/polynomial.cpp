@@ -210,7 +210,7 @@ EPI360_INLINE void polish_four(const double* c, double* low, double* high, doubl
 // Cuts of the real line: roots spread over orders of magnitude.
 constexpr double kGrid[kCuts - 1] = {-64.0, -16.0, -6.0, -2.5, -1.2, -0.6, -0.25, 0.0,
                                      0.25,  0.6,   1.2,  2.5,  6.0,  16.0, 64.0};
-constexpr double kOutermost = 64.0;  // only brackets beyond it span orders of magnitude
+constexpr double kOutermost = kGrid[kCuts - 2];  // a bracket beyond it may span orders of magnitude
 
 // Roots of a monic polynomial of degree ten; -1 where the chain is not regular.
 EPI360_INLINE int regular_roots(const double* c, double bound, double* roots) {

@@ -178,8 +178,11 @@ def neighbour_groups(bearings: Array, reach: float) -> Iterator[NDArray[np.intp]
 
 
 def _halves(bearings: Array, rows: NDArray[np.intp], shortest: float) -> Iterator[NDArray[np.intp]]:
+    if len(rows) <= LARGEST_GROUP:
+        yield rows
+        return
     sides = np.ptp(bearings[rows], axis=0)
-    if len(rows) <= LARGEST_GROUP or sides.max() < shortest:
+    if sides.max() < shortest:
         yield rows
         return
     axis = int(np.argmax(sides))
