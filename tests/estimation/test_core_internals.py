@@ -159,7 +159,7 @@ def test_wrong_matches_of_a_narrow_view_are_as_dense_as_points_beside_curves_thr
     expected = np.mean(np.abs(np.sum(normals * wrong, axis=1)) < near) / (2.0 * near)
     density = internals.density_in_view(right, wrong)
     assert density == pytest.approx(expected, rel=0.12)
-    # Residuals of wrong matches in front, as they are counted under a pose; it varies with the pose.
+    # Residuals of wrong matches in front, as they are counted under a pose; poses differ.
     counted = [
         internals.chance_density(right, wrong, np.eye(3), t, "sampson", near, 1) for t in np.eye(3)
     ]
