@@ -94,7 +94,7 @@ void linearise(const Matches& m, const RefineOptions& options, const LossModel& 
 // the most parallax wins, under which all lie in front for certain.
 bool holds_depths(const RefineOptions& options, const LossModel& loss) {
   return options.behind == Behind::kOutlier && loss.loss == Loss::kMixture &&
-         !(depth_tolerance(loss.scale) < kLargestWrongParallax);
+         hides_depths(loss.scale);
 }
 
 // Whether a match lies in front at one pose and behind a camera at the other; counted, because a
@@ -111,6 +111,8 @@ bool changes_sides(const std::vector<double>& before, const std::vector<double>&
 }  // namespace
 
 double depth_tolerance(double scale) { return std::min(3.0 * scale, kLargestWrongParallax); }
+
+bool hides_depths(double scale) { return !(depth_tolerance(scale) < kLargestWrongParallax); }
 
 PlainPose plain(const RelativePose& pose) {
   PlainPose p;

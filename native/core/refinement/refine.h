@@ -17,6 +17,9 @@ namespace epi360 {
 // Parallax of the wrong sign (radians) that noise of this scale explains; at most 4 degrees.
 double depth_tolerance(double scale);
 
+// Whether that is at its limit: the sign of a parallax then tells little of a match.
+bool hides_depths(double scale);
+
 PlainPose plain(const RelativePose& pose);
 
 // A symmetric matrix of the 15 numbers of its upper triangle, by rows, as

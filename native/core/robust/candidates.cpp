@@ -187,7 +187,7 @@ void Candidates::allow_near_misses() {
   Candidate& best = candidates_.front();
   if (!std::isfinite(best.own_evidence)) return;  // found without depths
   // With so much noise the sign of a parallax tells little, and nothing is a near miss by it.
-  if (!(epi360::depth_tolerance(best.loss.scale) < kLargestWrongParallax)) return;
+  if (hides_depths(best.loss.scale)) return;
   // Where most matches are wrong, they would decide.
   if (!(best.loss.share[0] + best.loss.share[1] > kMajority)) return;
   const auto refined = [&](const RefineResult& start, int max_iterations, double sigma_tolerance) {
