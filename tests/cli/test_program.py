@@ -40,6 +40,14 @@ def test_an_unknown_option_is_named(capsys, command):
 
 
 @pytest.mark.parametrize(
+    ("arguments", "named"),
+    [(["match", "in", "out"], "'out'"), (["match", "in", "-o", "out"], "-o")],
+)
+def test_words_that_a_command_does_not_know_are_named_with_where_to_look(capsys, arguments, named):
+    assert_wrong_use(capsys, arguments, named, "'epi360 match --help' lists what it takes")
+
+
+@pytest.mark.parametrize(
     ("arguments", "fragment"), [(["pare", "a.jpg", "b.jpg"], "pair"), (["--nope"], "--nope")]
 )
 def test_an_unknown_command_is_one_line_and_exit_2(capsys, arguments, fragment):

@@ -17,7 +17,7 @@ from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
 try:
-    from cyclopts import CycloptsError
+    from cyclopts import CycloptsError, UnknownOptionError, UnusedCliTokensError
 
     # Importing the module of a command registers it.
     from epi360.cli import batch as _batch  # noqa: F401
@@ -81,8 +81,20 @@ def _one_line(error: Exception) -> str:
         text = error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
     elif isinstance(error, FileNotFoundError) and " " not in text:  # fsspec only names the file
         text = f"{text} does not exist"
+    elif isinstance(error, UnusedCliTokensError | UnknownOptionError):
+        text = _not_understood(error)
     text = " ".join(text.split()) or type(error).__name__
     if len(text) > LONGEST_MESSAGE:  # it quotes a name or a value as long as a file
         half = (LONGEST_MESSAGE - 5) // 2
         text = f"{text[:half]} ... {text[-half:]}"
     return text
+
+
+def _not_understood(error: UnusedCliTokensError | UnknownOptionError) -> str:
+    """What words a command does not know, and where it says which ones it does."""
+    command = " ".join(["epi360", *(error.command_chain or ())])
+    look = f"'{command} --help' lists what it takes"
+    if isinstance(error, UnknownOptionError):
+        return f"{error} {look}"
+    words = ", ".join(repr(word) for word in error.unused_tokens or ())
+    return f"'{command}' takes no further {words}: outputs and settings have names, and {look}"
