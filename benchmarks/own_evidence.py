@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fits what a pair shows by itself to rendered homes, and says how well it tells copies.
+"""Fits what a pair shows by itself to homes and real tours, and says how well it tells copies.
 
-``python benchmarks/own_evidence.py --seeds 0,30,40 --out DIR`` renders four homes from each seed
-on, level and tilted, and takes each home as it is and photographed. It matches all pairs of each,
-and prints how well weights that are fitted to the homes of the other seeds tell right pairs from
-copies and from other rooms. With ``--write`` the weights that are fitted to all of them become
-those of the package.
+``python benchmarks/own_evidence.py --seeds 0,30,40 --tours TOURS --out DIR`` renders four homes
+from each seed on, level and tilted, and takes each home as it is and photographed. It matches all
+pairs of each, and those of the real virtual tours in folders of TOURS (`_linked_tours`), of which
+it takes the pairs that their links say are right. It prints how well weights that are fitted to
+the homes of the other seeds and the tours of the other folders tell right pairs from copies and
+from other rooms. With ``--write`` the weights that are fitted to all, and those that are fitted to
+the homes alone, become those of the package.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import itertools
 import json
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +27,7 @@ from typing import Any, NamedTuple
 import _one_thread  # noqa: F401 - before NumPy
 import numpy as np
 from _homes import rendered_homes
+from _linked_tours import LinkedTour, linked_tours
 from _summary import text_table
 from _trust_records import RIGHT_DEG, WRONG_DEG, errors_of
 from numpy.typing import NDArray
@@ -47,21 +51,29 @@ from epi360_scenes.tours import Tour
 Array = NDArray[np.float64]
 
 LEAST_SHARE, MOST_SHARE = 0.01, 0.99  # of the pairs that are beyond the limits of the numbers
-KINDS = RENDERED, PHOTOGRAPHED = "rendered", "photographed"
-CASES = ROOM, DOOR, COPY, OTHER = "one room", "through a door", "copy", "other room"
-RIGHT = {ROOM: 0.65, DOOR: 0.35}  # and their shares
-PENALTY = 3e-5  # of the squares of the weights; 1e-5 to 1e-4 tell pairs apart as well
+KINDS = RENDERED, PHOTOGRAPHED, REAL = "rendered", "photographed", "real"
+CASES = ROOM, DOOR, LINKED, COPY, OTHER = (
+    "one room",
+    "through a door",
+    "linked",
+    "copy",
+    "other room",
+)
+RIGHT = {ROOM: 0.325, DOOR: 0.175, LINKED: 0.5}  # and their shares
+PENALTY = 3e-4  # of the squares of the weights
+TOUR_WIDTH = 2048  # of real panoramas, in pixels
 FEWEST_PAIRS = 100  # of each case, for 36 weights
 FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass
 
 
 class Shown(NamedTuple):
-    """What one pair shows: the seed of its homes, its pictures, its case, its seven numbers.
+    """What one pair shows: where it is from, its pictures, its case, its seven numbers.
 
-    A pair that lies on the floor alone has no numbers, for it has nothing to say.
+    It is from the homes of a seed, or from the tours of a folder. A pair that lies on the floor
+    alone has no numbers, for it has nothing to say.
     """
 
-    seed: int
+    source: str
     kind: str
     case: str
     numbers: Array
@@ -71,15 +83,15 @@ def main() -> int:
     """Run what the command line asks for."""
     options = _parse_options()
     every = [each for seed in options.seeds for each in _shown_in_homes(seed, options)]
+    every += _shown_in_tours(options)
     shown = [each for each in every if len(each.numbers)]
     on_floor = [each.case in RIGHT for each in every if not len(each.numbers)]
     print(f"On the floor alone lie {len(on_floor)} pairs, {sum(on_floor)} of them right.")
     counts = {case: sum(each.case == case for each in shown) for case in CASES}
     if min(counts.values()) < FEWEST_PAIRS:
-        print(f"each case must have {FEWEST_PAIRS} pairs, there are {counts}: take more homes")
+        print(f"each case must have {FEWEST_PAIRS} pairs, there are {counts}: take more")
         return 1
-    if len(options.seeds) > 1:
-        print(text_table(_rows(shown)))
+    print(text_table(_rows(shown)))
     if options.write:
         path = Path(own_evidence.__file__).with_name(own_evidence.WEIGHTS)
         write_file(path, _as_json(_record(shown, options)).encode())
@@ -89,10 +101,13 @@ def main() -> int:
 
 def _parse_options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=_numbers, default=[0], help="first seed of each few homes")
+    parser.add_argument("--seeds", type=_numbers, default=[0], help="first of each few homes")
     parser.add_argument("--homes", type=int, default=4, help="homes of each of the seeds")
     parser.add_argument("--width", type=int, default=1024, help="of the panoramas, in pixels")
-    parser.add_argument("--out", type=Path, default=Path("own_evidence"), help="keeps homes")
+    parser.add_argument(
+        "--tours", type=Path, required=True, help="folders of real tours, as Marzipano exports them"
+    )
+    parser.add_argument("--out", type=Path, default=Path("own_evidence"), help="keeps pictures")
     parser.add_argument("--write", action="store_true", help="become those of the package")
     return parser.parse_args()
 
@@ -103,24 +118,41 @@ def _numbers(text: str) -> list[int]:
 
 def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
     folder = options.out / str(seed) / "tours"
-    for kind in KINDS:
+    for kind in (RENDERED, PHOTOGRAPHED):
         homes = rendered_homes(
             folder, seed, options.homes, options.width, photographed=kind == PHOTOGRAPHED
         )
         for one in homes:
-            found = [Shown(seed, kind, *each) for each in _shown_in_tour(one.tour, seed)]
+            shown = _shown_in(one.tour.folder, _names(one.tour), partial(_case, one.tour), seed)
+            found = [Shown(str(seed), kind, *each) for each in shown]
             print(f"seed {seed}, {one.name}: {len(found)} pairs", flush=True)
             yield from found
 
 
-def _shown_in_tour(tour: Tour, seed: int) -> list[tuple[str, Array]]:
+def _shown_in_tours(options: argparse.Namespace) -> Iterator[Shown]:
+    for source in sorted(each for each in options.tours.iterdir() if each.is_dir()):
+        for tour in linked_tours(source):
+            folder = options.out / "tours" / f"{source.name}_{tour.name}"
+            tour.write_panoramas(folder, TOUR_WIDTH)
+            shown = _shown_in(folder, tour.names, partial(_linked_case, tour), 0)
+            found = [Shown(source.name, REAL, *each) for each in shown]
+            print(f"{source.name}, {tour.name}: {len(found)} pairs", flush=True)
+            yield from found
+
+
+def _shown_in(
+    folder: Path,
+    names_of_panoramas: Sequence[str],
+    case_of: Callable[[tuple[str, str], Pose], str | None],
+    seed: int,
+) -> list[tuple[str, Array]]:
     """Cases and numbers of the pairs that are accepted by their matches, and right or wrong."""
-    views = dict(on_threads(partial(_View.of, tour.folder), _names(tour), num_cores()))
+    views = dict(on_threads(partial(_View.of, folder), names_of_panoramas, num_cores()))
 
     def look(names: tuple[str, str]) -> tuple[str, Array] | None:
         both = [views[name] for name in names]
         pair = _posed(both, seed)
-        case = None if pair is None else _case(tour, names, pair.cam2_from_cam1)
+        case = None if pair is None else case_of(names, pair.cam2_from_cam1)
         if pair is None or case is None:
             return None
         if floor_share(*pair.bearings) > FLOOR_SHARE:
@@ -128,7 +160,7 @@ def _shown_in_tour(tour: Tour, seed: int) -> list[tuple[str, Array]]:
         grown = grow_both(pair, [view.panorama for view in both])
         return case, own_evidence.shown_by(pair, grown)
 
-    pairs = list(itertools.combinations(_names(tour), 2))
+    pairs = list(itertools.combinations(names_of_panoramas, 2))
     found = dict(on_threads(look, pairs, num_cores()))
     return [each for pair in pairs if (each := found[pair]) is not None]
 
@@ -180,15 +212,25 @@ def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
     return COPY if relation in ("twins", "mirrored") else OTHER
 
 
+def _linked_case(tour: LinkedTour, names: tuple[str, str], pose: Pose) -> str | None:
+    """Pairs whose links say the same are right; of others nothing is known."""
+    agrees = tour.agrees(*names, pose)
+    return LINKED if (tour.turn_agrees(*names, pose) if agrees is None else agrees) else None
+
+
 def _rows(shown: Sequence[Shown]) -> list[list[str]]:
-    """How well weights of the other seeds' homes tell right pairs from wrong ones."""
+    """How well weights of the other seeds' homes and folders' tours tell right from wrong ones.
+
+    No copies are known among real pairs, so these are told from photographed ones.
+    """
     kept_at = f"kept at {FALSE_SHARE:.0%} of the wrong"
     rows = [["pictures", "right", "wrong", "pairs", "area under ROC", kept_at]]
     ratios, cases = _held_out(shown), np.array([each.case for each in shown])
     kinds = np.array([each.kind for each in shown])
     for kind, (column, wrong) in itertools.product(KINDS, enumerate((OTHER, COPY))):
-        against = ratios[(kinds == kind) & (cases == wrong), column]
-        for right in (ROOM, DOOR):
+        copied = PHOTOGRAPHED if kind == REAL else kind
+        against = ratios[(kinds == copied) & (cases == wrong), column]
+        for right in (LINKED,) if kind == REAL else (ROOM, DOOR):
             speaks = ratios[(kinds == kind) & (cases == right), column]
             counts = f"{len(speaks)}, {len(against)}"
             kept = np.mean(speaks > np.quantile(against, 1 - FALSE_SHARE))
@@ -198,10 +240,10 @@ def _rows(shown: Sequence[Shown]) -> list[list[str]]:
 
 
 def _held_out(shown: Sequence[Shown]) -> Array:
-    """Log-likelihood ratios (N, 2) over other rooms and over copies, by the other seeds' homes."""
-    seeds = sorted({each.seed for each in shown})
-    fitted = {seed: _weights([each for each in shown if each.seed != seed]) for seed in seeds}
-    return np.array([fitted[each.seed].ratios(each.numbers) for each in shown])
+    """Log-likelihood ratios (N, 2) over other rooms and over copies, by the other sources."""
+    sources = sorted({each.source for each in shown})
+    fitted = {one: _weights([each for each in shown if each.source != one]) for one in sources}
+    return np.array([fitted[each.source].ratios(each.numbers) for each in shown])
 
 
 def _weights(shown: Sequence[Shown]) -> Weights:
@@ -215,18 +257,26 @@ def _weights(shown: Sequence[Shown]) -> Weights:
     told = terms(scaling.scaled(numbers))
     return replace(
         scaling,
-        over_others=_regressed(told, cases, OTHER),
-        over_copies=_regressed(told, cases, COPY),
+        over_others=_regressed(told, cases, _counts_of(shown), OTHER),
+        over_copies=_regressed(told, cases, _counts_of(shown), COPY),
     )
 
 
-def _regressed(told: Array, cases: NDArray[np.str_], wrong: str) -> Array:
+def _counts_of(shown: Sequence[Shown]) -> Array:
+    """How much each pair counts beside others of its case: a large tour is one kind of pictures."""
+    real = Counter(each.source for each in shown if each.kind == REAL)
+    return np.array([real[each.source] ** -0.5 if each.kind == REAL else 1.0 for each in shown])
+
+
+def _regressed(told: Array, cases: NDArray[np.str_], counts: Array, wrong: str) -> Array:
     """Weights that make a log-likelihood ratio, so that right and wrong pairs count as much."""
-    shares = {**RIGHT, wrong: 1.0}
+    right = {case: share for case, share in RIGHT.items() if np.any(cases == case)}
+    shares = {case: share / sum(right.values()) for case, share in right.items()} | {wrong: 1.0}
     counted = np.isin(cases, list(shares))
-    told, cases = told[counted], cases[counted]
+    told, cases, counts = told[counted], cases[counted], counts[counted]
     signs = np.where(cases == wrong, -1.0, 1.0)
-    importance = np.array([shares[case] / np.sum(cases == case) for case in cases]) / 2
+    sums = {case: counts[cases == case].sum() for case in shares}
+    importance = counts * np.array([shares[case] / sums[case] for case in cases]) / 2
     penalties = np.where(np.arange(told.shape[1]) > 0, PENALTY, 0.0)
 
     def loss(weights: Array) -> tuple[float, Array]:
@@ -254,11 +304,17 @@ def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, An
     seeds = ",".join(map(str, options.seeds))
     return {
         "made_by": f"python benchmarks/own_evidence.py --homes {options.homes} --seeds {seeds} "
-        f"--width {options.width} --write",
+        f"--width {options.width} --tours TOURS --write",
+        "tours": sorted({each.source for each in shown if each.kind == REAL}),
         "num_pairs": {case: sum(each.case == case for each in shown) for case in CASES},
         "shown": list(SHOWN),
-        **{name: _rounded(values) for name, values in vars(_weights(shown)).items()},
+        own_evidence.EVERY: _values(_weights(shown)),
+        own_evidence.CLEAR: _values(_weights([each for each in shown if each.kind != REAL])),
     }
+
+
+def _values(weights: Weights) -> dict[str, list[float]]:
+    return {name: _rounded(values) for name, values in vars(weights).items()}
 
 
 def _as_json(record: dict[str, Any]) -> str:

@@ -25,7 +25,7 @@ from epi360.poses import Pose
 NUM_CELLS = 20
 NOBODY = np.empty(0, np.int64)
 # What pairs of one room show by themselves.
-ALL_GROWS, LITTLE_GROWS, NOTHING_GROWS = OwnEvidence(4.0, 3.0), OwnEvidence(1.0, 1.0), OwnEvidence()
+ALL_GROWS, LITTLE_GROWS, NOTHING_GROWS = OwnEvidence(5.0, 6.0), OwnEvidence(1.0, 1.0), OwnEvidence()
 
 
 def posed(images, *, turn=None):
@@ -212,7 +212,7 @@ def doubted(share):
     """Evidence on a further pair, by pairs of both of its panoramas."""
     rng = np.random.default_rng(5)
     sides = sightings(rng, [0, 1], share), sightings(rng, [3, 4], share)
-    return Evidence(sides, own=OwnEvidence(2.0, 2.0))
+    return Evidence(sides, own=OwnEvidence(2.4, 2.4))
 
 
 def test_doubted_poses_are_judged_by_what_the_others_know():
@@ -300,6 +300,27 @@ def test_one_wrong_pair_is_refused_wherever_it_stands(row):
 def test_where_all_looks_the_same_no_doubt_is_left():
     images = list(combinations(range(6), 2))
     assert not leave_a_doubt([posed(pair) for pair in images], evidence_on(images, [1.0] * 15))
+
+
+@pytest.mark.parametrize("much_is_shown", [False, True])
+def test_what_pictures_that_show_little_leave_open_is_no_sign_of_copies(much_is_shown):
+    """All pairs close their loops; half of them look more like copies than like one room."""
+    images = list(combinations(range(8), 2))
+    best = OwnEvidence(8.0, 8.0 if much_is_shown else 3.0)
+    owns = [OwnEvidence(3.0, -1.2)] * 14 + [OwnEvidence(3.0, 2.0)] * 10 + [best] * 4
+    found = [Evidence((nothing(), nothing()), own=own) for own in owns]
+    refused = [bool(each.refused) for each in judged(images, found)]
+    assert refused[:14] == [much_is_shown] * 14 and not any(refused[24:])
+
+
+@pytest.mark.parametrize("are_clear", [False, True])
+def test_clear_pictures_are_judged_by_the_weights_for_them(are_clear):
+    images = list(combinations(range(8), 2))
+    clear = OwnEvidence(8.0, 7.0, if_clear=(8.0, 9.0 if are_clear else 5.0))
+    differs = OwnEvidence(8.0, 7.0, if_clear=(8.0, -4.0))
+    found = [Evidence((nothing(), nothing()), own=own) for own in [differs] * 8 + [clear] * 20]
+    refused = [bool(each.refused) for each in judged(images, found)]
+    assert refused[:8] == [are_clear] * 8 and not any(refused[8:])
 
 
 def test_an_empty_folder_has_no_verdicts():

@@ -7,8 +7,10 @@ them, and look different. A copy of the room grows as far, and has holes where i
 things. Of another place with the same door little grows, and it frays out.
 
 Seven numbers say so, see `shown_by`. Right pairs are told from pairs of copies, and from those of
-other rooms, by logistic regression on the numbers, their squares and products;
-`benchmarks/own_evidence.py` fits it to rendered homes and writes ``own_evidence.json``.
+other rooms, by logistic regression on the numbers, their squares and products.
+`benchmarks/own_evidence.py` fits it to rendered homes and real tours, and writes
+``own_evidence.json``; and once more to the homes alone, for clear pictures: where what both views
+show looks nearly the same, what differs tells more.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -40,6 +42,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 WEIGHTS = "own_evidence.json"  # beside this file
+EVERY, CLEAR = "every_picture", "clear_pictures"  # what its weights are for
 SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
@@ -61,7 +64,7 @@ class OwnEvidence:
     speak for a pair: where nothing grows, it is no copy either. ``on_floor`` says that the pair
     lies on the floor alone: printed floors repeat from room to room. ``in_the_open`` says that what
     both show lies at distances that differ more than in a room. Nothing is known if masks leave
-    too little.
+    too little. ``if_clear`` has both ratios by the weights for clear pictures.
     """
 
     over_others: float = 0.0
@@ -69,19 +72,27 @@ class OwnEvidence:
     on_floor: bool = False
     in_the_open: bool = False
     is_known: bool = True
+    if_clear: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
         """Weigh what has grown from both sides of a pair; nothing if masks leave too little."""
         if min(map(_share_that_counts, views)) < _LEAST_SHARE:
             return cls(is_known=False)
-        over_others, over_copies = _FITTED.ratios(shown_by(pair, views))
+        shown = shown_by(pair, views)
+        over_others, over_copies = _FITTED.ratios(shown)
         return cls(
             over_others,
             over_copies,
             on_floor=floor_share(*pair.bearings) > FLOOR_SHARE,
             in_the_open=min(map(_depth_spread, views)) > _LARGEST_SPREAD,
+            if_clear=_FITTED_TO_CLEAR.ratios(shown),
         )
+
+    def of_clear_pictures(self) -> OwnEvidence:
+        """The same by the weights for clear pictures."""
+        over_others, over_copies = self.if_clear
+        return replace(self, over_others=over_others, over_copies=over_copies)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +113,7 @@ class Weights:
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> Weights:
-        """Take the values of the file."""
+        """Take values of the file."""
         return cls(**{each.name: np.array(record[each.name]) for each in fields(cls)})
 
     def scaled(self, shown: Array) -> Array:
@@ -124,7 +135,7 @@ def terms(scaled: Array) -> Array:
 
 
 _RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(WEIGHTS).read_text("utf-8"))
-_FITTED = Weights.of_record(_RECORD)
+_FITTED, _FITTED_TO_CLEAR = (Weights.of_record(_RECORD[kind]) for kind in (EVERY, CLEAR))
 
 
 def grow_both(

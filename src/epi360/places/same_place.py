@@ -25,19 +25,16 @@ Panoramas = tuple[Panorama, Panorama]
 
 # Of poses that are accepted, as where matches alone are weighed; and of those without a warning.
 LEAST_PROBABILITY, _SURE = 0.85, 0.95
-# How much of the log-likelihood ratios is believed: at 1.75, of poses stated at 0.95 to 0.99 only
-# nine in ten are right on rendered homes.
-STEEPNESS = 1.2
 # What is thought of a pose that the matches alone determine, before the pictures are compared: so
 # many are those of another place, or of a thing that moves, and so many of the others of a copy.
 _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 # As much more must speak for a copy in the open; a folder says itself how common they are, of both
 # kinds together.
-_MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1]) / STEEPNESS
+_MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
-_MOST, _LEAST_OVER_COPIES = 8.0, -4.0
+_MOST, _LEAST_OVER_COPIES = 10.0, -5.0
 # In photographed homes less grows than in rendered ones, so this never speaks for another place;
 # nor for a copy in the open, where what drives along looks like what other owners have put there.
 _LEAST_IN_FOLDER = 0.0
@@ -88,8 +85,8 @@ def same_place(own: OwnEvidence) -> SamePlace:
     weights = np.array(
         [
             (1.0 - elsewhere) * (1.0 - copy),
-            elsewhere * np.exp(-STEEPNESS * own.over_others),
-            (1.0 - elsewhere) * copy * np.exp(-STEEPNESS * own.over_copies),
+            elsewhere * np.exp(-own.over_others),
+            (1.0 - elsewhere) * copy * np.exp(-own.over_copies),
         ]
     )
     return SamePlace(*(weights / weights.sum()).tolist())

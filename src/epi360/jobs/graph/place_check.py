@@ -29,9 +29,9 @@ from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
 from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
+from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
-    STEEPNESS,
     limited,
     limited_in_folder,
     same_place,
@@ -40,6 +40,7 @@ from epi360.places.shared_points import PosedPair
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_Limits = tuple[float, float]
 
 # Share of the visible points of right pairs that look the same, by class of the view change;
 # measured on rendered homes and on a real tour, which differ by 0.03. The folder's own sure pairs
@@ -55,7 +56,12 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees m
 # Parts of a view are not independent witnesses: points are known where matches were found, which
 # copies share. Beside what pairs show by themselves, regression weighs them by 0.1 to 0.3.
 _POINTS_COUNT = 0.25
-_CLEARLY = (-3.0, 8.0)  # a ratio outside these says no more about the folder
+# A ratio outside these says no more about the folder, first with all pairs joined, then with the
+# sure ones. If the surest tenth shows little, a low ratio is the pictures' fault, not a copy's.
+_CLEARLY = ((-3.0, 8.0), (-3.0, 8.0))
+_IF_LITTLE_SHOWN = ((-0.85, 8.0), (-1.5, 8.0))
+_SUREST, _MUCH_SHOWN = 0.9, 5.5  # quantile of the ratios over copies, and what it must be
+_CLEAR = 6.0  # the same by the weights for clear pictures: only rendered ones show so much
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _FEW = 10  # pairs, which do not say how common copies are
@@ -110,18 +116,23 @@ def judge_places(
     are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
     others. With the geometric mean of both the same is done once more, which is the verdict.
     In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
-    pair needs some for it. Few pairs do not say how common copies are: each of them must also be
-    probable for what is thought of two panoramas that are compared alone.
+    pair needs some for it. Pairs of copies contradict the others, or the pictures tell them: what
+    pictures that show little leave open is no sign of copies. Few pairs do not say how common
+    copies are: each of them must also be probable for what is thought of two panoramas that are
+    compared alone.
     """
     if len(pairs) == 0:
         return ()
+    if _are_clear([each.own for each in evidence]):
+        evidence, doubted = map(_of_clear_pictures, (evidence, doubted))
     every = (*evidence, *doubted)
     court = _Court(pairs, every, _RATES)
     groups = court.groups(-np.inf)
-    share_wrong = _share_wrong(groups.ratios)
+    before, after = _limits([each.own for each in evidence])
+    share_wrong = _share_wrong(groups.ratios, before)
     if groups.ratios.min() < _least_ratio(share_wrong):
         groups = court.groups(_least_ratio(share_wrong))
-        share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios)))
+        share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios, after)))
     court = _Court(pairs, every, court.rates(groups.joined))
     groups = court.groups(_least_ratio(share_wrong))
     told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
@@ -321,11 +332,32 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
     return np.stack(means, axis=1) if len(counts) else np.zeros((0, values.shape[1]))
 
 
-def _share_wrong(ratios: Array) -> float:
+def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
+    """Whether the pictures of a folder show so much as only clear ones do."""
+    return _surest([each.of_clear_pictures() for each in shown]) >= _CLEAR
+
+
+def _of_clear_pictures(evidence: Sequence[Evidence]) -> tuple[Evidence, ...]:
+    return tuple(replace(each, own=each.own.of_clear_pictures()) for each in evidence)
+
+
+def _limits(shown: Sequence[OwnEvidence]) -> tuple[_Limits, _Limits]:
+    """Between which a ratio says something about the folder, by what its pairs show themselves."""
+    return _IF_LITTLE_SHOWN if -np.inf < _surest(shown) < _MUCH_SHOWN else _CLEARLY
+
+
+def _surest(shown: Sequence[OwnEvidence]) -> float:
+    """Ratio over copies that the surest tenth of the pairs has; minus infinity if none is known."""
+    nothing = OwnEvidence()  # of pairs whose surfaces were not asked for
+    told = [each.over_copies for each in shown if each.is_known and each != nothing]
+    return float(np.quantile(told, _SUREST)) if told else -np.inf
+
+
+def _share_wrong(ratios: Array, limits: _Limits) -> float:
     """Share of the pairs of a folder that are wrong, by the ratios of all (EM)."""
     share = _PRIOR_WRONG / _PRIOR_PAIRS
     for _ in range(_MOST_STEPS):
-        wrong = float(np.sum(1 - _probabilities(ratios, share, _CLEARLY)))
+        wrong = float(np.sum(1 - _probabilities(ratios, share, limits)))
         updated = (wrong + _PRIOR_WRONG) / (len(ratios) + _PRIOR_PAIRS)
         if abs(updated - share) < 1e-6:
             break
@@ -335,14 +367,14 @@ def _share_wrong(ratios: Array) -> float:
 
 def _least_ratio(share_wrong: float) -> float:
     """Ratio of a pair that is just accepted."""
-    return float((_log_odds(_ACCEPTED) - _log_odds(1 - share_wrong)) / STEEPNESS)
+    return _log_odds(_ACCEPTED) - _log_odds(1 - share_wrong)
 
 
 def _probabilities(
-    ratios: Array, share_wrong: float | Array, limits: tuple[float, float] = (-30.0, 30.0)
+    ratios: Array, share_wrong: float | Array, limits: _Limits = (-30.0, 30.0)
 ) -> Array:
     """Probability of each pose; 0 of those that contradict the groups."""
-    odds = STEEPNESS * np.clip(ratios, *limits) + np.log(1 / np.asarray(share_wrong) - 1)
+    odds = np.clip(ratios, *limits) + np.log(1 / np.asarray(share_wrong) - 1)
     return np.asarray(np.where(np.isneginf(ratios), 0.0, 1 / (1 + np.exp(-odds))))
 
 

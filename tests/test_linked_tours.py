@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Exported virtual tours that benchmarks read: pictures from tiles, and what links say."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from epi360.cameras import Equirectangular
+from epi360.poses import Pose
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+TILE, SIZE, WIDTH = 96, 128, 256  # two rows and columns of tiles, the last ones narrower
+
+
+@pytest.fixture
+def reader(monkeypatch):
+    """The module that reads exported tours."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import _linked_tours
+
+    return _linked_tours
+
+
+def colours(bearings):
+    """Colours of the surroundings: smooth, and different in all directions."""
+    return np.clip(128 + 100 * bearings, 0, 255).astype(np.uint8)
+
+
+def face_of(axes):
+    x, y = np.meshgrid(*[(np.arange(SIZE) + 0.5) * 2 / SIZE - 1] * 2)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.array(axes, dtype=float)
+    return colours(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def write_tour(reader, folder, azimuths_deg):
+    """A tour of panoramas that show the same, with links at these azimuths."""
+    names = sorted({name for pair in azimuths_deg for name in pair})
+    levels = [{"tileSize": 64, "size": 64, "fallbackOnly": True}, {"tileSize": TILE, "size": SIZE}]
+    scenes = []
+    for name in names:
+        links = [
+            {"yaw": float(np.radians(azimuth)), "pitch": 0.0, "target": second}
+            for (first, second), azimuth in azimuths_deg.items()
+            if first == name
+        ]
+        scenes.append({"id": name, "levels": levels, "linkHotspots": links})
+        for face, axes in reader.FACES.items():
+            pixels = face_of(axes)
+            for row, column in np.ndindex(2, 2):
+                part = pixels[row * TILE :, column * TILE :][:TILE, :TILE]
+                path = folder / "tiles" / name / "1" / face / str(row) / f"{column}.jpg"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                cv2.imwrite(str(path), part[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])
+    (folder / "data.js").write_text(f"var APP_DATA = {json.dumps({'scenes': scenes})};\n")
+
+
+def stands_at(azimuth_deg, turned_deg):
+    """Pose of a second camera that stands in a direction of the first, and is turned right."""
+    centre, turn = np.radians([azimuth_deg, turned_deg])
+    R = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]])
+    return Pose(R, -R @ np.array([np.sin(centre), 0.0, np.cos(centre)]))
+
+
+def test_panoramas_are_put_together_of_tiles(reader, tmp_path):
+    write_tour(reader, tmp_path / "tour", {("a", "b"): 0.0, ("b", "a"): 180.0})
+    (tour,) = reader.linked_tours(tmp_path)
+    assert tour.name == "tour" and tour.names == ["a.jpg", "b.jpg"]
+    path, _ = tour.write_panoramas(tmp_path / "out", WIDTH)
+    picture = cv2.imread(str(path))[..., ::-1]
+    camera = Equirectangular(WIDTH, WIDTH // 2)
+    pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(WIDTH // 2)), axis=-1)
+    expected = colours(camera.bearings_from_pixels(pixels.reshape(-1, 2)))
+    difference = np.abs(picture.reshape(-1, 3).astype(int) - expected)
+    assert difference.max() <= 6 and difference.mean() < 1.5  # JPEG
+
+
+def test_a_file_of_something_else_is_no_tour(reader, tmp_path):
+    (tmp_path / "data.js").write_text("var x = {'scenes': 3};")
+    assert list(reader.linked_tours(tmp_path)) == []
+
+
+def test_links_there_and_back_tell_right_poses(reader, tmp_path):
+    # b stands at 40 degrees of a, and is turned by 100 degrees to the right.
+    links = {("a", "b"): 45.0, ("b", "a"): 125.0, ("b", "c"): 10.0}
+    write_tour(reader, tmp_path, links)
+    (tour,) = reader.linked_tours(tmp_path)
+    right = stands_at(40.0, 100.0)
+    assert tour.agrees("a.jpg", "b.jpg", right) is True
+    assert tour.agrees("b.jpg", "a.jpg", right.inverse()) is True
+    assert tour.agrees("a.jpg", "b.jpg", stands_at(40.0, 190.0)) is False
+    assert tour.agrees("a.jpg", "b.jpg", stands_at(160.0, 100.0)) is False
+    # Both links in a door beside the way are off alike; one alone says nothing.
+    assert tour.agrees("a.jpg", "b.jpg", stands_at(90.0, 100.0)) is True
+    assert tour.agrees("b.jpg", "c.jpg", right) is None
+
+
+def test_chains_of_links_tell_how_far_cameras_are_turned(reader, tmp_path):
+    links = {("a", "b"): 0.0, ("b", "a"): 90.0, ("b", "c"): 0.0, ("c", "b"): 150.0, ("d", "e"): 1.0}
+    write_tour(reader, tmp_path, {**links, ("e", "d"): 2.0})
+    (tour,) = reader.linked_tours(tmp_path)
+    # b is turned by 90 degrees from a, c by 30 from b.
+    assert tour.turn_agrees("a.jpg", "c.jpg", stands_at(70.0, 130.0)) is True
+    assert tour.turn_agrees("c.jpg", "a.jpg", stands_at(70.0, 130.0).inverse()) is True
+    assert tour.turn_agrees("a.jpg", "c.jpg", stands_at(70.0, -60.0)) is False
+    assert tour.turn_agrees("a.jpg", "d.jpg", stands_at(70.0, 120.0)) is None
