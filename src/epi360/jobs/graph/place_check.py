@@ -117,7 +117,8 @@ def judge_places(
     others. With the geometric mean of both the same is done once more, which is the verdict.
     In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
     pair needs some for it. Pairs of copies contradict the others, or the pictures tell them: what
-    pictures that show little leave open is no sign of copies. Few pairs do not say how common
+    pictures that show little leave open is no sign of copies. Of clear pictures, what pairs show by
+    themselves is weighed as in those of rendered homes. Few pairs do not say how common
     copies are: each of them must also be probable for what is thought of two panoramas that are
     compared alone.
     """
@@ -333,8 +334,9 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 
 def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
-    """Whether the pictures of a folder show so much as only clear ones do."""
-    return _surest([each.of_clear_pictures() for each in shown]) >= _CLEAR
+    """Whether pictures show so much as only clear ones do; few pairs do not tell."""
+    of_clear = [each.of_clear_pictures() for each in shown]
+    return len(shown) >= _FEW and _surest(of_clear) >= _CLEAR
 
 
 def _of_clear_pictures(evidence: Sequence[Evidence]) -> tuple[Evidence, ...]:
