@@ -26,21 +26,20 @@ from numpy.typing import NDArray
 from epi360.cameras import Equirectangular
 from epi360.features.images import read_image
 from epi360.features.picture_writing import encode_picture
+from epi360.jobs.cubes.cube_faces import (
+    FACES,
+    CubemapOptions,
+    FaceName,
+    face_camera,
+    face_from_cam,
+)
 from epi360.poses import Pose
+from epi360.report.text import azimuth_elevation_deg
 from epi360.runs.whole_files import write_file
 
 Array = NDArray[np.float64]
 
 DATA = "data.js"
-# Axes of the cube's faces: right, down and forward, in the axes of the panorama.
-FACES = {
-    "f": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "b": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
-    "r": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
-    "l": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
-    "u": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
-    "d": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-}
 LINK_DEG = 30.0  # both links are as near as this to a right pose
 SHIFTED_DEG, SAME_DEG = 60.0, 15.0  # or they stand in one door beside the way, and agree in that
 CHAIN_DEG, STEP_DEG = 20.0, 8.0  # of what links from room to room say about the turn
@@ -156,28 +155,28 @@ def linked_tours(folder: Path) -> Iterator[LinkedTour]:
             yield tour
 
 
-def panorama_of(faces: Mapping[str, NDArray[np.uint8]], width: int) -> NDArray[np.uint8]:
+def panorama_of(faces: Mapping[FaceName, NDArray[np.uint8]], width: int) -> NDArray[np.uint8]:
     """Equirectangular picture (width / 2, width, 3) of six faces."""
     camera = Equirectangular(width, width // 2)
-    columns, rows = np.meshgrid(np.arange(width), np.arange(width // 2))
-    bearings = camera.bearings_from_pixels(np.column_stack([columns.ravel(), rows.ravel()]))
-    axes = np.array(list(FACES.values()), dtype=np.float64)  # faces, axes, coordinates
-    nearest = np.argmax(bearings @ axes[:, 2].T, axis=1)
+    centres = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    bearings = camera.bearings_from_pixels(np.stack(centres, axis=-1).reshape(-1, 2))
+    middles = np.array([face_from_cam(name).rotation[2] for name in faces])
+    nearest = np.argmax(bearings @ middles.T, axis=1)
     picture = np.zeros((len(bearings), 3), np.uint8)
-    for number, name in enumerate(FACES):
+    for number, (name, face) in enumerate(faces.items()):
         (shown,) = np.nonzero(nearest == number)
-        x, y, z = axes[number] @ bearings[shown].T
-        size = len(faces[name])
-        places = ((np.stack([x, y]) / z + 1.0) * size / 2.0 - 0.5).astype(np.float32)
+        seen = bearings[shown] @ face_from_cam(name).rotation.T
+        pixels = face_camera(camera, CubemapOptions(face_size=len(face))).pixels_from_bearings(seen)
+        places = (pixels - 0.5).T.astype(np.float32)  # OpenCV counts from the middle of a pixel
         padded = np.pad(places, ((0, 0), (0, -len(shown) % ROW))).reshape(2, -1, ROW)
         found = cv2.remap(
-            faces[name], padded[0], padded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            face, padded[0], padded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         picture[shown] = found.reshape(-1, 3)[: len(shown)]
-    return picture.reshape(width // 2, width, 3)
+    return picture.reshape(camera.height, camera.width, 3)
 
 
-def _faces(source: Path, scene: Mapping[str, Any], width: int) -> dict[str, NDArray[np.uint8]]:
+def _faces(source: Path, scene: Mapping[str, Any], width: int) -> dict[FaceName, NDArray[np.uint8]]:
     """The faces in the smallest size that is half as wide as the panorama, or in the largest."""
     sizes = [level for level in scene["levels"] if not level.get("fallbackOnly")]
     levels = [level for level in sizes if level["size"] >= width // 2] or sizes[-1:]
@@ -185,7 +184,7 @@ def _faces(source: Path, scene: Mapping[str, Any], width: int) -> dict[str, NDAr
     # Folders count the sizes that are shown from 1 on.
     number = sizes.index(levels[0]) + 1
     folder = source / "tiles" / scene["id"] / str(number)
-    return {name: _face(folder / name, size, tile) for name in FACES}
+    return {name: _face(folder / name[0], size, tile) for name in FACES}  # f, r, b, l, u, d
 
 
 def _face(folder: Path, size: int, tile: int) -> NDArray[np.uint8]:
@@ -202,7 +201,7 @@ def _file_name(scene: str) -> str:
 
 
 def _azimuth_deg(direction: Array) -> float:
-    return math.degrees(math.atan2(direction[0], direction[2]))
+    return azimuth_elevation_deg(direction)[0]
 
 
 def _turned(angle_deg: float) -> float:

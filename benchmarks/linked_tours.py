@@ -41,14 +41,15 @@ def main() -> None:
     total: Counter[tuple[str, str]] = Counter()
     for tour in linked_tours(options.tours):
         verdicts = _verdicts(tour, options.out, options.jobs)
-        counts = Counter(_column(tour, each) for each in verdicts if _has_pose(each))
+        posed = [(each, _column(tour, each)) for each in verdicts if _has_pose(each)]
+        counts = Counter(column for _, column in posed)
         total += counts
         numbers = [len(tour.names), len(verdicts), *(counts[column] for column in COLUMNS)]
         rows.append([tour.name, *map(str, numbers)])
         print(tour.name, *numbers, flush=True)
-        for each in verdicts if options.list else ():
-            if _has_pose(each) and _column(tour, each)[1] == SAYINGS[False]:
-                print("   ", *_column(tour, each), *_names(each), each.num_inliers)
+        for each, column in posed if options.list else ():
+            if column[1] == SAYINGS[False]:
+                print("   ", *column, *_names(each), each.num_inliers)
     rows.append(["all", "", "", *(str(total[column]) for column in COLUMNS)])
     print(text_table(rows))
 

@@ -12,6 +12,15 @@ from epi360.cameras import Equirectangular
 from epi360.poses import Pose
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+# Right, down and forward of the faces in the panorama's axes, as tours name them.
+AXES = {
+    "f": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "b": ((-1, 0, 0), (0, 1, 0), (0, 0, -1)),
+    "r": ((0, 0, -1), (0, 1, 0), (1, 0, 0)),
+    "l": ((0, 0, 1), (0, 1, 0), (-1, 0, 0)),
+    "u": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "d": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+}
 TILE, SIZE, WIDTH = 96, 128, 256  # two rows and columns of tiles, the last ones narrower
 
 
@@ -25,8 +34,9 @@ def reader(monkeypatch):
 
 
 def colours(bearings):
-    """Colours of the surroundings: smooth, and different in all directions."""
-    return np.clip(128 + 100 * bearings, 0, 255).astype(np.uint8)
+    """Greys of the surroundings: smooth, but half a pixel of the panorama makes a difference."""
+    grey = np.round(128 + 40 * np.sin(10 * bearings).sum(axis=-1, keepdims=True))
+    return np.repeat(grey.astype(np.uint8), 3, axis=-1)
 
 
 def face_of(axes):
@@ -35,7 +45,7 @@ def face_of(axes):
     return colours(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
 
 
-def write_tour(reader, folder, azimuths_deg):
+def write_tour(folder, azimuths_deg):
     """A tour of panoramas that show the same, with links at these azimuths."""
     names = sorted({name for pair in azimuths_deg for name in pair})
     levels = [{"tileSize": 64, "size": 64, "fallbackOnly": True}, {"tileSize": TILE, "size": SIZE}]
@@ -47,7 +57,7 @@ def write_tour(reader, folder, azimuths_deg):
             if first == name
         ]
         scenes.append({"id": name, "levels": levels, "linkHotspots": links})
-        for face, axes in reader.FACES.items():
+        for face, axes in AXES.items():
             pixels = face_of(axes)
             for row, column in np.ndindex(2, 2):
                 part = pixels[row * TILE :, column * TILE :][:TILE, :TILE]
@@ -65,13 +75,14 @@ def stands_at(azimuth_deg, turned_deg):
 
 
 def test_panoramas_are_put_together_of_tiles(reader, tmp_path):
-    write_tour(reader, tmp_path / "tour", {("a", "b"): 0.0, ("b", "a"): 180.0})
+    write_tour(tmp_path / "tour", {("a", "b"): 0.0, ("b", "a"): 180.0})
     (tour,) = reader.linked_tours(tmp_path)
     assert tour.name == "tour" and tour.names == ["a.jpg", "b.jpg"]
     path, _ = tour.write_panoramas(tmp_path / "out", WIDTH)
     picture = cv2.imread(str(path))[..., ::-1]
     camera = Equirectangular(WIDTH, WIDTH // 2)
-    pixels = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(WIDTH // 2)), axis=-1)
+    centres = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(WIDTH // 2) + 0.5)
+    pixels = np.stack(centres, axis=-1)
     expected = colours(camera.bearings_from_pixels(pixels.reshape(-1, 2)))
     difference = np.abs(picture.reshape(-1, 3).astype(int) - expected)
     assert difference.max() <= 6 and difference.mean() < 1.5  # JPEG
@@ -85,7 +96,7 @@ def test_a_file_of_something_else_is_no_tour(reader, tmp_path):
 def test_links_there_and_back_tell_right_poses(reader, tmp_path):
     # b stands at 40 degrees of a, and is turned by 100 degrees to the right.
     links = {("a", "b"): 45.0, ("b", "a"): 125.0, ("b", "c"): 10.0}
-    write_tour(reader, tmp_path, links)
+    write_tour(tmp_path, links)
     (tour,) = reader.linked_tours(tmp_path)
     right = stands_at(40.0, 100.0)
     assert tour.agrees("a.jpg", "b.jpg", right) is True
@@ -99,7 +110,7 @@ def test_links_there_and_back_tell_right_poses(reader, tmp_path):
 
 def test_chains_of_links_tell_how_far_cameras_are_turned(reader, tmp_path):
     links = {("a", "b"): 0.0, ("b", "a"): 90.0, ("b", "c"): 0.0, ("c", "b"): 150.0, ("d", "e"): 1.0}
-    write_tour(reader, tmp_path, {**links, ("e", "d"): 2.0})
+    write_tour(tmp_path, {**links, ("e", "d"): 2.0})
     (tour,) = reader.linked_tours(tmp_path)
     # b is turned by 90 degrees from a, c by 30 from b.
     assert tour.turn_agrees("a.jpg", "c.jpg", stands_at(70.0, 130.0)) is True
