@@ -41,8 +41,9 @@ from epi360.features import Features, extract_features, match_features, read_ima
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.places import own_evidence
+from epi360.places.one_surface import on_floor
 from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
-from epi360.places.shared_points import FLOOR_SHARE, PosedPair, floor_share
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
@@ -82,11 +83,13 @@ class Shown(NamedTuple):
 def main() -> int:
     """Run what the command line asks for."""
     options = _parse_options()
-    every = [each for seed in options.seeds for each in _shown_in_homes(seed, options)]
-    every += _shown_in_tours(options)
+    measures = [(f"homes_{seed}", partial(_shown_in_homes, seed)) for seed in options.seeds]
+    sources = sorted(each for each in options.tours.iterdir() if each.is_dir())
+    measures += [(f"tours_{source.name}", partial(_shown_in_tours, source)) for source in sources]
+    every = [each for name, measure in measures for each in _kept(name, measure, options)]
     shown = [each for each in every if len(each.numbers)]
-    on_floor = [each.case in RIGHT for each in every if not len(each.numbers)]
-    print(f"On the floor alone lie {len(on_floor)} pairs, {sum(on_floor)} of them right.")
+    are_right = [each.case in RIGHT for each in every if not len(each.numbers)]
+    print(f"On the floor alone lie {len(are_right)} pairs, {sum(are_right)} of them right.")
     counts = {case: sum(each.case == case for each in shown) for case in CASES}
     if min(counts.values()) < FEWEST_PAIRS:
         print(f"each case must have {FEWEST_PAIRS} pairs, there are {counts}: take more")
@@ -107,13 +110,32 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument(
         "--tours", type=Path, required=True, help="folders of real tours, as Marzipano exports them"
     )
-    parser.add_argument("--out", type=Path, default=Path("own_evidence"), help="keeps pictures")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("own_evidence"),
+        help="keeps pictures and what they show: take another one when the package has changed",
+    )
     parser.add_argument("--write", action="store_true", help="become those of the package")
     return parser.parse_args()
 
 
 def _numbers(text: str) -> list[int]:
     return [int(each) for each in text.split(",")]
+
+
+def _kept(
+    name: str, measure: Callable[[argparse.Namespace], Iterator[Shown]], options: argparse.Namespace
+) -> list[Shown]:
+    """What was measured before, or is measured now and kept: all of it takes hours."""
+    path = options.out / "shown" / f"{name}.json"
+    if path.exists():
+        kept = json.loads(path.read_text("utf-8"))
+        return [Shown(source, kind, case, np.array(told)) for source, kind, case, told in kept]
+    shown = list(measure(options))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, json.dumps([[*each[:-1], each.numbers.tolist()] for each in shown]).encode())
+    return shown
 
 
 def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
@@ -129,15 +151,14 @@ def _shown_in_homes(seed: int, options: argparse.Namespace) -> Iterator[Shown]:
             yield from found
 
 
-def _shown_in_tours(options: argparse.Namespace) -> Iterator[Shown]:
-    for source in sorted(each for each in options.tours.iterdir() if each.is_dir()):
-        for tour in linked_tours(source):
-            folder = options.out / "tours" / f"{source.name}_{tour.name}"
-            tour.write_panoramas(folder, TOUR_WIDTH)
-            shown = _shown_in(folder, tour.names, partial(_linked_case, tour), 0)
-            found = [Shown(source.name, REAL, *each) for each in shown]
-            print(f"{source.name}, {tour.name}: {len(found)} pairs", flush=True)
-            yield from found
+def _shown_in_tours(source: Path, options: argparse.Namespace) -> Iterator[Shown]:
+    for tour in linked_tours(source):
+        folder = options.out / "tours" / f"{source.name}_{tour.name}"
+        tour.write_panoramas(folder, TOUR_WIDTH)
+        shown = _shown_in(folder, tour.names, partial(_linked_case, tour), 0)
+        found = [Shown(source.name, REAL, *each) for each in shown]
+        print(f"{source.name}, {tour.name}: {len(found)} pairs", flush=True)
+        yield from found
 
 
 def _shown_in(
@@ -155,7 +176,7 @@ def _shown_in(
         case = None if pair is None else case_of(names, pair.cam2_from_cam1)
         if pair is None or case is None:
             return None
-        if floor_share(*pair.bearings) > FLOOR_SHARE:
+        if on_floor(pair):
             return case, np.empty(0)
         grown = grow_both(pair, [view.panorama for view in both])
         return case, own_evidence.shown_by(pair, grown)
@@ -309,7 +330,7 @@ def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, An
         "num_pairs": {case: sum(each.case == case for each in shown) for case in CASES},
         "shown": list(SHOWN),
         own_evidence.EVERY: _values(_weights(shown)),
-        own_evidence.CLEAR: _values(_weights([each for each in shown if each.kind != REAL])),
+        own_evidence.HOMES: _values(_weights([each for each in shown if each.kind != REAL])),
     }
 
 

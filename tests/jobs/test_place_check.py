@@ -20,12 +20,20 @@ from epi360.jobs.graph.surface_evidence import (
 )
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.shared_points import PosedPair
-from epi360.poses import Pose
+from epi360.poses import Pose, rotation_from_vector
 
 NUM_CELLS = 20
 NOBODY = np.empty(0, np.int64)
+
+
+def shows(over_others=0.0, over_copies=0.0, *, as_in_homes=None, **details):
+    """What a pair shows, by both sets of weights unless other ratios are given."""
+    ratios = as_in_homes or (over_others, over_copies)
+    return OwnEvidence(over_others, over_copies, as_in_homes=ratios, **details)
+
+
 # What pairs of one room show by themselves.
-ALL_GROWS, LITTLE_GROWS, NOTHING_GROWS = OwnEvidence(5.0, 6.0), OwnEvidence(1.0, 1.0), OwnEvidence()
+ALL_GROWS, LITTLE_GROWS, NOTHING_GROWS = shows(5.0, 6.0), shows(1.0, 1.0), shows()
 
 
 def posed(images, *, turn=None):
@@ -178,9 +186,9 @@ def test_what_a_pair_shows_by_itself_counts_where_nobody_else_knows_anything():
     pairs, is_right = twin_rooms()
     found = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])
     for own, is_enough in (
-        (OwnEvidence(8.0, 0.0), False),  # not another place, but maybe a copy
-        (OwnEvidence(0.0, 5.0), False),
-        (OwnEvidence(8.0, 5.0), True),
+        (shows(8.0, 0.0), False),  # not another place, but maybe a copy
+        (shows(0.0, 5.0), False),
+        (shows(8.0, 5.0), True),
     ):
         found[0] = replace(found[0], own=own)
         assert bool(judged(pairs, found)[0].refused) != is_enough
@@ -200,7 +208,7 @@ def test_what_moves_is_no_copy_where_most_pairs_are_in_the_open():
     pairs, is_right = twin_rooms()
     found = evidence_on(pairs, np.where(is_right, 1.0, 0.4), silent=[0])
     outdoors = [replace(each, own=replace(each.own, in_the_open=True)) for each in found]
-    differs = OwnEvidence(8.0, 1.0, in_the_open=True)  # as if its owners had put other things there
+    differs = shows(8.0, 1.0, in_the_open=True)  # as if its owners had put other things there
     in_a_home, in_a_street = (
         judged(pairs, [replace(folder[0], own=differs), *folder[1:]])[0]
         for folder in (found, outdoors)
@@ -212,7 +220,7 @@ def doubted(share):
     """Evidence on a further pair, by pairs of both of its panoramas."""
     rng = np.random.default_rng(5)
     sides = sightings(rng, [0, 1], share), sightings(rng, [3, 4], share)
-    return Evidence(sides, own=OwnEvidence(2.4, 2.4))
+    return Evidence(sides, own=shows(2.4, 2.4))
 
 
 def test_doubted_poses_are_judged_by_what_the_others_know():
@@ -282,7 +290,7 @@ def test_the_reason_names_pairs_that_say_the_same():
         found[row] = replace(found[row], siblings=said)
     best = across[0]
     silent = evidence_on(pairs, [1.0] * len(pairs), silent=[best])[best]
-    found[best] = replace(silent, siblings=found[best].siblings, own=OwnEvidence(3.0, 3.0))
+    found[best] = replace(silent, siblings=found[best].siblings, own=shows(3.0, 3.0))
     assert "pairs that say the same" in judged(pairs, found)[best].refused
 
 
@@ -302,22 +310,34 @@ def test_where_all_looks_the_same_no_doubt_is_left():
     assert not leave_a_doubt([posed(pair) for pair in images], evidence_on(images, [1.0] * 15))
 
 
-@pytest.mark.parametrize("much_is_shown", [False, True])
-def test_what_pictures_that_show_little_leave_open_is_no_sign_of_copies(much_is_shown):
-    """All pairs close their loops; half of them look more like copies than like one room."""
+def turned(row):
+    return rotation_from_vector([0.0, 0.8 * (row + 1), 0.0])
+
+
+@pytest.mark.parametrize("num_turned", [0, 2, 14])
+def test_where_loops_contradict_pairs_are_weighed_as_in_homes_with_copies(num_turned):
+    """By weights that know real tours too, little speaks against some pairs."""
     images = list(combinations(range(8), 2))
-    best = OwnEvidence(8.0, 8.0 if much_is_shown else 3.0)
-    owns = [OwnEvidence(3.0, -1.2)] * 14 + [OwnEvidence(3.0, 2.0)] * 10 + [best] * 4
+    doubtful = shows(3.0, 0.5, as_in_homes=(3.0, -3.0))
+    sure = shows(8.0, 5.0, as_in_homes=(8.0, 4.0))
+    wrong = shows(3.0, -1.0, as_in_homes=(0.0, -2.0))
+    pairs = [posed(pair) for pair in images]
+    owns = [doubtful if 9 <= row < 14 else sure for row in range(len(images))]
+    also = images[14 : 14 + num_turned]  # from elsewhere, turned in all ways
+    pairs += [posed(pair, turn=turned(row)) for row, pair in enumerate(also)]
+    owns += [wrong] * num_turned
     found = [Evidence((nothing(), nothing()), own=own) for own in owns]
-    refused = [bool(each.refused) for each in judged(images, found)]
-    assert refused[:14] == [much_is_shown] * 14 and not any(refused[24:])
+    refused = np.array([bool(each.refused) for each in judge_places(pairs, found)])
+    assert not refused[:9].any() and not refused[14 : len(images)].any()
+    assert refused[9:14].all() if num_turned == 14 else not refused[9:14].any()
+    assert refused[len(images) :].all()
 
 
 @pytest.mark.parametrize("are_clear", [False, True])
-def test_clear_pictures_are_judged_by_the_weights_for_them(are_clear):
+def test_clear_pictures_are_weighed_as_in_homes(are_clear):
     images = list(combinations(range(8), 2))
-    clear = OwnEvidence(8.0, 7.0, if_clear=(8.0, 9.0 if are_clear else 5.0))
-    differs = OwnEvidence(8.0, 7.0, if_clear=(8.0, -4.0))
+    clear = shows(8.0, 7.0, as_in_homes=(8.0, 9.0 if are_clear else 5.0))
+    differs = shows(8.0, 7.0, as_in_homes=(8.0, -4.0))
     found = [Evidence((nothing(), nothing()), own=own) for own in [differs] * 8 + [clear] * 20]
     refused = [bool(each.refused) for each in judged(images, found)]
     assert refused[:8] == [are_clear] * 8 and not any(refused[8:])
@@ -333,10 +353,10 @@ def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help()
     few = [pair for pair, right in zip(pairs, is_right, strict=True) if right][:3]
     silent = evidence_on(few, np.ones(3), silent=[0, 1, 2])
     for own, is_refused, why in (
-        (OwnEvidence(8.0, 8.0), False, ""),
-        (OwnEvidence(8.0, -4.0), True, "may show a copy of the place"),
-        (OwnEvidence(-4.0, 8.0), True, "shows another place"),
-        (OwnEvidence(0.0, 8.0, on_floor=True), True, "shows another place"),
+        (shows(8.0, 8.0), False, ""),
+        (shows(8.0, -4.0), True, "may show a copy of the place"),
+        (shows(-4.0, 8.0), True, "shows another place"),
+        (shows(0.0, 8.0, on_floor=True), True, "shows another place"),
     ):
         evidence = [replace(silent[0], own=own), *silent[1:]]
         verdict = judged(few, evidence)[0]

@@ -53,6 +53,15 @@ def test_panoramas_are_joined_by_what_is_sure_enough():
 def test_without_pairs_there_are_no_groups():
     groups = groups_of([], [], 0.0)
     assert len(groups.joined) == len(groups.ratios) == 0
+    assert (groups.num_contradicting, groups.num_loops) == (0, 0)
+
+
+def test_pairs_beyond_those_that_join_the_panoramas_of_groups_close_loops():
+    chain, ring = [(0, 1), (1, 2), (2, 3)], [(4, 5), (5, 6), (4, 6), (6, 5)]
+    for images, num_loops in ((chain, 0), (ring, 2), (chain + ring, 2)):
+        pairs = [pair_of(each) for each in images]
+        groups = groups_of(pairs, [5.0] * len(pairs), -np.inf)
+        assert (groups.num_contradicting, groups.num_loops) == (0, num_loops)
 
 
 def test_a_pair_that_turns_a_panorama_otherwise_than_surer_ones_contradicts_them():
@@ -60,6 +69,7 @@ def test_a_pair_that_turns_a_panorama_otherwise_than_surer_ones_contradicts_them
     groups = groups_of(pairs, [5.0, 4.0, 3.0, 2.0], 0.0)
     assert groups.joined.tolist() == [True, True, True, False]
     assert groups.ratios.tolist() == [5.0 * HEARD, 4.0 * HEARD, 3.0, -np.inf]
+    assert (groups.num_contradicting, groups.num_loops) == (1, 2)
 
 
 @pytest.mark.parametrize("sigma_deg, is_kept", [(0.1, False), (4.0, True)])

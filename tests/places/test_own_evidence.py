@@ -12,8 +12,8 @@ import pytest
 from epi360.features.shared_surfaces import NUM_CELLS, SharedSurfaces, grid
 from epi360.places import own_evidence
 from epi360.places.own_evidence import (
-    CLEAR,
     EVERY,
+    HOMES,
     SHOWN,
     WEIGHTS,
     OwnEvidence,
@@ -26,7 +26,7 @@ from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 
 RECORD = json.loads(files(own_evidence.__package__).joinpath(WEIGHTS).read_text("utf-8"))
-FITTED, FITTED_TO_CLEAR = (Weights.of_record(RECORD[kind]) for kind in (EVERY, CLEAR))
+FITTED, FITTED_TO_HOMES = (Weights.of_record(RECORD[kind]) for kind in (EVERY, HOMES))
 REAL = np.array([-1.36, 5.89, 6.84, -2.15, -1.56, -2.59, -1.74])  # medians of public tours
 # Means of thousands of pairs of rendered homes.
 ONE_ROOM = np.array([-2.14, 5.74, 7.34, -2.04, -2.74, -4.04, -2.72])
@@ -43,6 +43,11 @@ PAIR = PosedPair(
     0.1,
     0.1,
 )
+
+
+def seen_along(bearings1, bearings2):
+    rows = np.arange(len(bearings1))
+    return replace(PAIR, bearings=(bearings1, bearings2), keypoints=(rows, rows))
 
 
 def views_of(is_found, differs=None, contrasts=10.0, depth=6.0):
@@ -134,18 +139,18 @@ def test_a_pair_on_the_floor_alone_has_nothing_to_say_in_a_folder():
     down, up = np.array([0.0, 0.8, 0.6]), np.array([0.0, -0.6, 0.8])
     for num_above, is_heard in ((0, False), (2, False), (4, True)):
         bearings = np.array([down] * (100 - num_above) + [up] * num_above)
-        own = OwnEvidence.of(replace(PAIR, bearings=(bearings, bearings)), shown_there)
+        own = OwnEvidence.of(seen_along(bearings, bearings), shown_there)
         assert own.on_floor != is_heard
         assert (limited_in_folder(own) != OwnEvidence()) == is_heard
     higher = np.array([up] * 50 + [down] * 50)  # both images must see it below
-    own = OwnEvidence.of(replace(PAIR, bearings=(bearings, higher)), shown_there)
+    own = OwnEvidence.of(seen_along(bearings, higher), shown_there)
     assert limited_in_folder(own) != OwnEvidence()
 
 
 def test_the_file_holds_weights_from_many_pairs():
     assert RECORD["shown"] == list(SHOWN)
     assert min(RECORD["num_pairs"].values()) > 300
-    for fitted in (FITTED, FITTED_TO_CLEAR):
+    for fitted in (FITTED, FITTED_TO_HOMES):
         assert (fitted.least < fitted.most).all()
         assert (fitted.spread > 0.0).all()
         assert fitted.over_others.shape == fitted.over_copies.shape == (36,)
@@ -165,7 +170,7 @@ def test_ratios_weigh_what_is_shown_in_units_of_the_spread():
 
 
 @pytest.mark.parametrize(
-    ("fitted", "over_copies", "over_others"), [(FITTED, -0.7, -2.5), (FITTED_TO_CLEAR, -2.0, -5.0)]
+    ("fitted", "over_copies", "over_others"), [(FITTED, -0.7, -2.5), (FITTED_TO_HOMES, -2.0, -5.0)]
 )
 def test_typical_pairs_are_told_apart(fitted, over_copies, over_others):
     assert min(fitted.ratios(ONE_ROOM)) > 4.0
@@ -174,13 +179,28 @@ def test_typical_pairs_are_told_apart(fitted, over_copies, over_others):
     assert fitted.ratios(OTHER)[0] < over_others
 
 
-def test_of_clear_pictures_what_differs_tells_more():
+def test_in_homes_with_copies_what_differs_tells_more():
     """Typical pairs of real tours: more differs than of rendered pairs of one room."""
     assert FITTED.ratios(REAL)[1] > 0.5
-    assert FITTED_TO_CLEAR.ratios(REAL)[1] < FITTED.ratios(REAL)[1] - 1.0
-    own = OwnEvidence(2.0, 1.0, in_the_open=True, if_clear=(3.0, -4.0))
-    expected = OwnEvidence(3.0, -4.0, in_the_open=True, if_clear=(3.0, -4.0))
-    assert own.of_clear_pictures() == expected
+    assert FITTED_TO_HOMES.ratios(REAL)[1] < FITTED.ratios(REAL)[1] - 1.0
+    own = OwnEvidence(2.0, 1.0, in_the_open=True, as_in_homes=(3.0, -4.0))
+    expected = OwnEvidence(3.0, -4.0, in_the_open=True, as_in_homes=(3.0, -4.0))
+    assert own.weighed_as_in_homes() == expected
+
+
+def test_a_pair_on_one_wall_is_weighed_as_in_homes_and_has_nothing_to_say_in_a_folder():
+    grown = views_of(CAP & (grid().directions[:, 0] > 0.5), contrasts=20.0)
+    x, y = np.random.default_rng(0).uniform(-2.0, 2.0, (2, 200))
+    for depths, is_wall in ((np.full(200, 2.0), True), (2.0 + (x > 0), False)):
+        points = np.column_stack([x, y, depths])
+        other = points + PAIR.cam2_from_cam1.translation
+        bearings = tuple(each / np.linalg.norm(each, axis=1)[:, None] for each in (points, other))
+        own = OwnEvidence.of(seen_along(*bearings), grown)
+        assert own.on_one_wall == is_wall and not own.on_floor
+        ratios = (own.over_others, own.over_copies)
+        assert own.as_in_homes == pytest.approx(FITTED_TO_HOMES.ratios(shown_by(PAIR, grown)))
+        assert (ratios == own.as_in_homes) == is_wall
+        assert (limited_in_folder(own) == OwnEvidence()) == is_wall
 
 
 def test_beyond_what_pairs_have_shown_nothing_more_is_said():

@@ -3,6 +3,7 @@ from dataclasses import astuple
 
 import cv2
 import numpy as np
+import papered_rooms
 import pytest
 from twin_rooms import exposed_and_visited, rooms, truth
 
@@ -10,7 +11,7 @@ import epi360
 from epi360.estimation.result import SamePlace
 from epi360.features.warped_patches import WIDTH, Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both, shown_by
-from epi360.places.same_place import LEAST_PROBABILITY, same_place
+from epi360.places.same_place import LEAST_PROBABILITY, ONE_WALL, same_place
 from epi360.places.shared_points import PosedPair
 from epi360.poses import rotation_error_deg, translation_error_deg
 
@@ -50,6 +51,14 @@ def test_evidence_moves_probability_between_the_three_explanations():
         assert same_place(OwnEvidence(others, copies, on_floor=True)).here < place.here
 
 
+def test_on_one_wall_no_more_than_the_limit_speaks_for_a_pair():
+    assert same_place(OwnEvidence(on_one_wall=True)).here == pytest.approx(0.25)
+    much, more = (same_place(OwnEvidence(each, each, on_one_wall=True)) for each in (3.0, 9.0))
+    assert much == more
+    assert LEAST_PROBABILITY < more.here < 0.9
+    assert same_place(OwnEvidence(9.0, 1.5, on_one_wall=True)).here < LEAST_PROBABILITY
+
+
 def test_what_looks_like_a_copy_is_refused_and_yet_possible():
     assert 0.2 < same_place(OwnEvidence(8.0, -50.0)).here < LEAST_PROBABILITY
     assert same_place(OwnEvidence(-50.0, 8.0)).here < 1e-3
@@ -67,6 +76,30 @@ def test_two_views_of_one_room_are_of_one_place(names):
     assert result.place.here > 0.99
     assert error_deg(result.cam2_from_cam1, *names) < 0.5
     assert not any("both cameras must see" in each for each in result.warnings)
+
+
+@pytest.mark.parametrize(
+    ("views", "status"), [((("b", 0), ("b", 1)), "ok"), ((("a", 0), ("b", 1)), "another_place")]
+)
+def test_on_one_wall_alone_rooms_may_have_the_same_paper(views, status):
+    pictures = [papered_rooms.picture(*view, own_patterns=False) for view in views]
+    result = epi360.relative_pose_of_images(*pictures)
+    assert result.status == status
+    assert result.place.here < 0.9
+    assert result.success == (ONE_WALL in result.warnings)
+
+
+@pytest.mark.parametrize("letter", "ab")
+def test_where_more_than_a_wall_has_patterns_one_room_is_told_from_two(letter):
+    pictures = [papered_rooms.picture(letter, number) for number in (0, 1)]
+    result = epi360.relative_pose_of_images(*pictures)
+    camera1, camera2 = papered_rooms.poses()
+    expected = camera2.inverse() @ camera1
+    assert result.success and result.place.here > 0.99
+    assert rotation_error_deg(result.cam2_from_cam1, expected) < 0.2
+    assert translation_error_deg(result.cam2_from_cam1, expected) < 0.5
+    other = papered_rooms.picture("b" if letter == "a" else "a", 1)
+    assert not epi360.relative_pose_of_images(pictures[0], other).success
 
 
 @pytest.mark.parametrize("names", [("a0", "b1"), ("a1", "b0"), ("a2", "b1"), ("b1", "a2")])

@@ -8,9 +8,8 @@ things. Of another place with the same door little grows, and it frays out.
 
 Seven numbers say so, see `shown_by`. Right pairs are told from pairs of copies, and from those of
 other rooms, by logistic regression on the numbers, their squares and products.
-`benchmarks/own_evidence.py` fits it to rendered homes and real tours, and writes
-``own_evidence.json``; and once more to the homes alone, for clear pictures: where what both views
-show looks nearly the same, what differs tells more.
+`benchmarks/own_evidence.py` fits it to rendered homes with copies and to real tours without, and
+writes ``own_evidence.json``; and once more to the homes alone, for folders in which copies are.
 """
 
 from __future__ import annotations
@@ -34,7 +33,8 @@ from epi360.features.shared_surfaces import (
     grow_surfaces,
 )
 from epi360.features.warped_patches import Panorama
-from epi360.places.shared_points import FLOOR_SHARE, PosedPair, cloud_of, floor_share
+from epi360.places.one_surface import on_floor, on_one_wall
+from epi360.places.shared_points import PosedPair, cloud_of
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -42,7 +42,7 @@ Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 WEIGHTS = "own_evidence.json"  # beside this file
-EVERY, CLEAR = "every_picture", "clear_pictures"  # what its weights are for
+EVERY, HOMES = "homes_and_tours", "homes"  # what its weights were fitted to
 SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # see `shown_by`
 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
@@ -61,18 +61,20 @@ class OwnEvidence:
     """Log-likelihood ratios of a pose by what the pair shows by itself.
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
-    speak for a pair: where nothing grows, it is no copy either. ``on_floor`` says that the pair
-    lies on the floor alone: printed floors repeat from room to room. ``in_the_open`` says that what
-    both show lies at distances that differ more than in a room. Nothing is known if masks leave
-    too little. ``if_clear`` has both ratios by the weights for clear pictures.
+    speak for a pair: where nothing grows, it is no copy either. ``on_floor`` and ``on_one_wall``
+    say that all inliers lie there, which rooms may have alike. ``in_the_open`` says that what both
+    show lies at distances that differ more than in a room. Nothing is known if masks leave too
+    little. ``as_in_homes`` has both ratios by the weights that were fitted to homes alone, which
+    are those of a pair on one wall: there copies must be reckoned with.
     """
 
     over_others: float = 0.0
     over_copies: float = 0.0
     on_floor: bool = False
+    on_one_wall: bool = False
     in_the_open: bool = False
     is_known: bool = True
-    if_clear: tuple[float, float] = (0.0, 0.0)
+    as_in_homes: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
@@ -80,18 +82,19 @@ class OwnEvidence:
         if min(map(_share_that_counts, views)) < _LEAST_SHARE:
             return cls(is_known=False)
         shown = shown_by(pair, views)
-        over_others, over_copies = _FITTED.ratios(shown)
+        by_all, as_in_homes = _FITTED.ratios(shown), _FITTED_TO_HOMES.ratios(shown)
+        is_on_one_wall = on_one_wall(pair)
         return cls(
-            over_others,
-            over_copies,
-            on_floor=floor_share(*pair.bearings) > FLOOR_SHARE,
+            *(as_in_homes if is_on_one_wall else by_all),
+            on_floor=on_floor(pair),
+            on_one_wall=is_on_one_wall,
             in_the_open=min(map(_depth_spread, views)) > _LARGEST_SPREAD,
-            if_clear=_FITTED_TO_CLEAR.ratios(shown),
+            as_in_homes=as_in_homes,
         )
 
-    def of_clear_pictures(self) -> OwnEvidence:
-        """The same by the weights for clear pictures."""
-        over_others, over_copies = self.if_clear
+    def weighed_as_in_homes(self) -> OwnEvidence:
+        """The same by the weights that were fitted to homes alone."""
+        over_others, over_copies = self.as_in_homes
         return replace(self, over_others=over_others, over_copies=over_copies)
 
 
@@ -135,7 +138,7 @@ def terms(scaled: Array) -> Array:
 
 
 _RECORD: dict[str, Any] = json.loads(files(__package__).joinpath(WEIGHTS).read_text("utf-8"))
-_FITTED, _FITTED_TO_CLEAR = (Weights.of_record(_RECORD[kind]) for kind in (EVERY, CLEAR))
+_FITTED, _FITTED_TO_HOMES = (Weights.of_record(_RECORD[kind]) for kind in (EVERY, HOMES))
 
 
 def grow_both(

@@ -32,6 +32,8 @@ _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 # kinds together.
 _MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
+# So do papered walls, and right pairs are rarely on one alone: no more than this speaks for them.
+_ON_ONE_WALL, _MOST_ON_ONE_WALL = (0.5, 0.5), 3.0
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 10.0, -5.0
@@ -46,6 +48,7 @@ DOUBT = (
     "little of what both cameras must see around the matches looks as the pose says; the images "
     "may show two places with similar things"
 )
+ONE_WALL = "all inliers lie on one wall, and rooms may have the same paper, tiles or doors"
 
 
 def can_be_compared(camera: Camera) -> bool:
@@ -72,7 +75,8 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     if place.here < LEAST_PROBABILITY:
         return _refused(told)
     if place.here < _SURE:
-        return replace(told, warnings=(*told.warnings, DOUBT))
+        why = ONE_WALL if own.on_one_wall else DOUBT
+        return replace(told, warnings=(*told.warnings, why))
     return told
 
 
@@ -81,6 +85,8 @@ def same_place(own: OwnEvidence) -> SamePlace:
     elsewhere, copy = _IN_THE_OPEN if own.in_the_open else _INDOORS
     if own.on_floor:
         elsewhere = _ELSEWHERE_ON_FLOOR
+    if own.on_one_wall:
+        elsewhere, copy = _ON_ONE_WALL
     own = limited(own)
     weights = np.array(
         [
@@ -94,20 +100,21 @@ def same_place(own: OwnEvidence) -> SamePlace:
 
 def limited(own: OwnEvidence) -> OwnEvidence:
     """As much of the evidence as counts."""
+    most = _MOST_ON_ONE_WALL if own.on_one_wall else _MOST
     return replace(
         own,
-        over_others=float(np.clip(own.over_others, -_MOST, _MOST)),
-        over_copies=float(np.clip(own.over_copies, _LEAST_OVER_COPIES, _MOST)),
+        over_others=float(np.clip(own.over_others, -_MOST, most)),
+        over_copies=float(np.clip(own.over_copies, _LEAST_OVER_COPIES, most)),
     )
 
 
 def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> OwnEvidence:
     """As much of the evidence as counts beside that of other pairs.
 
-    A pair on the floor alone has nothing to say. Copies are rarer in the open; that a pair is there
-    is only believed in a folder in the open, for some pairs of copies look so, too.
+    A pair on the floor or on one wall alone has nothing to say. Copies are rarer in the open; that
+    a pair is there is only believed in a folder in the open, for some pairs of copies look so, too.
     """
-    if own.on_floor or not own.is_known:
+    if own.on_floor or own.on_one_wall or not own.is_known:
         return OwnEvidence()
     own = limited(own)
     over_copies = own.over_copies

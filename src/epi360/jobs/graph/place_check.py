@@ -56,12 +56,15 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees m
 # Parts of a view are not independent witnesses: points are known where matches were found, which
 # copies share. Beside what pairs show by themselves, regression weighs them by 0.1 to 0.3.
 _POINTS_COUNT = 0.25
+# Where so many of the loops contradict, to which a few that do not are added, there are copies
+# among the rooms: in homes with twin rooms 0.4 to 0.75 of them do, in real tours up to 0.02.
+_OF_COPIES_CONTRADICT, _FEW_LOOPS = 0.2, 5.0
+# Of clear pictures, the surest tenth of the pairs has this ratio over copies, as in homes alone.
+_SUREST, _CLEAR = 0.9, 6.0
 # A ratio outside these says no more about the folder, first with all pairs joined, then with the
-# sure ones. If the surest tenth shows little, a low ratio is the pictures' fault, not a copy's.
+# sure ones. Where loops close, a low ratio is the pictures' fault more often than a copy's.
 _CLEARLY = ((-3.0, 8.0), (-3.0, 8.0))
-_IF_LITTLE_SHOWN = ((-0.85, 8.0), (-1.5, 8.0))
-_SUREST, _MUCH_SHOWN = 0.9, 5.5  # quantile of the ratios over copies, and what it must be
-_CLEAR = 6.0  # the same by the weights for clear pictures: only rendered ones show so much
+_IF_LOOPS_CLOSE = ((-0.85, 8.0), (-1.5, 8.0))
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _FEW = 10  # pairs, which do not say how common copies are
@@ -116,20 +119,23 @@ def judge_places(
     are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
     others. With the geometric mean of both the same is done once more, which is the verdict.
     In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
-    pair needs some for it. Pairs of copies contradict the others, or the pictures tell them: what
-    pictures that show little leave open is no sign of copies. Of clear pictures, what pairs show by
-    themselves is weighed as in those of rendered homes. Few pairs do not say how common
-    copies are: each of them must also be probable for what is thought of two panoramas that are
-    compared alone.
+    pair needs some for it. Where copies are among the rooms, their pairs contradict the others, or
+    the pictures are so clear that they tell them. There, what pairs show by themselves is weighed
+    as in homes with copies; elsewhere, what pictures leave open is no sign of a copy. Few pairs do
+    not say how common copies are: each of them must also be probable for what is thought of two
+    panoramas that are compared alone.
     """
     if len(pairs) == 0:
         return ()
-    if _are_clear([each.own for each in evidence]):
-        evidence, doubted = map(_of_clear_pictures, (evidence, doubted))
     every = (*evidence, *doubted)
     court = _Court(pairs, every, _RATES)
     groups = court.groups(-np.inf)
-    before, after = _limits([each.own for each in evidence])
+    has_copies = _contradict(groups) or _are_clear([each.own for each in evidence])
+    if has_copies:
+        every = tuple(replace(each, own=each.own.weighed_as_in_homes()) for each in every)
+        court = _Court(pairs, every, _RATES)
+        groups = court.groups(-np.inf)
+    before, after = _CLEARLY if has_copies else _IF_LOOPS_CLOSE
     share_wrong = _share_wrong(groups.ratios, before)
     if groups.ratios.min() < _least_ratio(share_wrong):
         groups = court.groups(_least_ratio(share_wrong))
@@ -335,24 +341,15 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
     """Whether pictures show so much as only clear ones do; few pairs do not tell."""
-    of_clear = [each.of_clear_pictures() for each in shown]
-    return len(shown) >= _FEW and _surest(of_clear) >= _CLEAR
-
-
-def _of_clear_pictures(evidence: Sequence[Evidence]) -> tuple[Evidence, ...]:
-    return tuple(replace(each, own=each.own.of_clear_pictures()) for each in evidence)
-
-
-def _limits(shown: Sequence[OwnEvidence]) -> tuple[_Limits, _Limits]:
-    """Between which a ratio says something about the folder, by what its pairs show themselves."""
-    return _IF_LITTLE_SHOWN if -np.inf < _surest(shown) < _MUCH_SHOWN else _CLEARLY
-
-
-def _surest(shown: Sequence[OwnEvidence]) -> float:
-    """Ratio over copies that the surest tenth of the pairs has; minus infinity if none is known."""
     nothing = OwnEvidence()  # of pairs whose surfaces were not asked for
-    told = [each.over_copies for each in shown if each.is_known and each != nothing]
-    return float(np.quantile(told, _SUREST)) if told else -np.inf
+    told = [each.as_in_homes[1] for each in shown if each.is_known and each != nothing]
+    return len(told) >= _FEW and bool(np.quantile(told, _SUREST) >= _CLEAR)
+
+
+def _contradict(groups: Groups) -> bool:
+    """Whether so many loops contradict that copies must be among the rooms."""
+    share = groups.num_contradicting / (groups.num_loops + _FEW_LOOPS)
+    return share > _OF_COPIES_CONTRADICT
 
 
 def _share_wrong(ratios: Array, limits: _Limits) -> float:

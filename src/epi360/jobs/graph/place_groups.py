@@ -58,11 +58,18 @@ class Groups:
 
     ``joined`` (N,) are the pairs that the groups rest on. ``ratios`` (N,) are log-likelihood ratios
     of each pair being right, together with those that say the same; minus infinity for what
-    contradicts the groups.
+    contradicts the groups. ``num_loops`` are the pairs beyond those that it takes to join the
+    panoramas of the groups.
     """
 
     joined: Mask
     ratios: Array
+    num_loops: int
+
+    @property
+    def num_contradicting(self) -> int:
+        """How many pairs contradict the groups."""
+        return int(np.count_nonzero(np.isneginf(self.ratios)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +150,8 @@ class _Assembly:
         for row in (*self._undecided, *sorted(poor)):
             implied = [self._said[pair] for pair in self._implying(row) if pair not in poor]
             self._said[row] = max([self._ratio(row), *implied])
-        return Groups(self._joined, self._said)
+        num_joints = len(self._group_of) - len(self._members)
+        return Groups(self._joined, self._said, len(self._pairs) - num_joints)
 
     def _implying(self, row: int) -> list[int]:
         """Joined pairs that say the same as one within a group."""
