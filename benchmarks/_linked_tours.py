@@ -103,14 +103,11 @@ class LinkedTour:
 
     def turn_agrees(self, name1: str, name2: str, cam2_from_cam1: Pose) -> bool | None:
         """Whether a chain of links says that the second camera is turned so; None without one."""
-        (turn1, root1), (turn2, root2) = (
-            self._turns.get(name, (0.0, name)) for name in (name1, name2)
-        )
-        if root1 != root2:
-            return None
         turn = -_azimuth_deg(cam2_from_cam1.rotation @ np.array([0.0, 0.0, 1.0]))
-        allowed = CHAIN_DEG + STEP_DEG * self._num_steps(name1, name2)
-        return abs(_turned(turn - (turn2 - turn1))) < allowed
+        for name, linked_turn, num_steps in self._walk(name1):
+            if name == name2:
+                return abs(_turned(turn - linked_turn)) < CHAIN_DEG + STEP_DEG * num_steps
+        return None
 
     @cached_property
     def _neighbours(self) -> dict[str, dict[str, float]]:
@@ -122,18 +119,9 @@ class LinkedTour:
                 turns.setdefault(first, {})[second] = _turned(azimuth + 180.0 - back)
         return turns
 
-    @cached_property
-    def _turns(self) -> dict[str, tuple[float, str]]:
-        """Turn of each panorama from the first one of its group, and that one."""
-        found: dict[str, tuple[float, str]] = {}
-        for root in self._neighbours:
-            if root not in found:
-                found |= {name: (turn, root) for name, turn, _ in self._walk(root)}
-        return found
-
-    def _walk(self, root: str) -> Iterator[tuple[str, float, int]]:
+    def _walk(self, start: str) -> Iterator[tuple[str, float, int]]:
         """Panoramas that links lead to from one, how far they are turned, and the steps."""
-        waiting, seen = deque([(root, 0.0, 0)]), {root}
+        waiting, seen = deque([(start, 0.0, 0)]), {start}
         while waiting:
             name, turn, steps = waiting.popleft()
             yield name, turn, steps
@@ -141,9 +129,6 @@ class LinkedTour:
                 if other not in seen:
                     seen.add(other)
                     waiting.append((other, turn + more, steps + 1))
-
-    def _num_steps(self, name1: str, name2: str) -> int:
-        return next(steps for name, _, steps in self._walk(name1) if name == name2)
 
 
 def linked_tours(folder: Path) -> Iterator[LinkedTour]:
