@@ -3,13 +3,14 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular
-from epi360.poses import Pose
+from epi360.poses import Pose, rotation_from_vector
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 # Right, down and forward of the faces in the panorama's axes, as tours name them.
@@ -117,3 +118,28 @@ def test_chains_of_links_tell_how_far_cameras_are_turned(reader, tmp_path):
     assert tour.turn_agrees("c.jpg", "a.jpg", stands_at(70.0, 130.0).inverse()) is True
     assert tour.turn_agrees("a.jpg", "c.jpg", stands_at(70.0, -60.0)) is False
     assert tour.turn_agrees("a.jpg", "d.jpg", stands_at(70.0, 120.0)) is None
+
+
+def test_loops_that_close_are_told_from_those_that_do_not(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    import linked_tours
+
+    rng = np.random.default_rng(0)
+    headings = dict(zip("abcdef", rng.uniform(-3.0, 3.0, 6), strict=True))
+
+    def verdict(first, second, num_inliers, off=0.0):
+        turn = rotation_from_vector([0.0, headings[second] - headings[first] + off, 0.0])
+        pose = Pose(turn, np.array([0.0, 0.0, 1.0]))
+        return SimpleNamespace(
+            image1=f"{first}.jpg",
+            image2=f"{second}.jpg",
+            num_inliers=num_inliers,
+            cam2_from_cam1=pose,
+        )
+
+    right = [verdict(*pair, 100 + row) for row, pair in enumerate(("ab", "bc", "ca", "de", "ef"))]
+    assert linked_tours._loops(right) == (1, 1)
+    assert linked_tours._loops([*right, verdict("c", "f", 90), verdict("a", "d", 80)]) == (2, 2)
+    wrong = [verdict("a", "c", 50, off=0.3), verdict("d", "f", 30, off=2.0)]
+    assert linked_tours._loops([*right, *wrong]) == (3, 1)
+    assert linked_tours._loops([]) == (0, 0)
