@@ -61,7 +61,7 @@ CASES = ROOM, DOOR, LINKED, COPY, OTHER = (
     "other room",
 )
 RIGHT = {ROOM: 0.325, DOOR: 0.175, LINKED: 0.5}  # and their shares
-PENALTY = 3e-4  # of the squares of the weights
+PENALTY = 1e-3  # of the squares of the weights
 TOUR_WIDTH = 2048  # of real panoramas, in pixels
 FEWEST_PAIRS = 100  # of each case, for 36 weights
 FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass

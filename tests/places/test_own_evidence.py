@@ -181,7 +181,7 @@ def test_typical_pairs_are_told_apart(fitted, over_copies, over_others):
 
 def test_in_homes_with_copies_what_differs_tells_more():
     """Typical pairs of real tours: more differs than of rendered pairs of one room."""
-    assert FITTED.ratios(REAL)[1] > 0.5
+    assert FITTED.ratios(REAL)[1] > 0.3
     assert FITTED_TO_HOMES.ratios(REAL)[1] < FITTED.ratios(REAL)[1] - 1.0
     own = OwnEvidence(2.0, 1.0, in_the_open=True, as_in_homes=(3.0, -4.0))
     expected = OwnEvidence(3.0, -4.0, in_the_open=True, as_in_homes=(3.0, -4.0))
