@@ -61,7 +61,7 @@ CASES = ROOM, DOOR, LINKED, COPY, OTHER = (
     "other room",
 )
 RIGHT = {ROOM: 0.325, DOOR: 0.175, LINKED: 0.5}  # and their shares
-PENALTY = 1e-3  # of the squares of the weights
+PENALTY, OF_HOMES = 1e-3, 4e-4  # of the squares of the weights, and of those for homes alone
 TOUR_WIDTH = 2048  # of real panoramas, in pixels
 FEWEST_PAIRS = 100  # of each case, for 36 weights
 FALSE_SHARE = 0.01  # of the wrong pairs that a threshold lets pass
@@ -71,7 +71,8 @@ class Shown(NamedTuple):
     """What one pair shows: where it is from, its pictures, its case, its seven numbers.
 
     It is from the homes of a seed, or from the tours of a folder. A pair that lies on the floor
-    alone has no numbers, for it has nothing to say.
+    alone has no numbers, for it has nothing to say. One on a wall has nothing to say in a folder,
+    but is weighed where it is alone, so it belongs to the fit.
     """
 
     source: str
@@ -83,7 +84,8 @@ class Shown(NamedTuple):
 def main() -> int:
     """Run what the command line asks for."""
     options = _parse_options()
-    measures = [(f"homes_{seed}", partial(_shown_in_homes, seed)) for seed in options.seeds]
+    homes = f"{options.homes}_homes_{options.width}"
+    measures = [(f"{homes}_{seed}", partial(_shown_in_homes, seed)) for seed in options.seeds]
     sources = sorted(each for each in options.tours.iterdir() if each.is_dir())
     measures += [(f"tours_{source.name}", partial(_shown_in_tours, source)) for source in sources]
     every = [each for name, measure in measures for each in _kept(name, measure, options)]
@@ -114,7 +116,7 @@ def _parse_options() -> argparse.Namespace:
         "--out",
         type=Path,
         default=Path("own_evidence"),
-        help="keeps pictures and what they show: take another one when the package has changed",
+        help="keeps pictures and what they show: take another one for other pictures or code",
     )
     parser.add_argument("--write", action="store_true", help="become those of the package")
     return parser.parse_args()
@@ -167,7 +169,7 @@ def _shown_in(
     case_of: Callable[[tuple[str, str], Pose], str | None],
     seed: int,
 ) -> list[tuple[str, Array]]:
-    """Cases and numbers of the pairs that are accepted by their matches, and right or wrong."""
+    """Cases and numbers of the pairs whose matches determine a right or wrong pose."""
     views = dict(on_threads(partial(_View.of, folder), names_of_panoramas, num_cores()))
 
     def look(names: tuple[str, str]) -> tuple[str, Array] | None:
@@ -219,7 +221,10 @@ def _posed(views: Sequence[_View], seed: int) -> PosedPair | None:
     if not result.success:
         return None
     (rows,) = np.nonzero(result.inlier_mask)
-    return PosedPair.of((0, 1), result.cam2_from_cam1, np.column_stack([rows, rows]), bearings)
+    matches = np.column_stack([rows, rows])
+    return PosedPair.of(
+        (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
+    )
 
 
 def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
@@ -267,7 +272,7 @@ def _held_out(shown: Sequence[Shown]) -> Array:
     return np.array([fitted[each.source].ratios(each.numbers) for each in shown])
 
 
-def _weights(shown: Sequence[Shown]) -> Weights:
+def _weights(shown: Sequence[Shown], penalty: float = PENALTY) -> Weights:
     """Logistic regression of right pairs against those of other rooms, and against copies."""
     cases = np.array([each.case for each in shown])
     numbers = np.array([each.numbers for each in shown])
@@ -278,8 +283,8 @@ def _weights(shown: Sequence[Shown]) -> Weights:
     told = terms(scaling.scaled(numbers))
     return replace(
         scaling,
-        over_others=_regressed(told, cases, _counts_of(shown), OTHER),
-        over_copies=_regressed(told, cases, _counts_of(shown), COPY),
+        over_others=_regressed(told, cases, _counts_of(shown), OTHER, penalty),
+        over_copies=_regressed(told, cases, _counts_of(shown), COPY, penalty),
     )
 
 
@@ -289,7 +294,9 @@ def _counts_of(shown: Sequence[Shown]) -> Array:
     return np.array([real[each.source] ** -0.5 if each.kind == REAL else 1.0 for each in shown])
 
 
-def _regressed(told: Array, cases: NDArray[np.str_], counts: Array, wrong: str) -> Array:
+def _regressed(
+    told: Array, cases: NDArray[np.str_], counts: Array, wrong: str, penalty: float
+) -> Array:
     """Weights that make a log-likelihood ratio, so that right and wrong pairs count as much."""
     right = {case: share for case, share in RIGHT.items() if np.any(cases == case)}
     shares = {case: share / sum(right.values()) for case, share in right.items()} | {wrong: 1.0}
@@ -298,7 +305,7 @@ def _regressed(told: Array, cases: NDArray[np.str_], counts: Array, wrong: str) 
     signs = np.where(cases == wrong, -1.0, 1.0)
     sums = {case: counts[cases == case].sum() for case in shares}
     importance = counts * np.array([shares[case] / sums[case] for case in cases]) / 2
-    penalties = np.where(np.arange(told.shape[1]) > 0, PENALTY, 0.0)
+    penalties = np.where(np.arange(told.shape[1]) > 0, penalty, 0.0)
 
     def loss(weights: Array) -> tuple[float, Array]:
         margins = signs * (told @ weights)
@@ -323,6 +330,7 @@ def _area(right: Array, wrong: Array) -> float:
 def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, Any]:
     """What the package reads."""
     seeds = ",".join(map(str, options.seeds))
+    of_homes = [each for each in shown if each.kind != REAL]
     return {
         "made_by": f"python benchmarks/own_evidence.py --homes {options.homes} --seeds {seeds} "
         f"--width {options.width} --tours TOURS --write",
@@ -330,7 +338,7 @@ def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, An
         "num_pairs": {case: sum(each.case == case for each in shown) for case in CASES},
         "shown": list(SHOWN),
         own_evidence.EVERY: _values(_weights(shown)),
-        own_evidence.HOMES: _values(_weights([each for each in shown if each.kind != REAL])),
+        own_evidence.HOMES: _values(_weights(of_homes, OF_HOMES)),
     }
 
 

@@ -120,21 +120,33 @@ def test_chains_of_links_tell_how_far_cameras_are_turned(reader, tmp_path):
     assert tour.turn_agrees("a.jpg", "d.jpg", stands_at(70.0, 120.0)) is None
 
 
+def test_the_shortest_chain_tells_how_far_cameras_are_turned(reader, tmp_path):
+    """Nobody is turned; the arrow from a to b is 60 degrees off, and a ring leads around."""
+    links = {(a, b): 0.0 for a, b in ("ab", "bc", "cd", "da")}
+    links |= {(b, a): 180.0 for a, b in links}
+    links["a", "b"] = 60.0
+    write_tour(tmp_path, links)
+    (tour,) = reader.linked_tours(tmp_path)
+    for names, agrees in (("cd", True), ("ad", True), ("ab", False)):
+        first, second = (f"{name}.jpg" for name in names)
+        assert tour.turn_agrees(first, second, stands_at(0.0, 0.0)) is agrees
+        assert tour.turn_agrees(second, first, stands_at(0.0, 0.0).inverse()) is agrees
+
+
 def test_loops_that_close_are_told_from_those_that_do_not(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     import linked_tours
 
     rng = np.random.default_rng(0)
-    headings = dict(zip("abcdef", rng.uniform(-3.0, 3.0, 6), strict=True))
+    turns = {name: rotation_from_vector(rng.normal(size=3)) for name in "abcdef"}
 
     def verdict(first, second, num_inliers, off=0.0):
-        turn = rotation_from_vector([0.0, headings[second] - headings[first] + off, 0.0])
-        pose = Pose(turn, np.array([0.0, 0.0, 1.0]))
+        turn = turns[second] @ rotation_from_vector([0.0, off, 0.0]) @ turns[first].T
         return SimpleNamespace(
             image1=f"{first}.jpg",
             image2=f"{second}.jpg",
             num_inliers=num_inliers,
-            cam2_from_cam1=pose,
+            cam2_from_cam1=Pose(turn, np.array([0.0, 0.0, 1.0])),
         )
 
     right = [verdict(*pair, 100 + row) for row, pair in enumerate(("ab", "bc", "ca", "de", "ef"))]

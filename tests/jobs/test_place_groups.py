@@ -62,6 +62,8 @@ def test_pairs_beyond_those_that_join_the_panoramas_of_groups_close_loops():
         pairs = [pair_of(each) for each in images]
         groups = groups_of(pairs, [5.0] * len(pairs), -np.inf)
         assert (groups.num_contradicting, groups.num_loops) == (0, num_loops)
+    apart = groups_of([pair_of((0, 1)), pair_of((1, 2)), pair_of((0, 2))], [-5.0] * 3, 0.0)
+    assert apart.num_loops == 0
 
 
 def test_a_pair_that_turns_a_panorama_otherwise_than_surer_ones_contradicts_them():

@@ -8,25 +8,27 @@ often lie on the floor, which is seen from everywhere; on one wall fewer than on
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.places.shared_points import (
-    FLOOR_SHARE,
-    Cloud,
-    PosedPair,
-    cloud_of,
-    floor_share,
-    some_of,
-)
+from epi360.places.shared_points import FLOOR_SHARE, PosedPair, cloud_of, floor_share, some_of
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _PLANE_SHARE = 0.9  # of the inliers
-_THICKNESS = 0.05  # of a surface, as a share of the distance: panels, frames, a wavy floor
-_LARGEST_SIGMA, _KNOWN_SHARE = 0.25, 0.5  # of distances that tell surfaces apart, and of the points
-_NUM_SAMPLES, _MOST_POINTS, _NUM_FITS = 300, 1000, 3
+_THICKNESS = 0.05  # of a wall, as a share of the distance: panels, frames, what hangs there
+_NUM_SIGMAS, _LARGEST_SIGMA = 2.5, 0.1  # of a distance that tells whether a point is on a plane
+_UPRIGHT = 0.7  # a plane whose unit normal has more of it along the vertical is no wall
+_NUM_SAMPLES, _MOST_POINTS = 300, 1000
+
+
+class Plane(NamedTuple):
+    """The plane normal x = 1 that most inliers lie on, and the share of them that does."""
+
+    normal: Array
+    share: float
 
 
 def on_floor(pair: PosedPair) -> bool:
@@ -35,51 +37,47 @@ def on_floor(pair: PosedPair) -> bool:
 
 
 def on_one_wall(pair: PosedPair) -> bool:
-    """Whether nearly all inliers lie on one plane that is not the floor."""
-    return not on_floor(pair) and plane_share(pair) > _PLANE_SHARE
+    """Whether nearly all inliers lie on one plane that is upright in both views."""
+    return not on_floor(pair) and all(
+        plane.share > _PLANE_SHARE and _is_upright(plane.normal)
+        for plane in (main_plane(pair, side) for side in (0, 1))
+    )
 
 
-def plane_share(pair: PosedPair) -> float:
-    """Share of the inliers on the plane that most lie on, as seen from the side where it is less.
+def main_plane(pair: PosedPair, side: int) -> Plane:
+    """The plane that most inliers lie on, in the frame of the camera of one side.
 
-    It is 0 if most distances are not known well enough to tell.
+    A point whose distance is not known to a tenth lies on no plane.
     """
-    return min(_plane_share(cloud_of(pair, side, 0.0), len(pair.bearings[0])) for side in (0, 1))
-
-
-def _plane_share(cloud: Cloud, num_inliers: int) -> float:
+    cloud = cloud_of(pair, side, 0.0)
     known = np.flatnonzero(cloud.log_sigmas < _LARGEST_SIGMA)
-    if len(known) < max(3, _KNOWN_SHARE * num_inliers):
-        return 0.0
     rows = some_of(known, _MOST_POINTS)
-    points, allowed = cloud.points[rows], np.maximum(_THICKNESS, cloud.log_sigmas[rows])
-    on_plane = _on_best_of_samples(points, allowed)
-    for _ in range(_NUM_FITS):
-        normal = np.linalg.lstsq(points[on_plane], np.ones(np.count_nonzero(on_plane)))[0]
-        better = _on_plane(points, np.asarray(normal, np.float64), allowed)
-        if np.count_nonzero(better) <= np.count_nonzero(on_plane):
-            break
-        on_plane = better
-    return float(np.mean(on_plane))
+    points = cloud.points[rows]
+    allowed = np.maximum(_THICKNESS, _NUM_SIGMAS * cloud.log_sigmas[rows])
+    normal, num_on_plane = _best_of_samples(points, allowed)
+    if num_on_plane == 0:
+        return Plane(normal, 0.0)
+    share_known = len(known) / len(pair.bearings[0])
+    return Plane(normal, share_known * num_on_plane / len(rows))
 
 
-def _on_best_of_samples(points: Array, allowed: Array) -> Mask:
-    """Which points lie on the plane through three of them on which most do."""
+def _best_of_samples(points: Array, allowed: Array) -> tuple[Array, int]:
+    """Normal of the plane through three of the points on which most of them lie, and how many."""
+    if len(points) < 3:
+        return np.zeros(3), 0
     triples = np.random.default_rng(0).integers(len(points), size=(_NUM_SAMPLES, 3))
     corners = points[triples]
-    is_plane = np.abs(np.linalg.det(corners)) > 1e-9 * np.prod(
-        np.linalg.norm(corners, axis=2), axis=1
-    )
-    normals = np.linalg.solve(corners[is_plane], np.ones((np.count_nonzero(is_plane), 3, 1)))
-    on_planes = _on_plane(points, normals[:, :, 0].T, allowed[:, None])
-    best: Mask = on_planes[:, np.argmax(on_planes.sum(axis=0))]
-    return best
+    # Through corners a, b and c leads the plane (b - a) x (c - a) x = a (b x c).
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normals /= np.linalg.det(corners)[:, None]
+    normals = np.nan_to_num(normals, nan=0.0, posinf=0.0, neginf=0.0)
+    # Along a ray, normal x is the distance over that of the plane.
+    on_planes = np.abs(points @ normals.T - 1.0) < allowed[:, None]
+    counts = on_planes.sum(axis=0)
+    best = int(np.argmax(counts))
+    return normals[best], int(counts[best])
 
 
-def _on_plane(points: Array, normals: Array, allowed: Array) -> Mask:
-    """Whether points (N, 3) lie on planes n x = 1, to a share of their distances.
-
-    Along a ray n x is the distance over that of the plane.
-    """
-    found: Mask = np.abs(points @ normals - 1.0) < allowed
-    return found
+def _is_upright(normal: Array) -> bool:
+    return bool(abs(normal[1]) < _UPRIGHT * np.linalg.norm(normal))

@@ -8,7 +8,7 @@ things. Of another place with the same door little grows, and it frays out.
 
 Seven numbers say so, see `shown_by`. Right pairs are told from pairs of copies, and from those of
 other rooms, by logistic regression on the numbers, their squares and products.
-`benchmarks/own_evidence.py` fits it to rendered homes with copies and to real tours without, and
+`benchmarks/own_evidence.py` fits it to rendered homes, which have copies, and to real tours, and
 writes ``own_evidence.json``; and once more to the homes alone, for folders in which copies are.
 """
 
@@ -62,10 +62,10 @@ class OwnEvidence:
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
     speak for a pair: where nothing grows, it is no copy either. ``on_floor`` and ``on_one_wall``
-    say that all inliers lie there, which rooms may have alike. ``in_the_open`` says that what both
-    show lies at distances that differ more than in a room. Nothing is known if masks leave too
-    little. ``as_in_homes`` has both ratios by the weights that were fitted to homes alone, which
-    are those of a pair on one wall: there copies must be reckoned with.
+    say that nearly all inliers lie there, which rooms may have alike. ``in_the_open`` says that
+    what both show lies at distances that differ more than in a room. Nothing is known if masks
+    leave too little. ``as_in_homes`` has both ratios by the weights that were fitted to homes
+    alone; a pair on one wall is always weighed by these.
     """
 
     over_others: float = 0.0
@@ -83,12 +83,13 @@ class OwnEvidence:
             return cls(is_known=False)
         shown = shown_by(pair, views)
         by_all, as_in_homes = _FITTED.ratios(shown), _FITTED_TO_HOMES.ratios(shown)
-        is_on_one_wall = on_one_wall(pair)
+        in_the_open = min(map(_depth_spread, views)) > _LARGEST_SPREAD
+        is_on_one_wall = not in_the_open and on_one_wall(pair)  # a street may have one long front
         return cls(
             *(as_in_homes if is_on_one_wall else by_all),
             on_floor=on_floor(pair),
             on_one_wall=is_on_one_wall,
-            in_the_open=min(map(_depth_spread, views)) > _LARGEST_SPREAD,
+            in_the_open=in_the_open,
             as_in_homes=as_in_homes,
         )
 

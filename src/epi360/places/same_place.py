@@ -48,7 +48,7 @@ DOUBT = (
     "little of what both cameras must see around the matches looks as the pose says; the images "
     "may show two places with similar things"
 )
-ONE_WALL = "all inliers lie on one wall, and rooms may have the same paper, tiles or doors"
+ONE_WALL = "nearly all inliers lie on one wall, and rooms may have the same paper, tiles or doors"
 
 
 def can_be_compared(camera: Camera) -> bool:
@@ -66,17 +66,21 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
         for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)
     ]
     rows = np.arange(result.num_inliers)
-    pair = PosedPair.of((0, 1), result.cam2_from_cam1, np.column_stack([rows, rows]), bearings)
+    matches = np.column_stack([rows, rows])
+    pair = PosedPair.of(
+        (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
+    )
     own = OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))
     if not own.is_known:
         return result
     place = same_place(own)
     told = replace(result, place=place, probability=result.probability * place.here)
+    if own.on_one_wall:
+        told = replace(told, warnings=(*told.warnings, ONE_WALL))
     if place.here < LEAST_PROBABILITY:
         return _refused(told)
-    if place.here < _SURE:
-        why = ONE_WALL if own.on_one_wall else DOUBT
-        return replace(told, warnings=(*told.warnings, why))
+    if place.here < _SURE and not own.on_one_wall:
+        return replace(told, warnings=(*told.warnings, DOUBT))
     return told
 
 

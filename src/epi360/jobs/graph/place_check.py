@@ -56,15 +56,15 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees m
 # Parts of a view are not independent witnesses: points are known where matches were found, which
 # copies share. Beside what pairs show by themselves, regression weighs them by 0.1 to 0.3.
 _POINTS_COUNT = 0.25
-# Where so many of the loops contradict, to which a few that do not are added, there are copies
-# among the rooms: in homes with twin rooms 0.4 to 0.75 of them do, in real tours up to 0.02.
-_OF_COPIES_CONTRADICT, _FEW_LOOPS = 0.2, 5.0
-# Of clear pictures, the surest tenth of the pairs has this ratio over copies, as in homes alone.
+# If more than this share of a folder's loops contradict, there are copies among its rooms: in homes
+# with twin rooms 0.4 to 0.75 do, in real tours up to 0.02. Few loops say little: five are added.
+_CONTRADICTING, _MORE_LOOPS = 0.2, 5.0
+# Or the pictures are so clear that the surest tenth of the pairs has so much over a copy.
 _SUREST, _CLEAR = 0.9, 6.0
 # A ratio outside these says no more about the folder, first with all pairs joined, then with the
-# sure ones. Where loops close, a low ratio is the pictures' fault more often than a copy's.
-_CLEARLY = ((-3.0, 8.0), (-3.0, 8.0))
-_IF_LOOPS_CLOSE = ((-0.85, 8.0), (-1.5, 8.0))
+# sure ones. Without copies, a low ratio is the pictures' fault.
+_WITH_COPIES = ((-3.0, 8.0), (-3.0, 8.0))
+_WITHOUT_COPIES = ((-0.85, 8.0), (-1.5, 8.0))
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _FEW = 10  # pairs, which do not say how common copies are
@@ -114,33 +114,16 @@ def judge_places(
     ``doubted`` is evidence on further pairs, whose poses are not accepted yet: they come last, and
     what they know says nothing about others.
 
-    All panoramas are put together first, as far as nothing contradicts. That tells how many pairs
-    are wrong, too few of them: wrong ones may have been joined. So only those are put together that
-    are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
-    others. With the geometric mean of both the same is done once more, which is the verdict.
-    In a folder whose pairs agree it takes clear evidence to refuse one; in one with many copies, a
-    pair needs some for it. Where copies are among the rooms, their pairs contradict the others, or
-    the pictures are so clear that they tell them. There, what pairs show by themselves is weighed
-    as in homes with copies; elsewhere, what pictures leave open is no sign of a copy. Few pairs do
-    not say how common copies are: each of them must also be probable for what is thought of two
-    panoramas that are compared alone.
+    Panoramas are put together by what is right with a probability of 0.95. How many pairs are
+    wrong, and so how much that takes, the folder says itself (`_court_of_folder`): if its pairs
+    agree it takes clear evidence to refuse one; if many are copies, a pair needs some for it.
+    Few pairs do not say how common copies are: each of them must also be probable for what is
+    thought of two panoramas that are compared alone.
     """
     if len(pairs) == 0:
         return ()
     every = (*evidence, *doubted)
-    court = _Court(pairs, every, _RATES)
-    groups = court.groups(-np.inf)
-    has_copies = _contradict(groups) or _are_clear([each.own for each in evidence])
-    if has_copies:
-        every = tuple(replace(each, own=each.own.weighed_as_in_homes()) for each in every)
-        court = _Court(pairs, every, _RATES)
-        groups = court.groups(-np.inf)
-    before, after = _CLEARLY if has_copies else _IF_LOOPS_CLOSE
-    share_wrong = _share_wrong(groups.ratios, before)
-    if groups.ratios.min() < _least_ratio(share_wrong):
-        groups = court.groups(_least_ratio(share_wrong))
-        share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios, after)))
-    court = _Court(pairs, every, court.rates(groups.joined))
+    court, share_wrong = _court_of_folder(pairs, every)
     groups = court.groups(_least_ratio(share_wrong))
     told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
     ratios = np.append(groups.ratios, told)
@@ -155,6 +138,35 @@ def judge_places(
         return verdicts
     places = (court.place(row, groups.joined) for row in range(len(every)))
     return tuple(map(_by_itself, verdicts, places))
+
+
+def _court_of_folder(
+    pairs: Sequence[PosedPair], evidence: Sequence[Evidence]
+) -> tuple[_Court, float]:
+    """The court on pairs, accepted ones first, and the share of the accepted ones that are wrong.
+
+    All panoramas are put together first, as far as nothing contradicts. That tells how many pairs
+    are wrong, too few of them: wrong ones may have been joined. So only those are put together that
+    are right with a probability of 0.95, which tells too many: what is not joined cannot speak for
+    others. The share is the geometric mean of both.
+
+    Where copies are among the rooms, their pairs contradict the others, or the pictures are so
+    clear that they show which pairs these are. There, what pairs show by themselves is weighed as
+    in homes with copies; elsewhere, what pictures leave open is no sign of a copy.
+    """
+    court = _Court(pairs, evidence, _RATES)
+    groups = court.groups(-np.inf)
+    has_copies = _contradict(groups) or _are_clear([each.own for each in evidence[: len(pairs)]])
+    if has_copies:
+        evidence = [replace(each, own=each.own.weighed_as_in_homes()) for each in evidence]
+        court = _Court(pairs, evidence, _RATES)
+        groups = court.groups(-np.inf)
+    before, after = _WITH_COPIES if has_copies else _WITHOUT_COPIES
+    share_wrong = _share_wrong(groups.ratios, before)
+    if groups.ratios.min() < _least_ratio(share_wrong):
+        groups = court.groups(_least_ratio(share_wrong))
+        share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios, after)))
+    return _Court(pairs, evidence, court.rates(groups.joined)), share_wrong
 
 
 def _by_itself(verdict: PlaceVerdict, place: SamePlace) -> PlaceVerdict:
@@ -340,16 +352,14 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 
 def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
-    """Whether pictures show so much as only clear ones do; few pairs do not tell."""
-    nothing = OwnEvidence()  # of pairs whose surfaces were not asked for
-    told = [each.as_in_homes[1] for each in shown if each.is_known and each != nothing]
+    """Whether pictures show so much as clear ones do; few pairs do not tell."""
+    told = [each.as_in_homes[1] for each in shown if limited_in_folder(each) != OwnEvidence()]
     return len(told) >= _FEW and bool(np.quantile(told, _SUREST) >= _CLEAR)
 
 
 def _contradict(groups: Groups) -> bool:
     """Whether so many loops contradict that copies must be among the rooms."""
-    share = groups.num_contradicting / (groups.num_loops + _FEW_LOOPS)
-    return share > _OF_COPIES_CONTRADICT
+    return groups.num_contradicting / (groups.num_loops + _MORE_LOOPS) > _CONTRADICTING
 
 
 def _share_wrong(ratios: Array, limits: _Limits) -> float:

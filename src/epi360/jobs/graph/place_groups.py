@@ -58,8 +58,8 @@ class Groups:
 
     ``joined`` (N,) are the pairs that the groups rest on. ``ratios`` (N,) are log-likelihood ratios
     of each pair being right, together with those that say the same; minus infinity for what
-    contradicts the groups. ``num_loops`` are the pairs beyond those that it takes to join the
-    panoramas of the groups.
+    contradicts the groups. ``num_loops`` are the pairs within groups beyond those that it takes to
+    join their panoramas.
     """
 
     joined: Mask
@@ -144,14 +144,16 @@ class _Assembly:
             for claim in claims:
                 for row in claim.rows:
                     self._said[row] = min(claim.ratio, self._ratio(row))
+        rows = range(len(self._pairs))
         joined = np.flatnonzero(self._joined).tolist()
         poor = {row for row in joined if self._ratio(row) < _LEAST_OF_ONE}
         # These are heard again, for more has been joined since; or joined pairs imply them.
         for row in (*self._undecided, *sorted(poor)):
             implied = [self._said[pair] for pair in self._implying(row) if pair not in poor]
             self._said[row] = max([self._ratio(row), *implied])
+        num_within = sum(first == second for first, second in map(self._groups_of, rows))
         num_joints = len(self._group_of) - len(self._members)
-        return Groups(self._joined, self._said, len(self._pairs) - num_joints)
+        return Groups(self._joined, self._said, num_within - num_joints)
 
     def _implying(self, row: int) -> list[int]:
         """Joined pairs that say the same as one within a group."""
