@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from epi360_scenes.tours import Tour
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+RECORD = "photographed_from.txt"  # beside the photographs
 # Largest values; each picture has its own, from nearly nothing to these.
 MOST_STOPS, MOST_TINT = 0.7, 0.08  # of the exposure, and of each colour
 MOST_CONTRAST = 0.3  # logarithm of the exponent of the brightness
@@ -31,7 +33,7 @@ CLOTH_DEG = 3.0  # between what differs in what they wear
 
 
 def photograph_tour(tour: Tour, folder: Path, seed: int) -> Tour:
-    """The same places, each picture `photographed`; those that the folder already holds are used.
+    """The same places, each picture `photographed`; those that the folder holds of them are used.
 
     Parameters
     ----------
@@ -52,12 +54,26 @@ def photograph_tour(tour: Tour, folder: Path, seed: int) -> Tour:
         If the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    key = f"seed {seed} of {_digest(tour)}"
+    record = folder / RECORD
+    is_of_these = record.is_file() and record.read_text(encoding="utf-8") == key
+    for panorama in () if is_of_these else tour.panoramas:
+        (folder / panorama.name).unlink(missing_ok=True)
+    record.write_text(key, encoding="utf-8")
     for number, panorama in enumerate(tour.panoramas):
         path = folder / panorama.name
         if not path.is_file():
             rng = np.random.Generator(np.random.PCG64([seed, 4, number]))
             path.write_bytes(photographed(read_image(tour.folder / panorama.name), rng))
     return replace(tour, folder=folder)
+
+
+def _digest(tour: Tour) -> str:
+    """What the pictures of a tour are known by."""
+    digest = hashlib.sha256()
+    for panorama in tour.panoramas:
+        digest.update((tour.folder / panorama.name).read_bytes())
+    return digest.hexdigest()
 
 
 def photographed(image: Picture, rng: np.random.Generator) -> bytes:

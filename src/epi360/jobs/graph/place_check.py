@@ -57,7 +57,7 @@ _HIDDEN = 0.2  # log of distances: a point so much behind what the camera sees m
 # copies share. Beside what pairs show by themselves, regression weighs them by 0.1 to 0.3.
 _POINTS_COUNT = 0.25
 # If more than this share of a folder's loops contradict, there are copies among its rooms: in homes
-# with twin rooms 0.4 to 0.75 do, in real tours up to 0.02. Few loops say little: five are added.
+# with twin rooms 0.3 to 0.75 do, in real tours up to 0.02. Few loops say little: five are added.
 _CONTRADICTING, _MORE_LOOPS = 0.2, 5.0
 # Or the pictures are so clear that the surest tenth of the pairs has so much over a copy.
 _SUREST, _CLEAR = 0.9, 6.0
