@@ -18,7 +18,7 @@ PER_M = 128  # pixels of a pattern
 
 
 def poses():
-    """Of the cameras in either room, from the middle of the papered wall's room."""
+    """Where the cameras stand in either room: world_from_cam, the papered wall is in the north."""
     return [
         Pose(rotation_from_vector([0.0, heading, 0.0]), np.array([x, 0.0, z]))
         for x, z, heading in PLACES

@@ -331,7 +331,7 @@ def with_turned_pairs(num_turned, own):
 
 @pytest.mark.parametrize("num_turned", [0, 4, 8, 14])
 def test_where_loops_contradict_pairs_are_weighed_as_in_homes_with_copies(num_turned):
-    """Of 21 loops and five more, 8 of 34 contradict, or 4 of 30; by other weights some differ."""
+    """With five loops added, 4 of 30 are no sign of copies, and 8 of 34 are one."""
     pairs, found = with_turned_pairs(num_turned, shows(6.0, 4.0, as_in_homes=(3.0, -3.0)))
     refused = np.array([bool(each.refused) for each in judge_places(pairs, found)])
     assert refused[9:14].tolist() == [num_turned >= 8] * 5

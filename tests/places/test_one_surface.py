@@ -121,4 +121,4 @@ def test_degenerate_points_make_no_wall(points):
     for side in (0, 1):
         plane = main_plane(pair, side)
         assert np.isfinite(plane.normal).all() and 0.0 <= plane.share <= 1.0
-    on_one_wall(pair)
+    assert not on_one_wall(pair)

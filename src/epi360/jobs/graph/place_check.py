@@ -352,7 +352,7 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 
 def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
-    """Whether pictures show so much as clear ones do; few pairs do not tell."""
+    """Whether pictures show so much as clear ones do, by ten pairs that say something at least."""
     told = [each.as_in_homes[1] for each in shown if limited_in_folder(each) != OwnEvidence()]
     return len(told) >= _FEW and bool(np.quantile(told, _SUREST) >= _CLEAR)
 
