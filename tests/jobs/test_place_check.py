@@ -43,7 +43,7 @@ def posed(images, *, turn=None):
 
 
 def judged(images, evidence):
-    return judge_places([posed(pair) for pair in images], evidence)
+    return judge_places([posed(pair) for pair in images], evidence).verdicts
 
 
 def sightings(rng, witnesses, share, *, num=200, beyond=-0.1):
@@ -164,7 +164,7 @@ def test_a_pair_that_turns_its_panoramas_otherwise_than_surer_ones_is_refused():
     pairs = [posed(pair) for pair in images]
     pairs[2] = posed(images[2], turn=upside_down)
     found[2] = replace(found[2], own=NOTHING_GROWS)
-    verdicts = judge_places(pairs, found)
+    verdicts = judge_places(pairs, found).verdicts
     assert "turn its panoramas otherwise" in verdicts[2].refused
     assert verdicts[2].probability == 0.0
     assert [bool(verdict.refused) for verdict in verdicts] == [row == 2 for row in range(6)]
@@ -227,9 +227,8 @@ def test_doubted_poses_are_judged_by_what_the_others_know():
     pairs = list(combinations(range(4), 2))
     found = evidence_on(pairs, [1.0] * len(pairs))
     told = [doubted(1.0), doubted(0.6), Evidence((nothing(), nothing()))]
-    verdicts = judge_places([posed(pair) for pair in pairs], found, told)
-    assert verdicts[: len(pairs)] == judged(pairs, found)  # what they know says nothing of others
-    assert [bool(verdict.refused) for verdict in verdicts[len(pairs) :]] == [False, True, True]
+    verdicts = judge_places([posed(pair) for pair in pairs], found).on_doubted(told)
+    assert [bool(verdict.refused) for verdict in verdicts] == [False, True, True]
     assert verdicts[-1].probability == pytest.approx(0.5)  # half of them are wrong
 
 
@@ -333,7 +332,7 @@ def with_turned_pairs(num_turned, own):
 def test_where_loops_contradict_pairs_are_weighed_as_in_homes_with_copies(num_turned):
     """With five loops added, 4 of 30 are no sign of copies, and 8 of 34 are one."""
     pairs, found = with_turned_pairs(num_turned, shows(6.0, 4.0, as_in_homes=(3.0, -3.0)))
-    refused = np.array([bool(each.refused) for each in judge_places(pairs, found)])
+    refused = np.array([bool(each.refused) for each in judge_places(pairs, found).verdicts])
     assert refused[9:14].tolist() == [num_turned >= 8] * 5
     assert not refused[:9].any() and not refused[14:28].any()
     assert refused[28:].all()
@@ -345,7 +344,7 @@ def test_few_loops_do_not_say_that_there_are_copies():
     pairs = [*map(posed, images), posed((0, 2), turn=rotation_from_vector([0.0, 1.0, 0.0]))]
     owns = [shows(6.0, 4.0, as_in_homes=(3.0, -3.0))] * 10 + [shows(3.0, -1.0)]
     found = [Evidence((nothing(), nothing()), own=own) for own in owns]
-    refused = [bool(each.refused) for each in judge_places(pairs, found)]
+    refused = [bool(each.refused) for each in judge_places(pairs, found).verdicts]
     assert refused == [False] * 10 + [True]
 
 
@@ -367,8 +366,7 @@ def test_clear_pictures_are_weighed_as_in_homes(are_clear):
     assert refused[:8] == [are_clear] * 8 and not any(refused[8:])
 
 
-def test_an_empty_folder_has_no_verdicts():
-    assert judge_places([], []) == ()
+def test_an_empty_folder_leaves_no_doubt():
     assert not leave_a_doubt([], [])
 
 

@@ -106,13 +106,28 @@ class PlaceVerdict:
         return bool(self.refused) and not self.by_itself and self.probability >= _DOUBTED
 
 
-def judge_places(
-    pairs: Sequence[PosedPair], evidence: Sequence[Evidence], doubted: Sequence[Evidence] = ()
-) -> tuple[PlaceVerdict, ...]:
-    """Which accepted pairs the surroundings speak against.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """``verdicts`` on the accepted pairs of a folder; what they say of other poses, if asked."""
 
-    ``doubted`` is evidence on further pairs, whose poses are not accepted yet: they come last, and
-    what they know says nothing about others.
+    verdicts: tuple[PlaceVerdict, ...]
+    _court: _Court
+    _joined: Mask
+    _share_wrong: float
+
+    def on_doubted(self, evidence: Sequence[Evidence]) -> tuple[PlaceVerdict, ...]:
+        """Verdicts on poses that are not accepted yet; half of such poses are wrong.
+
+        They say nothing about each other, nor about the accepted pairs.
+        """
+        court = self._court.on(evidence)
+        ratios = np.array([court.ratio(row, self._joined) for row in range(len(evidence))])
+        share_wrong = max(self._share_wrong, _DOUBTED_WRONG)
+        return court.verdicts(self._joined, ratios, share_wrong, few=len(self.verdicts) < _FEW)
+
+
+def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Judged:
+    """Which accepted pairs, at least one, the surroundings speak against.
 
     Panoramas are put together by what is right with a probability of 0.95. How many pairs are
     wrong, and so how much that takes, the folder says itself (`_court_of_folder`): if its pairs
@@ -120,30 +135,17 @@ def judge_places(
     Few pairs do not say how common copies are: each of them must also be probable for what is
     thought of two panoramas that are compared alone.
     """
-    if len(pairs) == 0:
-        return ()
-    every = (*evidence, *doubted)
-    court, share_wrong = _court_of_folder(pairs, every)
-    groups = court.groups(_least_ratio(share_wrong))
-    told = [court.ratio(row, groups.joined) for row in range(len(pairs), len(every))]
-    ratios = np.append(groups.ratios, told)
-    shares = np.repeat([share_wrong, max(share_wrong, _DOUBTED_WRONG)], [len(pairs), len(doubted)])
-    verdicts = tuple(
-        court.verdict(row, groups.joined, ratio, probability)
-        for row, (ratio, probability) in enumerate(
-            zip(ratios.tolist(), _probabilities(ratios, shares).tolist(), strict=True)
-        )
-    )
-    if len(pairs) >= _FEW:
-        return verdicts
-    places = (court.place(row, groups.joined) for row in range(len(every)))
-    return tuple(map(_by_itself, verdicts, places))
+    court, share_wrong = _court_of_folder(pairs, evidence)
+    groups = court.groups(pairs, _least_ratio(share_wrong))
+    few = len(pairs) < _FEW
+    verdicts = court.verdicts(groups.joined, groups.ratios, share_wrong, few=few)
+    return Judged(verdicts, court, groups.joined, share_wrong)
 
 
 def _court_of_folder(
     pairs: Sequence[PosedPair], evidence: Sequence[Evidence]
 ) -> tuple[_Court, float]:
-    """The court on pairs, accepted ones first, and the share of the accepted ones that are wrong.
+    """The court on accepted pairs, and the share of them that are wrong.
 
     All panoramas are put together first, as far as nothing contradicts. That tells how many pairs
     are wrong, too few of them: wrong ones may have been joined. So only those are put together that
@@ -154,19 +156,18 @@ def _court_of_folder(
     clear that they show which pairs these are. There, what pairs show by themselves is weighed as
     in homes with copies; elsewhere, what pictures leave open is no sign of a copy.
     """
-    court = _Court(pairs, evidence, _RATES)
-    groups = court.groups(-np.inf)
-    has_copies = _contradict(groups) or _are_clear([each.own for each in evidence[: len(pairs)]])
+    court = _Court(evidence, _RATES, _Folder(_mostly_in_the_open(evidence)))
+    groups = court.groups(pairs, -np.inf)
+    has_copies = _contradict(groups) or _are_clear([each.own for each in evidence])
     if has_copies:
-        evidence = [replace(each, own=each.own.weighed_as_in_homes()) for each in evidence]
-        court = _Court(pairs, evidence, _RATES)
-        groups = court.groups(-np.inf)
+        court = court.with_copies()
+        groups = court.groups(pairs, -np.inf)
     before, after = _WITH_COPIES if has_copies else _WITHOUT_COPIES
     share_wrong = _share_wrong(groups.ratios, before)
     if groups.ratios.min() < _least_ratio(share_wrong):
-        groups = court.groups(_least_ratio(share_wrong))
+        groups = court.groups(pairs, _least_ratio(share_wrong))
         share_wrong = float(np.sqrt(share_wrong * _share_wrong(groups.ratios, after)))
-    return _Court(pairs, evidence, court.rates(groups.joined)), share_wrong
+    return court.with_rates(court.rates(groups.joined)), share_wrong
 
 
 def _by_itself(verdict: PlaceVerdict, place: SamePlace) -> PlaceVerdict:
@@ -188,9 +189,9 @@ def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> boo
     Before anything else is known, no pair is surer than others. So all are heard about each, those
     too that may be wrong.
     """
-    court = _Court(pairs, points, _RATES)
+    court = _Court(points, _RATES, _Folder())
     everyone = np.ones(len(pairs), dtype=bool)
-    return any(court.ratio(row, everyone) < _SPEAKS_AGAINST for row in range(len(pairs)))
+    return any(court.heard(row, everyone).ratio < _SPEAKS_AGAINST for row in range(len(pairs)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,25 +217,47 @@ class _Heard:
         return replace(self, logs=self.logs - np.where(np.arange(len(self.logs)) > 0, ratio, 0.0))
 
 
+@dataclass(frozen=True)
+class _Folder:
+    """What kind of folder it is: whether most pairs are in the open, and copies among the rooms."""
+
+    in_the_open: bool = False
+    has_copies: bool = False
+
+
 class _Court:
-    """Evidence on all pairs, and then on others that are not asked."""
+    """What is known about some pairs, by other pairs and by themselves."""
 
-    def __init__(
-        self, pairs: Sequence[PosedPair], evidence: Sequence[Evidence], rates: Array
-    ) -> None:
-        self._pairs = pairs
-        self._evidence = evidence
-        in_the_open = _mostly_in_the_open(evidence[: len(pairs)])
-        self._own = [limited_in_folder(each.own, in_the_open) for each in evidence]
+    def __init__(self, evidence: Sequence[Evidence], rates: Array, folder: _Folder) -> None:
+        self._rates, self._folder = rates, folder
+        self._evidence = [self._weighed(each) for each in evidence]
+        self._own = [limited_in_folder(each.own, folder.in_the_open) for each in self._evidence]
         self._logs = [tuple(_logs(s, rates) for s in each.sides) for each in evidence]
-        self._testimonies = [
-            Testimony(each.siblings, _asked(each) - {row})
-            for row, each in enumerate(evidence[: len(pairs)])
-        ]
 
-    def groups(self, least_ratio: float) -> Groups:
+    def _weighed(self, evidence: Evidence) -> Evidence:
+        if not self._folder.has_copies:
+            return evidence
+        return replace(evidence, own=evidence.own.weighed_as_in_homes())
+
+    def on(self, evidence: Sequence[Evidence]) -> _Court:
+        """The same court on other pairs."""
+        return _Court(evidence, self._rates, self._folder)
+
+    def with_copies(self) -> _Court:
+        """The court if copies are among the rooms."""
+        return _Court(self._evidence, self._rates, replace(self._folder, has_copies=True))
+
+    def with_rates(self, rates: Array) -> _Court:
+        """The court if such shares of what right pairs must show are found."""
+        return _Court(self._evidence, rates, self._folder)
+
+    def groups(self, pairs: Sequence[PosedPair], least_ratio: float) -> Groups:
         """Panoramas that pairs put together, if so much speaks for them."""
-        return put_together(self._pairs, self._testimonies, self.ratio, least_ratio)
+        testimonies = [
+            Testimony(each.siblings, _asked(each) - {row})
+            for row, each in enumerate(self._evidence)
+        ]
+        return put_together(pairs, testimonies, self.ratio, least_ratio)
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
@@ -273,8 +296,18 @@ class _Court:
         one_sided = heard.ratio > 0.0 and min(num_places) < FEWEST_PARTS
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
-    def verdict(self, row: int, joined: Mask, told: float, probability: float) -> PlaceVerdict:
-        """What is said about a pair in the end; ``told`` is its ratio."""
+    def verdicts(
+        self, joined: Mask, ratios: Array, share_wrong: float, *, few: bool
+    ) -> tuple[PlaceVerdict, ...]:
+        """What is said about all pairs in the end, by their ratios."""
+        told = zip(ratios.tolist(), _probabilities(ratios, share_wrong).tolist(), strict=True)
+        verdicts = tuple(self._verdict(row, joined, *each) for row, each in enumerate(told))
+        if not few:
+            return verdicts
+        places = (self.place(row, joined) for row in range(len(verdicts)))
+        return tuple(map(_by_itself, verdicts, places))
+
+    def _verdict(self, row: int, joined: Mask, told: float, probability: float) -> PlaceVerdict:
         points = self._points_heard(row, joined)
         share = points.num_alike / points.num_places if points.num_places else np.nan
         refused = "" if probability >= _ACCEPTED else self._refusal(row, joined, told, points)

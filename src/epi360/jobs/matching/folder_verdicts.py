@@ -82,7 +82,8 @@ def judge_folder(
     panoramas = full_panoramas(folder, pairs) if looks_around else {}
     num_panoramic = sum(settled[keys].accepted for keys in panoramas)
     places = check_places(folder, panoramas, settled, level)
-    told = [None if each is None else places.get(each) for each in keys]
+    places_told = {} if places is None else places.verdicts
+    told = [None if each is None else places_told.get(each) for each in keys]
     verdicts = checked(named, told, is_level=is_upright or level is not None)
     accepted = {each for each, v in zip(keys, verdicts, strict=True) if each and v.accepted}
     implied = find_implied(folder, panoramas, settled, level, accepted & panoramas.keys())
@@ -93,7 +94,7 @@ def judge_folder(
         level,
         settled,
         implied,
-        looked_around=bool(places),
+        looked_around=places is not None,
         num_gained=_num_accepted_more(settled, finished)
         + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
         num_lost=_num_accepted_more(finished, settled),
