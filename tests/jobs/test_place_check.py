@@ -370,6 +370,19 @@ def test_an_empty_folder_leaves_no_doubt():
     assert not leave_a_doubt([], [])
 
 
+@pytest.mark.parametrize(
+    ("over_others", "over_copies", "of_all"),
+    [(10.0, 3.0, 3.69), (3.0, 10.0, 3.69), (4.0, 4.0, 4.0), (0.0, 10.0, 0.69), (6.0, -4.0, -3.31)],
+)
+def test_half_of_the_wrong_poses_are_those_of_copies(over_others, over_copies, of_all):
+    pairs = list(combinations(range(6), 2))
+    judge = judge_places([posed(pair) for pair in pairs], evidence_on(pairs, [1.0] * len(pairs)))
+    told = Evidence((nothing(), nothing()), own=shows(over_others, over_copies))
+    (verdict,) = judge.on_doubted([told])
+    odds = np.log(verdict.probability / (1 - verdict.probability))
+    assert odds == pytest.approx(of_all, abs=0.01)
+
+
 def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help():
     pairs, is_right = twin_rooms()
     few = [pair for pair, right in zip(pairs, is_right, strict=True) if right][:3]
