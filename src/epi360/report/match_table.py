@@ -46,7 +46,8 @@ def pairs_csv(judged: JudgedPairs) -> bytes:
 
     ``probability`` is by the matches of the pair and by what other pairs know, those of the
     explanations are by its matches alone. ``prior`` is what was known beforehand: "upright", in a
-    level folder "level" or "level, one height", or "implied" by two other pairs.
+    level folder "level" or "level, one height"; or "second" or "implied", if the pose is not the
+    one that the matches said first.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

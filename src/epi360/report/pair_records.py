@@ -12,7 +12,6 @@ from epi360.cameras import Camera
 from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.interop import MatchedPair, MatchGraph
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
-from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.poses import Pose
 from epi360.report.match_table import verdict_reason
@@ -150,7 +149,7 @@ def pair_sentences(verdict: PairVerdict, judged: JudgedPairs) -> list[str]:
             f"It forms {verdict.num_triangles} triangles with other pairs, and "
             f"{verdict.num_contradicted or 'none'} of them contradict it."
         )
-    if verdict.prior and verdict.prior != IMPLIED_PRIOR:  # its warning says that
+    if verdict.prior and not verdict.has_other_pose:  # its warning says that
         sentences.append(f"What was known beforehand: {verdict.prior}.")
     warnings = (text for text in verdict.warnings if text != reason)
     return sentences + [f"{text[0].upper()}{text[1:]}." for text in warnings]

@@ -116,6 +116,17 @@ def believed(verdict: SomeVerdict) -> SomeVerdict:
     )
 
 
+def with_sigmas(verdict: SomeVerdict) -> SomeVerdict:
+    """The verdict, with the errors that are assumed of doubted poses if it states none."""
+    if np.isfinite([verdict.rotation_sigma_deg, verdict.translation_sigma_deg]).all():
+        return verdict
+    return replace(
+        verdict,
+        rotation_sigma_deg=DOUBTED_ROTATION_DEG,
+        translation_sigma_deg=DOUBTED_DIRECTION_DEG,
+    )
+
+
 def _confirmed(
     pairs: Sequence[tuple[str, str]], verdicts: Sequence[Verdict], accepted: Sequence[int]
 ) -> dict[int, LoopVerdict]:
@@ -147,6 +158,28 @@ def closing(
     return {
         row: loop for row, loop in loops.items() if loop.num_triangles and not loop.num_contradicted
     }
+
+
+def fitting(
+    pairs: Sequence[tuple[str, str]],
+    verdicts: Sequence[Verdict],
+    accepted: Sequence[int],
+    tried: Mapping[int, Verdict],
+) -> dict[int, LoopVerdict]:
+    """Rows of the pairs of which no triangle with accepted pairs is open, tried one after another.
+
+    ``tried`` are their verdicts, by row. What fits counts as accepted for those after it. If no
+    triangle closes either, a pose must be as probable as that of a lone link.
+    """
+    told, fits = list(verdicts), list(accepted)
+    found = {}
+    for row, verdict in tried.items():
+        loop = _Triangles(pairs, told, fits).of(pairs[row], verdict)
+        is_probable = loop.num_triangles or verdict.probability >= _LINK_PROBABILITY
+        if is_probable and not loop.num_contradicted:
+            found[row], told[row] = loop, verdict
+            fits.append(row)
+    return found
 
 
 class _Triangles:

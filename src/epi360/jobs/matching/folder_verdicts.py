@@ -12,12 +12,19 @@ from dataclasses import dataclass, field
 
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
-from epi360.jobs.matching.implied_job import ImpliedPair, find_implied
-from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, with_implied, without_copies
+from epi360.jobs.matching.implied_job import find_implied
+from epi360.jobs.matching.pair_verdicts import (
+    PairVerdict,
+    checked,
+    with_implied,
+    with_second,
+    without_copies,
+)
 from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
-from epi360.jobs.matching.verified_folder import VerifiedFolder, full_panoramas
+from epi360.jobs.matching.second_poses import find_second
+from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder, full_panoramas
 from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import UNREADABLE, Keys, Verdict
+from epi360.jobs.records.match_store import UNREADABLE, Keys, Verdict, VerifiedPair
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,15 +53,15 @@ class FolderVerdicts:
     """Verdicts on the pairs of a folder, in their order, each with its keys.
 
     The keys are None where an image cannot be read. ``settled`` are the verdicts of the pairs by
-    themselves, and ``implied`` the pairs that others may give a pose. ``looked_around`` says
-    whether the surroundings of pairs were compared.
+    themselves, and ``other_poses`` the pairs that are accepted with another pose than that.
+    ``looked_around`` says whether the surroundings of pairs were compared.
     """
 
     keys: Sequence[Keys | None]
     verdicts: tuple[PairVerdict, ...]
     level: Level | None
     settled: Mapping[Keys, Verdict]
-    implied: Mapping[Keys, ImpliedPair]
+    other_poses: Mapping[Keys, VerifiedPair]
     looked_around: bool
     num_gained: int
     num_lost: int
@@ -73,33 +80,42 @@ def judge_folder(
 
     If ``is_upright``, it was given that all images stand upright; otherwise the poses say whether
     they do. If not ``looks_around``, the surroundings of the pairs are not compared, and no pair
-    gets the pose that others imply.
+    gets a second pose, or one that others imply.
     """
     keys = [folder.keys_of(pair) if folder.is_readable(pair) else None for pair in pairs]
     level = None if is_upright else find_level(_of_full_panoramas(folder, pairs, finished))
-    settled = finished if level is None else _with_level(folder, pairs, finished, level)
-    named = [_named(folder, *each, settled) for each in zip(pairs, keys, strict=True)]
-    panoramas = full_panoramas(folder, pairs) if looks_around else {}
-    num_panoramic = sum(settled[keys].accepted for keys in panoramas)
-    places = check_places(folder, panoramas, settled, level)
-    places_told = {} if places is None else places.verdicts
-    told = [None if each is None else places_told.get(each) for each in keys]
-    verdicts = checked(named, told, is_level=is_upright or level is not None)
-    accepted = {each for each, v in zip(keys, verdicts, strict=True) if each and v.accepted}
-    implied = find_implied(folder, panoramas, settled, level, accepted & panoramas.keys())
+    told = finished if level is None else _with_level(folder, pairs, finished, level)
+    named = [_named(folder, *each, told) for each in zip(pairs, keys, strict=True)]
+    settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
+    places = check_places(settled)
+    by_place = {} if places is None else places.verdicts
+    judged = [None if each is None else by_place.get(each) for each in keys]
+    verdicts = checked(named, judged, is_level=is_upright or level is not None)
+    accepted = _accepted(keys, verdicts)
+    second = {} if places is None else find_second(settled, places, accepted)
+    verdicts = with_second(verdicts, keys, second)
+    posed = {each: pair.verified for each, pair in second.items()}
+    accepted = _accepted(keys, verdicts) & settled.panoramas.keys()
+    implied = find_implied(settled, accepted, posed)
     verdicts = without_copies(with_implied(verdicts, keys, implied))
+    posed |= {each: pair.verified for each, pair in implied.items() if each not in accepted}
+    num_panoramic = sum(told[each].accepted for each in settled.panoramas)
     return FolderVerdicts(
         keys,
         verdicts,
         level,
-        settled,
-        implied,
+        told,
+        {each: posed[each] for each in _accepted(keys, verdicts) & posed.keys()},
         looked_around=places is not None,
-        num_gained=_num_accepted_more(settled, finished)
+        num_gained=_num_accepted_more(told, finished)
         + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
-        num_lost=_num_accepted_more(finished, settled),
+        num_lost=_num_accepted_more(finished, told),
         num_not_compared=num_panoramic if num_panoramic > MOST_PAIRS else 0,
     )
+
+
+def _accepted(keys: Sequence[Keys | None], verdicts: Sequence[PairVerdict]) -> set[Keys]:
+    return {each for each, told in zip(keys, verdicts, strict=True) if each and told.accepted}
 
 
 def _of_full_panoramas(

@@ -7,8 +7,8 @@ other pairs say how both cameras stand, the matches that fit are enough.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Set
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.graph.implied_poses import ImpliedPoses, Way, near_matches
-from epi360.jobs.graph.level_folder import Level
-from epi360.jobs.matching.place_job import MOST_PAIRS, posed_pair
-from epi360.jobs.matching.verified_folder import VerifiedFolder
-from epi360.jobs.matching.verified_matches import Matched
+from epi360.jobs.matching.place_job import MOST_PAIRS
+from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
+from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
 from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.jobs.records.match_store import Keys, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
@@ -67,28 +66,23 @@ class _Candidate:
 
 
 def find_implied(
-    folder: VerifiedFolder,
-    panoramas: Mapping[Keys, Pair],
-    settled: Mapping[Keys, Verdict],
-    level: Level | None,
-    accepted: Set[Keys],
+    settled: SettledPairs, accepted: Set[Keys], second: Mapping[Keys, VerifiedPair]
 ) -> dict[Keys, ImpliedPair]:
     """Pairs that are not accepted, and whose matches agree with the pose that two others imply.
 
-    ``panoramas`` has two readable ones for each pair of keys, ``settled`` the verdicts that count;
-    ``accepted`` are those whose own pose is accepted. A pair whose own pose is the implied one is
-    left out: it has been refused for something else.
+    Some of the ``accepted`` ones have a ``second`` pose. A pair whose own pose is the implied one
+    is left out: it has been refused for something else.
     """
     if not 2 <= len(accepted) <= MOST_PAIRS:
         return {}
-    posed = {
-        each.keys: posed_pair(folder, panoramas[each.keys], each)
-        for each in folder.settled_pairs(accepted, settled, level)
-    }
+    folder, panoramas = settled.folder, settled.panoramas
+    by_second = [each for keys, each in second.items() if keys in accepted]
+    by_first = settled.with_matches(accepted - second.keys())
+    posed = {each.keys: settled.posed(each) for each in (*by_first, *by_second)}
     sure = sorted(posed, key=lambda keys: panoramas[keys])
     known = ImpliedPoses([posed[keys] for keys in sure])
     others = {keys for keys in panoramas if keys not in accepted and keys[0] != keys[1]}
-    candidates = _candidates(folder, panoramas, folder.settled_pairs(others, settled, level), known)
+    candidates = _candidates(settled, others, known)
     found: dict[Keys, ImpliedPair] = {}
     while some := dict(islice(candidates, _PAIRS_AT_ONCE)):
         for which in (_Candidate.agreeing, _Candidate.near):
@@ -100,19 +94,15 @@ def find_implied(
 
 
 def _candidates(
-    folder: VerifiedFolder,
-    panoramas: Mapping[Keys, Pair],
-    others: Iterable[VerifiedPair],
-    known: ImpliedPoses,
+    settled: SettledPairs, others: Set[Keys], known: ImpliedPoses
 ) -> Iterator[tuple[Pair, _Candidate]]:
     """Pairs with another pose than those that are implied, each with that of most matches."""
-    for verified in others:
-        pair = panoramas[verified.keys]
+    for verified in settled.with_matches(others):
+        pair = settled.panoramas[verified.keys]
         ways = known.ways(*pair)
         if not ways or any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
             continue
-        rows1, rows2 = verified.matches.T
-        bearings = folder.bearings_of(pair[0])[rows1], folder.bearings_of(pair[1])[rows2]
+        bearings = settled.bearings(verified)
         way = max(ways, key=lambda each: each.num_agreeing(*bearings))
         yield pair, _Candidate(verified, bearings, way)
 
@@ -126,7 +116,7 @@ def _verified(
     chosen = {pair: which(each) for pair, each in candidates.items()}
     asked = {pair: some for pair, some in chosen.items() if some.sum() >= _FEWEST_MATCHES}
     matched = [(pair, candidates[pair].matched(some)) for pair, some in asked.items()]
-    results = folder.estimated(matched, PRIOR) if matched else {}
+    results = folder.estimated(matched, PRIOR, None) if matched else {}
     told = {pair: _if_agrees(results[pair], candidates[pair], asked[pair]) for pair in asked}
     return {pair: verified for pair, verified in told.items() if verified is not None}
 
@@ -146,16 +136,7 @@ def _if_agrees(result: VerifiedPair, candidate: _Candidate, chosen: Mask) -> Ver
         return None
     if not _agree(pose, candidate.way):
         return None
-    verified, mask = candidate.verified, np.zeros(len(chosen), dtype=bool)
-    mask[chosen] = result.inlier_mask
-    told = replace(
-        verdict,
-        status="ok",
-        num_matches=len(verified.matches),
-        cam2_from_cam1=pose,
-        warnings=(*verdict.warnings, IMPLIED),
-    )
-    return VerifiedPair(verified.keys, told, verified.matches, mask)
+    return with_pose_of_some(candidate.verified, chosen, result, pose, IMPLIED)
 
 
 def _agree(pose: Pose, way: Way) -> bool:

@@ -18,7 +18,6 @@ from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
-from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.match_result import load_matches, write_index
@@ -133,8 +132,9 @@ def match_images(
     estimated again with that known, and then from all key points. An image that cannot be read
     costs its pairs, not the run. In the end the surroundings of accepted and doubted pairs are
     compared, see `judge_places`, and the pairs are held against each other, see `check_graph`. A
-    pair of panoramas that is not accepted gets the pose that two accepted ones imply, if its own
-    matches agree, see `find_implied`.
+    pair of panoramas that is not accepted gets the pose that its other matches agree on, if its
+    surroundings speak for that, see `find_second`, or the pose that two accepted pairs imply, if
+    its own matches agree, see `find_implied`.
 
     The engine is "local" (the threads of this machine) or "ray" (on the cluster of that address, by
     default one that is started on this machine). There, each image and each part of the pairs is a
@@ -223,8 +223,8 @@ def _chosen(
 
 
 def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> None:
-    """Keep what is the result, and the pairs that have the pose that others imply."""
-    matched, confirmed, refused, by_others = [], [], [], set()
+    """Keep what is the result, and the pairs that have another pose than their own first one."""
+    matched, confirmed, refused = [], [], []
     for keys, verdict in zip(judged.keys, judged.verdicts, strict=True):
         names = verdict.image1, verdict.image2
         if keys is not None:
@@ -233,10 +233,7 @@ def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> Non
             confirmed.append(names)
         if verdict.is_refused:
             refused.append(names)
-        if verdict.prior == IMPLIED_PRIOR:
-            by_others.add(keys)
-    implied = judged.implied
-    kept = [implied[each].verified for each in sorted(implied.keys() & by_others)]
+    kept = [pair for _, pair in sorted(judged.other_poses.items())]
     part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""
     keys_of_images = job.readable_keys()
     write_index(job.output, images, keys_of_images, matched, judged.level, confirmed, refused, part)

@@ -133,10 +133,13 @@ class MatchJob:
                     yield verified
 
     def estimated(
-        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str, level: Level | None
     ) -> dict[Pair, VerifiedPair]:
-        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
-        return self.work.estimated(matched, prior)
+        """Verify some matches of pairs, with the prior of a level folder, or without.
+
+        ``prior`` says in words how they were chosen.
+        """
+        return self.work.estimated(matched, prior, **(level.known if level is not None else {}))
 
     @property
     def num_threads(self) -> int:

@@ -58,7 +58,7 @@ def write_index(
     the images of each finished pair, in order. In a level folder, some pairs also have a verdict
     with the prior of ``level``; of the ``confirmed`` ones the doubted pose is right. The matches of
     the ``refused`` ones agree with a pose, and other pairs speak against it. ``implied`` is the
-    part of those that other pairs give a pose.
+    part of those with another pose than the first one.
     """
     cameras = {
         name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}

@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from epi360.jobs.graph.graph_check import CONFIRMED, believed, check_graph, closing, groups_by
+from epi360.jobs.graph.graph_check import (
+    CONFIRMED,
+    believed,
+    check_graph,
+    closing,
+    fitting,
+    groups_by,
+    with_sigmas,
+)
 from epi360.jobs.graph.place_check import (
     ANOTHER_PLACE,
     COPY,
@@ -16,7 +24,10 @@ from epi360.jobs.graph.place_check import (
     PLACE_CONFIRMED,
     PlaceVerdict,
 )
-from epi360.jobs.matching.implied_job import IMPLIED, PRIOR, ImpliedPair
+from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair
+from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
+from epi360.jobs.matching.second_poses import PRIOR as SECOND_PRIOR
+from epi360.jobs.matching.second_poses import SECOND, SecondPair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.poses import Pose
 
@@ -59,12 +70,17 @@ class PairVerdict(Verdict):
     @property
     def by_others(self) -> bool:
         """Whether it is accepted because of what other pairs know of the place."""
-        return self.accepted and (self.prior == PRIOR or PLACE_AGREES in self.warnings)
+        return self.accepted and (self.has_other_pose or PLACE_AGREES in self.warnings)
+
+    @property
+    def has_other_pose(self) -> bool:
+        """Whether it has another pose than the one that its matches said first."""
+        return self.prior in (IMPLIED_PRIOR, SECOND_PRIOR)
 
     @property
     def accepted_for(self) -> str:
         """What it is accepted for, if its own matches alone leave a doubt; else empty."""
-        told = (why for why in (IMPLIED, PLACE_AGREES, CONFIRMED) if why in self.warnings)
+        told = (why for why in (IMPLIED, SECOND, PLACE_AGREES, CONFIRMED) if why in self.warnings)
         return next(told, "") if self.accepted else ""
 
 
@@ -77,6 +93,38 @@ def checked(
     """
     judged = _judged(verdicts, places, is_level)
     return tuple(map(_told, verdicts, judged, places))
+
+
+def with_second(
+    verdicts: Sequence[PairVerdict],
+    keys: Sequence[Keys | None],
+    second: Mapping[Keys, SecondPair],
+) -> tuple[PairVerdict, ...]:
+    """Verdicts of which some have a second pose, if no triangle with accepted pairs is open.
+
+    The surest is tried first. ``keys`` are those of each pair, None where an image cannot be read.
+    """
+    names = _names(verdicts)
+    accepted = [row for row, verdict in enumerate(verdicts) if verdict.accepted]
+    found = {
+        row: second[each]
+        for row, each in enumerate(keys)
+        if each is not None and each in second and not verdicts[row].accepted
+    }
+    chances = {
+        row: each.verified.verdict.probability * each.place.probability
+        for row, each in found.items()
+    }
+    surest = sorted(found, key=lambda row: (-chances[row], row))
+    fits = fitting(
+        names, verdicts, accepted, {row: with_sigmas(found[row].verified.verdict) for row in surest}
+    )
+    told = list(verdicts)
+    for row, loop in fits.items():
+        own = replace(found[row].verified.verdict, probability=chances[row])
+        each = PairVerdict.of(names[row], own)
+        told[row] = replace(each, num_triangles=loop.num_triangles)
+    return tuple(told)
 
 
 def with_implied(
@@ -98,7 +146,7 @@ def with_implied(
             own = implied[each].verified.verdict
             chance = own.probability * float(np.prod([chances[by] for by in implied[each].by]))
             told[row] = PairVerdict.of(names[row], replace(own, probability=chance))
-    tried = {row: each if _has_sigmas(each) else believed(each) for row, each in told.items()}
+    tried = {row: with_sigmas(each) for row, each in told.items()}
     closed = closing(names, verdicts, accepted, tried)
     return tuple(
         replace(told[row], num_triangles=closed[row].num_triangles) if row in closed else verdict
@@ -124,10 +172,6 @@ def without_copies(verdicts: Sequence[PairVerdict]) -> tuple[PairVerdict, ...]:
         else v
         for v in verdicts
     )
-
-
-def _has_sigmas(verdict: Verdict) -> bool:
-    return bool(np.isfinite([verdict.rotation_sigma_deg, verdict.translation_sigma_deg]).all())
 
 
 def _names(verdicts: Sequence[PairVerdict]) -> list[tuple[str, str]]:

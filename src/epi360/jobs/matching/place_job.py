@@ -9,14 +9,12 @@ from functools import partial
 from typing import TypeVar
 
 from epi360.features.warped_patches import Panorama, remembered
-from epi360.jobs.graph.graph_check import awaits_confirmation, believed
-from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.graph.place_check import Judged, PlaceVerdict, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
 from epi360.jobs.graph.surface_evidence import KnownView, SurfaceWitnesses
-from epi360.jobs.matching.verified_folder import VerifiedFolder
-from epi360.jobs.pairs.pair_selection import Pair
-from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
+from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
 from epi360.places.shared_points import PosedPair
 
@@ -47,14 +45,16 @@ class Places:
     views: Views
     judged: Judged
 
+    @property
+    def can_judge_more(self) -> bool:
+        """Whether surfaces were asked for: nothing else speaks for a pose that is not accepted."""
+        return bool(self.views)
+
     def on_more(self, posed: Sequence[PosedPair]) -> Sequence[PlaceVerdict]:
         """Verdicts on poses that are not accepted, which say nothing about each other.
 
-        There are none if surfaces were not asked for, for nothing speaks for such a pose but these;
-        nor if a picture is gone.
+        There are none if a picture is gone.
         """
-        if not self.views:
-            return ()
         pairs = (*self.known.pairs, *posed)
         known = replace(self.known, pairs=pairs)
         rows = range(len(self.known.pairs), len(pairs))
@@ -65,28 +65,19 @@ class Places:
         return self.judged.on_doubted(told[0])
 
 
-def check_places(
-    folder: VerifiedFolder,
-    panoramas: Mapping[Keys, Pair],
-    settled: Mapping[Keys, Verdict],
-    level: Level | None,
-) -> Places | None:
-    """What the surroundings say about pairs of full panoramas: accepted ones, and doubted ones.
+def check_places(settled: SettledPairs) -> Places | None:
+    """What the surroundings say about pairs, accepted ones and doubted ones.
 
-    ``panoramas`` has two readable ones for each pair of keys, ``settled`` the verdicts that count.
     Nothing is said of pairs whose pictures cannot be read any more. None where no pairs are
     accepted, or too many.
     """
-    usable = {keys: pair for keys, pair in panoramas.items() if keys[0] != keys[1]}
-    accepted = {keys for keys in usable if settled[keys].accepted}
+    folder, usable = settled.folder, [keys for keys in settled.panoramas if keys[0] != keys[1]]
+    accepted = {keys for keys in usable if settled.verdicts[keys].accepted}
     if not 1 <= len(accepted) <= MOST_PAIRS:
         return None
-    doubted = {keys for keys in usable if awaits_confirmation(settled[keys])}
+    doubted = {keys for keys in usable if awaits_confirmation(settled.verdicts[keys])}
     asked = accepted | doubted if len(accepted | doubted) <= MOST_PAIRS else accepted
-    posed = {
-        each.keys: posed_pair(folder, usable[each.keys], each)
-        for each in folder.settled_pairs(asked, settled, level)
-    }
+    posed = {each.keys: settled.posed(each) for each in settled.with_matches(asked)}
     panorama_of = remembered(partial(_read, folder))
 
     def around(keys: Sequence[Keys]) -> Surroundings:
@@ -170,17 +161,3 @@ def _of_each(
         if each is not None:
             found[row] = each
     return {row: found[row] for row in rows if row in found}
-
-
-def posed_pair(folder: VerifiedFolder, pair: Pair, verified: VerifiedPair) -> PosedPair:
-    """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
-    verdict = verified.verdict if verified.verdict.accepted else believed(verified.verdict)
-    return PosedPair.of(
-        pair,
-        verdict.cam2_from_cam1,
-        verified.matches[verified.inlier_mask],
-        [folder.bearings_of(index) for index in pair],
-        noise_deg=verdict.noise_deg,
-        rotation_sigma_deg=verdict.rotation_sigma_deg,
-        translation_sigma_deg=verdict.translation_sigma_deg,
-    )

@@ -4,17 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.features.warped_patches import Panorama
+from epi360.jobs.graph.graph_check import believed, with_sigmas
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.verified_matches import Matched
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.places.shared_points import PosedPair
 from epi360.progress import Progress
+
+Array = NDArray[np.float64]
 
 
 class VerifiedFolder(Protocol):
@@ -59,9 +64,61 @@ class VerifiedFolder(Protocol):
         """Verdicts with the prior of a level folder on wanted pairs."""
 
     def estimated(
-        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str, level: Level | None
     ) -> dict[Pair, VerifiedPair]:
-        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
+        """Verify some matches of pairs, with the prior of a level folder, or without.
+
+        ``prior`` says in words how they were chosen.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class SettledPairs:
+    """Pairs of full panoramas, with their verdicts that count.
+
+    ``panoramas`` has two readable images for each pair of keys; of a level folder some verdicts are
+    those with its prior.
+    """
+
+    folder: VerifiedFolder
+    panoramas: Mapping[Keys, Pair]
+    verdicts: Mapping[Keys, Verdict]
+    level: Level | None
+
+    @classmethod
+    def of(
+        cls,
+        folder: VerifiedFolder,
+        pairs: Sequence[Pair],
+        verdicts: Mapping[Keys, Verdict],
+        level: Level | None,
+    ) -> SettledPairs:
+        """Those of the pairs that are of full panoramas, and no two of them of the same ones."""
+        return cls(folder, full_panoramas(folder, pairs), verdicts, level)
+
+    def with_matches(self, wanted: Container[Keys]) -> Iterator[VerifiedPair]:
+        """Wanted pairs with their matches."""
+        return self.folder.settled_pairs(wanted, self.verdicts, self.level)
+
+    def bearings(self, verified: VerifiedPair) -> tuple[Array, Array]:
+        """Where the matches (M,) of a pair look in both images, (M, 3)."""
+        first, second = self.panoramas[verified.keys]
+        rows1, rows2 = verified.matches.T
+        return self.folder.bearings_of(first)[rows1], self.folder.bearings_of(second)[rows2]
+
+    def posed(self, verified: VerifiedPair) -> PosedPair:
+        """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
+        pair, own = self.panoramas[verified.keys], verified.verdict
+        verdict = with_sigmas(own) if own.accepted else believed(own)
+        return PosedPair.of(
+            pair,
+            verdict.cam2_from_cam1,
+            verified.matches[verified.inlier_mask],
+            [self.folder.bearings_of(index) for index in pair],
+            noise_deg=verdict.noise_deg,
+            rotation_sigma_deg=verdict.rotation_sigma_deg,
+            translation_sigma_deg=verdict.translation_sigma_deg,
+        )
 
 
 def full_panoramas(folder: VerifiedFolder, pairs: Sequence[Pair]) -> dict[Keys, Pair]:

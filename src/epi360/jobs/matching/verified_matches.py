@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,25 @@ def verified_matches(
         **known,
     )
     return [_verified(pair, result, prior) for pair, result in zip(pairs, results, strict=True)]
+
+
+def with_pose_of_some(
+    verified: VerifiedPair, some: NDArray[np.bool_], result: VerifiedPair, pose: Pose, why: str
+) -> VerifiedPair:
+    """The pair with a pose that ``some`` (M,) of its matches say, and their inliers.
+
+    ``result`` is what was found from them; ``why`` the pose is believed becomes a warning.
+    """
+    inlier_mask = np.zeros(len(verified.matches), dtype=bool)
+    inlier_mask[some] = result.inlier_mask
+    told = replace(
+        result.verdict,
+        status="ok",
+        num_matches=len(verified.matches),
+        cam2_from_cam1=pose,
+        warnings=(*result.verdict.warnings, why),
+    )
+    return VerifiedPair(verified.keys, told, verified.matches, inlier_mask)
 
 
 def _verified(pair: MatchedViews, result: RelativePoseResult, prior: str) -> VerifiedPair:

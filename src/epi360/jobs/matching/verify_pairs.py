@@ -27,7 +27,6 @@ from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATIO
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.check_keypoints import check_keypoints
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
-from epi360.jobs.matching.implied_job import PRIOR as IMPLIED_PRIOR
 from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
@@ -88,9 +87,10 @@ def verify_pairs(
     If the poses say that the panoramas are level, see `find_level`, pairs without a pose, and those
     whose pose is tilted, are estimated again with that known. Poses that contradict each other are
     refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
-    pairs of full panoramas are compared, see `judge_places`, and some get the pose that others
-    imply, see `find_implied`. Pairs that have a geometry keep it; if it is "ok" and fits its own
-    inliers, they have a say about the others, with the errors that are assumed of doubted poses.
+    pairs of full panoramas are compared, see `judge_places`, and some get a second pose, see
+    `find_second`, or the one that others imply, see `find_implied`. Pairs that have a geometry keep
+    it; if it is "ok" and fits its own inliers, they have a say about the others, with the errors
+    that are assumed of doubted poses.
 
     ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs" and "places".
 
@@ -221,11 +221,17 @@ class _GraphFolder:
         return self._level[keys] if verdict.prior else self._alone[keys]
 
     def estimated(
-        self, matched: Sequence[tuple[Pair, Matched]], prior: str
+        self, matched: Sequence[tuple[Pair, Matched]], prior: str, level: Level | None
     ) -> dict[Pair, VerifiedPair]:
-        """Verify some matches of pairs; ``prior`` says in words how they were chosen."""
+        """Verify some matches of pairs, with the prior of a level folder, or without.
+
+        ``prior`` says in words how they were chosen.
+        """
         views = [self._views(pair, each) for pair, each in matched]
-        found = verified_matches(views, prior, seed=self._seed, num_threads=self.num_threads)
+        known = {} if level is None else level.known
+        found = verified_matches(
+            views, prior, seed=self._seed, num_threads=self.num_threads, **known
+        )
         return {pair: each for (pair, _), each in zip(matched, found, strict=True)}
 
     def name_of(self, index: int) -> str:
@@ -347,10 +353,7 @@ def _geometries(folder: _GraphFolder, judged: FolderVerdicts) -> dict[Keys, TwoV
         assert keys is not None  # all images are readable
         if keys in kept:
             continue
-        if verdict.prior == IMPLIED_PRIOR:
-            verified = judged.implied[keys].verified
-        else:
-            verified = folder.settled(keys, judged.settled[keys])
+        verified = judged.other_poses.get(keys) or folder.settled(keys, judged.settled[keys])
         status = "refused" if verdict.is_refused else verdict.status
         inliers = verified.matches[verified.inlier_mask]
         found[keys] = TwoViewGeometry(status, verdict.cam2_from_cam1, inliers)

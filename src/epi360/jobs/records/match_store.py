@@ -12,7 +12,7 @@
 ``level-HASH/part-HASH.npz``
     Pairs of a level folder that were estimated again with a prior; the first hash is the prior's.
 ``implied/part-HASH.npz``
-    Pairs that other pairs give a pose; the index names the file that counts.
+    Pairs with a second pose, or one that other pairs imply; the index names the file that counts.
 ``images.json``, ``cameras.json``
     Images and pairs of the last complete run.
 """

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pairs whose first pose is not accepted, and whose other matches agree on a second one.
+
+Most matches of two views through a door may be of a copy of what is behind it. Those that do not
+agree with its pose may say how the cameras really stand. What surrounds them decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Set
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.jobs.graph.graph_check import awaits_confirmation
+from epi360.jobs.graph.place_check import PlaceVerdict
+from epi360.jobs.matching.place_job import Places
+from epi360.jobs.matching.verified_folder import SettledPairs
+from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
+from epi360.jobs.records.match_store import Keys, VerifiedPair
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.two_view import IMAGE_OPTIONS
+
+_SAME_DEG = 5.0  # a pose this near to the first one says nothing new
+_PAIRS_AT_ONCE = 256  # whose matches are in memory
+PRIOR = "second"
+SECOND = "more matches agree on another pose, which is refused; what surrounds the others fits this"
+
+
+@dataclass(frozen=True, eq=False)
+class SecondPair:
+    """A pair with its second pose, and what the surroundings say about that."""
+
+    verified: VerifiedPair
+    place: PlaceVerdict
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A pair with the matches that do not agree with its first pose: ``left`` (M,) of all."""
+
+    verified: VerifiedPair
+    bearings: tuple[NDArray[np.float64], NDArray[np.float64]]
+    left: NDArray[np.bool_]
+
+    def matched(self) -> Matched:
+        """Those matches."""
+        first, second = self.bearings
+        return Matched(self.verified.matches[self.left], first[self.left], second[self.left])
+
+    def with_pose_of(self, result: VerifiedPair) -> VerifiedPair | None:
+        """The pair with the pose that they say; None if there is none, or it is the first one."""
+        first, verdict = self.verified.verdict, result.verdict
+        if not verdict.accepted and not awaits_confirmation(verdict):
+            return None
+        pose = verdict.cam2_from_cam1 if verdict.accepted else verdict.doubted
+        if any(_is_same(pose, before) for before in (first.cam2_from_cam1, first.doubted)):
+            return None
+        return with_pose_of_some(self.verified, self.left, result, pose, SECOND)
+
+
+def find_second(
+    settled: SettledPairs, places: Places, accepted: Set[Keys]
+) -> dict[Keys, SecondPair]:
+    """Pairs that are not accepted, and that have a second pose which the surroundings speak for.
+
+    ``accepted`` are those whose own pose is accepted. A camera that has only turned has no second
+    pose: what does not agree with the first has moved.
+    """
+    if not places.can_judge_more:
+        return {}
+    folder, panoramas = settled.folder, settled.panoramas
+    others = {
+        keys
+        for keys in panoramas
+        if keys not in accepted
+        and keys[0] != keys[1]
+        and settled.verdicts[keys].status != "pure_rotation"
+    }
+    candidates = _candidates(settled, others)
+    found: dict[Keys, SecondPair] = {}
+    while some := {panoramas[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
+        matched = [(pair, each.matched()) for pair, each in some.items()]
+        results = folder.estimated(matched, PRIOR, settled.level)
+        told = (some[pair].with_pose_of(result) for pair, result in results.items())
+        second = [verified for verified in told if verified is not None]
+        verdicts = places.on_more([settled.posed(each) for each in second])
+        for verified, place in zip(second, verdicts, strict=False):  # none if a picture is gone
+            if not place.refused:
+                found[verified.keys] = SecondPair(verified, place)
+    return found
+
+
+def _candidates(settled: SettledPairs, others: Set[Keys]) -> Iterator[_Candidate]:
+    """Pairs of which enough matches are left."""
+    for verified in settled.with_matches(others):
+        left = ~verified.inlier_mask
+        if np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
+            yield _Candidate(verified, settled.bearings(verified), left)
+
+
+def _is_same(pose: Pose, first: Pose) -> bool:
+    """Whether a pose is about the first one; NaN is not."""
+    errors = rotation_error_deg(pose, first), translation_error_deg(pose, first)
+    return all(error < _SAME_DEG for error in errors)
