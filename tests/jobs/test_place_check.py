@@ -366,6 +366,26 @@ def test_clear_pictures_are_weighed_as_in_homes(are_clear):
     assert refused[:8] == [are_clear] * 8 and not any(refused[8:])
 
 
+@pytest.mark.parametrize("num_clear", [0, 1])
+def test_of_few_pairs_one_shows_that_pictures_are_clear(num_clear):
+    """What a copy shows is weighed as in homes, if another pair of the folder shows what it is."""
+    sees_all = shows(8.0, 7.0, as_in_homes=(8.0, 9.0 if num_clear else 5.0))
+    owns = [sees_all, shows(8.0, 1.0, as_in_homes=(8.0, -4.0))]
+    found = [Evidence((nothing(), nothing()), own=own) for own in owns]
+    refused = [bool(each.refused) for each in judged([(0, 1), (1, 2)], found)]
+    assert refused == [False, num_clear == 1]
+
+
+@pytest.mark.parametrize(("num_clear", "is_refused"), [(2, False), (3, True)])
+def test_of_many_pairs_a_tenth_must_show_it(num_clear, is_refused):
+    images = list(combinations(range(8), 2))
+    clear, not_clear = (shows(8.0, 7.0, as_in_homes=(8.0, told)) for told in (9.0, 5.0))
+    differs = shows(8.0, 7.0, as_in_homes=(8.0, -4.0))
+    owns = [differs] * 4 + [clear] * num_clear + [not_clear] * (24 - num_clear)
+    found = [Evidence((nothing(), nothing()), own=own) for own in owns]
+    assert [bool(each.refused) for each in judged(images, found)][:4] == [is_refused] * 4
+
+
 def test_an_empty_folder_leaves_no_doubt():
     assert not leave_a_doubt([], [])
 

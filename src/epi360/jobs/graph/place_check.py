@@ -59,7 +59,8 @@ _POINTS_COUNT = 0.25
 # If more than this share of a folder's loops contradict, there are copies among its rooms: in homes
 # with twin rooms 0.3 to 0.75 do, in real tours up to 0.02. Few loops say little: five are added.
 _CONTRADICTING, _MORE_LOOPS = 0.2, 5.0
-# Or the pictures are so clear that the surest tenth of the pairs has so much over a copy.
+# Or the pictures are so clear that the surest tenth of the pairs has so much over a copy; of few
+# pairs the surest one.
 _SUREST, _CLEAR = 0.9, 6.0
 # A ratio outside these says no more about the folder, first with all pairs joined, then with the
 # sure ones. Without copies, a low ratio is the pictures' fault.
@@ -396,9 +397,9 @@ def _cell_means(cells: NDArray[np.int64], values: Array) -> Array:
 
 
 def _are_clear(shown: Sequence[OwnEvidence]) -> bool:
-    """Whether pictures show so much as clear ones do, by ten pairs that say something at least."""
+    """Whether pictures show so much as clear ones do, by the surest tenth of the pairs."""
     told = [each.as_in_homes[1] for each in shown if limited_in_folder(each) != OwnEvidence()]
-    return len(told) >= _FEW and bool(np.quantile(told, _SUREST) >= _CLEAR)
+    return len(told) > 0 and bool(np.quantile(told, _SUREST, method="higher") >= _CLEAR)
 
 
 def _contradict(groups: Groups) -> bool:
