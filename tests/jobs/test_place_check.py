@@ -409,6 +409,8 @@ def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help()
     silent = evidence_on(few, np.ones(3), silent=[0, 1, 2])
     for own, is_refused, why in (
         (shows(8.0, 8.0), False, ""),
+        (shows(8.0, -1.0), False, ""),
+        (shows(8.0, -1.3), True, "may show a copy of the place"),  # 0.93 if compared alone
         (shows(8.0, -4.0), True, "may show a copy of the place"),
         (shows(-4.0, 8.0), True, "shows another place"),
         (shows(0.0, 8.0, on_floor=True), True, "shows another place"),

@@ -84,9 +84,12 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     return told
 
 
-def same_place(own: OwnEvidence) -> SamePlace:
-    """Probabilities of the three explanations of a pose, by what the pair shows by itself."""
-    elsewhere, copy = _IN_THE_OPEN if own.in_the_open else _INDOORS
+def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePlace:
+    """Probabilities of the three explanations of a pose, by what the pair shows by itself.
+
+    ``copies_indoors`` is the share of copies, of poses that are not of another place, in a room.
+    """
+    elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
     if own.on_floor:
         elsewhere = _ELSEWHERE_ON_FLOOR
     if own.on_one_wall:

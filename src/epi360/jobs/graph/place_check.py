@@ -69,6 +69,9 @@ _WITHOUT_COPIES = ((-0.85, 8.0), (-1.5, 8.0))
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
 _FEW = 10  # pairs, which do not say how common copies are
+# So they are thought to be more common than where only two panoramas are compared: there, no other
+# pair speaks for a right one.
+_COPIES_AMONG_FEW = 0.05
 _ACCEPTED = 0.95  # least probability
 _DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
@@ -136,8 +139,8 @@ def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Ju
     Panoramas are put together by what is right with a probability of 0.95. How many pairs are
     wrong, and so how much that takes, the folder says itself (`_court_of_folder`): if its pairs
     agree it takes clear evidence to refuse one; if many are copies, a pair needs some for it.
-    Few pairs do not say how common copies are: each of them must also be probable for what is
-    thought of two panoramas that are compared alone.
+    Few pairs do not say how common copies are: each of them must also be probable by itself, and by
+    what the others say of it, as two panoramas that are compared alone must be.
     """
     court, share_wrong = _court_of_folder(pairs, evidence)
     groups = court.groups(pairs, _least_ratio(share_wrong))
@@ -271,14 +274,15 @@ class _Court:
         )
 
     def place(self, row: int, trusted: Mask) -> SamePlace:
-        """What is thought of a pair if it were the only one, and by what trusted pairs know."""
+        """What is thought of one of a few pairs, by itself and by what trusted pairs know."""
         heard, own = self.heard(row, trusted), limited(self._evidence[row].own)
         return same_place(
             replace(
                 own,
                 over_others=own.over_others + heard.ratio,
                 over_copies=own.over_copies + heard.ratio_over_copies,
-            )
+            ),
+            copies_indoors=_COPIES_AMONG_FEW,
         )
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
