@@ -14,6 +14,7 @@ from epi360.jobs.matching import place_job
 from epi360.jobs.matching.match_folder import load_matches, match_images
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_second
+from epi360.jobs.matching.pair_work import PairWork
 from epi360.jobs.matching.second_poses import SECOND, SecondPair
 from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict, VerifiedPair
@@ -114,6 +115,34 @@ def test_the_kept_result_has_that_pose_and_its_inliers(tour, tmp_path, lost):
     assert len(inliers) == found.num_inliers > 50
     assert not inliers & {tuple(match) for match in own.geometry.inliers.tolist()}
     assert pairs_csv(match_images(tour, tmp_path)) == pairs_csv(run)
+
+
+@pytest.mark.parametrize("is_level", [False, True])
+def test_what_is_known_of_a_level_folder_is_known_of_second_poses(tmp_path, monkeypatch, is_level):
+    known = {}
+    estimated = PairWork.estimated
+
+    def listened(work, matched, prior, **options):
+        if prior == "second":
+            known.update(options, was_asked=True)
+        return estimated(work, matched, prior, **options)
+
+    def loses_every_second_inlier(verified, pair, prior):
+        if pair != LOST or prior == "second":
+            return verified
+        verdict = replace(
+            verified.verdict, status="too_few_inliers", probability=0.0, cam2_from_cam1=Pose.nan()
+        )
+        return replace(
+            verified, verdict=verdict, inlier_mask=np.arange(len(verified.matches)) % 2 == 0
+        )
+
+    monkeypatch.setattr(PairWork, "estimated", listened)
+    judge_otherwise(monkeypatch, loses_every_second_inlier)
+    run = match_images(write_tour(tmp_path / "level", is_level=is_level), tmp_path / "out")
+    assert known.pop("was_asked")
+    assert known == ({} if run.level is None else run.level.known)
+    assert (run.level is not None) == is_level
 
 
 @pytest.mark.parametrize("status", ["too_few_inliers", "planar_ambiguous"])
