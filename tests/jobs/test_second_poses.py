@@ -176,11 +176,18 @@ def test_a_pose_that_its_inliers_leave_a_doubt_about_may_be_the_second(
     assert not verdict_on(match_images(tour, tmp_path, restart=True)).accepted
 
 
-def test_the_surroundings_must_speak_for_it(tour, tmp_path, lost):
+def test_a_wrong_pose_is_not_accepted(tour, tmp_path, lost):
     right = unit(truth(*LOST, False))
     lost["second"] = {"cam2_from_cam1": Pose(TURN.T @ right.rotation, right.translation)}
     found = verdict_on(match_images(tour, tmp_path))
     assert not found.accepted and found.prior == ""
+
+
+@pytest.mark.parametrize("refused", ["", "may show a copy of the place"])
+def test_the_surroundings_must_speak_for_it(tour, tmp_path, lost, monkeypatch, refused):
+    place = PlaceVerdict(0.96, refused=refused)
+    monkeypatch.setattr(place_job.Places, "on_more", lambda _, posed: [place] * len(posed))
+    assert (verdict_on(match_images(tour, tmp_path)).prior == "second") == (refused == "")
 
 
 def test_the_first_pose_is_no_second_one(tour, tmp_path, lost):
