@@ -11,7 +11,7 @@ from level_views import CAMERA, NAMES, judge_otherwise, truth, write_tour
 from epi360.jobs.graph.graph_check import fitting
 from epi360.jobs.graph.place_check import PlaceVerdict
 from epi360.jobs.matching import place_job
-from epi360.jobs.matching.match_folder import load_matches, match_images
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_second
 from epi360.jobs.matching.pair_work import PairWork
@@ -143,6 +143,10 @@ def test_what_is_known_of_a_level_folder_is_known_of_second_poses(tmp_path, monk
     assert known.pop("was_asked")
     assert known == ({} if run.level is None else run.level.known)
     assert (run.level is not None) == is_level
+    known.clear()
+    upright = MatchOptions(upright_deg=1.0)
+    match_images(write_tour(tmp_path / "level", is_level=is_level), tmp_path / "out2", upright)
+    assert known.keys() == {"gravity1", "gravity2", "gravity_sigma_deg", "was_asked"}
 
 
 @pytest.mark.parametrize("status", ["too_few_inliers", "planar_ambiguous"])

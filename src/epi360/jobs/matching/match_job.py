@@ -135,11 +135,12 @@ class MatchJob:
     def estimated(
         self, matched: Sequence[tuple[Pair, Matched]], prior: str, level: Level | None
     ) -> dict[Pair, VerifiedPair]:
-        """Verify some matches of pairs, with the prior of a level folder, or without.
+        """Verify some matches of pairs, with the prior of a level folder, or what was given.
 
         ``prior`` says in words how they were chosen.
         """
-        return self.work.estimated(matched, prior, **(level.known if level is not None else {}))
+        given = self.work.given_of([pair for pair, _ in matched])
+        return self.work.estimated(matched, prior, **(given if level is None else level.known))
 
     @property
     def num_threads(self) -> int:

@@ -181,15 +181,8 @@ class PairWork:
         with threadpool_limits(1, user_api="blas"):
             found = dict(on_threads(work, pairs, self.num_threads))
         matched = [(pair, each) for pair in pairs if (each := found[pair]) is not None]
-        gravity: dict[str, Any] = {}
-        if self.inputs.upright_deg is not None:
-            gravity = {
-                "gravity1": [self._gravity[pair[0]] for pair, _ in matched],
-                "gravity2": [self._gravity[pair[1]] for pair, _ in matched],
-                "gravity_sigma_deg": self.inputs.upright_deg,
-            }
         prior = "" if self.inputs.upright_deg is None else "upright"
-        return self.estimated(matched, prior, **gravity)
+        return self.estimated(matched, prior, **self.given_of([pair for pair, _ in matched]))
 
     def _verified_with_prior(
         self, finished: Mapping[Pair, VerifiedPair], level: Level
@@ -205,6 +198,16 @@ class PairWork:
             **level.known,
         )
         return [pair for images, pair in results.items() if self.is_readable(images)]
+
+    def given_of(self, pairs: Sequence[Pair]) -> dict[str, Any]:
+        """What was given about pairs: that their images stand upright, if it was."""
+        if self.inputs.upright_deg is None:
+            return {}
+        return {
+            "gravity1": [self._gravity[pair[0]] for pair in pairs],
+            "gravity2": [self._gravity[pair[1]] for pair in pairs],
+            "gravity_sigma_deg": self.inputs.upright_deg,
+        }
 
     def estimated(
         self, matched: Sequence[tuple[Pair, Matched]], prior: str, **known: Any
