@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from level_views import CAMERA, NAMES, judge_otherwise, truth, write_tour
 
-from epi360.jobs.graph.graph_check import fitting
 from epi360.jobs.graph.place_check import PlaceVerdict
 from epi360.jobs.matching import place_job
+from epi360.jobs.matching.implied_job import ImpliedPair
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.match_job import MatchJob
-from epi360.jobs.matching.pair_verdicts import PairVerdict, with_second
+from epi360.jobs.matching.pair_verdicts import PairVerdict, with_implied, with_second
 from epi360.jobs.matching.pair_work import PairWork
 from epi360.jobs.matching.second_poses import SECOND, SecondPair
 from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
@@ -296,6 +296,9 @@ def lacking(*rows):
     return [none.get(row, each) for row, each in enumerate(VERDICTS)]
 
 
+BY = ((NAMES[0], NAMES[1]), (NAMES[1], NAMES[2]))  # pairs that imply the lost one
+
+
 def second_of(row, *, pose=None, probability=1.0, place=0.99, **values):
     pose = VERDICTS[row].cam2_from_cam1 if pose is None else pose
     made = {"rotation_sigma_deg": 0.1, "translation_sigma_deg": 0.2, **values}
@@ -305,7 +308,9 @@ def second_of(row, *, pose=None, probability=1.0, place=0.99, **values):
 
 
 def test_its_probability_is_that_of_its_matches_and_its_surroundings():
-    found = with_second(lacking(ROW), KEYS, {LOST_NAMES: second_of(ROW, probability=0.9)})
+    found = with_second(
+        lacking(ROW), KEYS, {LOST_NAMES: second_of(ROW, probability=0.9)}, is_level=False
+    )
     assert found[ROW].accepted and found[ROW].by_others and found[ROW].has_other_pose
     assert found[ROW].probability == pytest.approx(0.9 * 0.99)
     assert found[ROW].num_triangles == 2
@@ -315,7 +320,7 @@ def test_its_probability_is_that_of_its_matches_and_its_surroundings():
 
 def test_a_pair_that_is_accepted_keeps_its_pose():
     pose = turned(VERDICTS[ROW].cam2_from_cam1)
-    found = with_second(VERDICTS, KEYS, {LOST_NAMES: second_of(ROW, pose=pose)})
+    found = with_second(VERDICTS, KEYS, {LOST_NAMES: second_of(ROW, pose=pose)}, is_level=False)
     assert found == VERDICTS
 
 
@@ -323,7 +328,9 @@ def test_a_pair_that_is_accepted_keeps_its_pose():
 def test_an_open_triangle_speaks_against_it(sigma_deg):
     pose = turned(VERDICTS[ROW].cam2_from_cam1)
     sigmas = {"rotation_sigma_deg": sigma_deg, "translation_sigma_deg": sigma_deg}
-    found = with_second(lacking(ROW), KEYS, {LOST_NAMES: second_of(ROW, pose=pose, **sigmas)})
+    found = with_second(
+        lacking(ROW), KEYS, {LOST_NAMES: second_of(ROW, pose=pose, **sigmas)}, is_level=False
+    )
     assert found[ROW].status == "too_few_inliers"
 
 
@@ -337,16 +344,48 @@ def test_the_surest_is_tried_first_and_counts_for_the_next():
             KEYS[sure]: second_of(sure),
             KEYS[poor]: second_of(poor, pose=turned(VERDICTS[poor].cam2_from_cam1), place=0.96),
         }
-        found = with_second(lacking(*away), KEYS, told)
+        found = with_second(lacking(*away), KEYS, told, is_level=False)
         assert found[sure].accepted and not found[poor].accepted
 
 
 @pytest.mark.parametrize(("probability", "fits"), [(0.96, True), (0.9, False)])
 def test_what_joins_groups_alone_must_be_probable_by_its_own_matches(probability, fits):
     away = [row for row, names in enumerate(KEYS) if NAMES[0] in names]
-    found = with_second(lacking(*away), KEYS, {LOST_NAMES: second_of(ROW, probability=probability)})
+    found = with_second(
+        lacking(*away), KEYS, {LOST_NAMES: second_of(ROW, probability=probability)}, is_level=False
+    )
     assert found[ROW].accepted == fits
 
 
-def test_nothing_fits_that_is_not_tried():
-    assert fitting(KEYS, VERDICTS, range(len(KEYS)), {}) == {}
+@pytest.mark.parametrize("sigma_deg", [0.1, np.nan])
+def test_accepted_pairs_that_state_no_errors_speak_against_it(sigma_deg):
+    """So do doubted poses that are accepted for their surroundings."""
+    sigmas = {"rotation_sigma_deg": sigma_deg, "translation_sigma_deg": sigma_deg}
+    verdicts = [replace(each, **sigmas) if each.accepted else each for each in lacking(ROW)]
+    pose = turned(VERDICTS[ROW].cam2_from_cam1)
+    found = with_second(verdicts, KEYS, {LOST_NAMES: second_of(ROW, pose=pose)}, is_level=False)
+    assert not found[ROW].accepted
+    found = with_second(verdicts, KEYS, {LOST_NAMES: second_of(ROW)}, is_level=False)
+    assert found[ROW].num_triangles == 2
+
+
+@pytest.mark.parametrize(("is_level", "probability"), [(False, 0.96), (True, 0.9995)])
+def test_in_a_level_folder_one_on_the_floor_must_be_more_probable(is_level, probability):
+    away = [row for row, names in enumerate(KEYS) if NAMES[0] in names]
+    for told, fits in ((probability, True), (probability - 0.02, False)):
+        second = second_of(ROW, probability=told, floor_share=1.0)
+        found = with_second(lacking(*away), KEYS, {LOST_NAMES: second}, is_level=is_level)
+        assert found[ROW].accepted == fits
+
+
+def test_pairs_with_a_second_pose_imply_others():
+    """A triangle through a second pose that states no errors confirms what it implies."""
+    third = KEYS.index((NAMES[1], NAMES[2]))
+    sigmas = {"rotation_sigma_deg": np.nan, "translation_sigma_deg": np.nan}
+    others = [row for row in range(len(KEYS)) if row not in (ROW, third, KEYS.index(BY[0]))]
+    second = {KEYS[third]: second_of(third, probability=0.99, **sigmas)}
+    verdicts = with_second(lacking(ROW, third, *others), KEYS, second, is_level=False)
+    assert verdicts[third].accepted
+    implied = ImpliedPair(second_of(ROW).verified, BY)
+    found = with_implied(verdicts, KEYS, {LOST_NAMES: implied})
+    assert found[ROW].accepted and found[ROW].num_triangles == 1

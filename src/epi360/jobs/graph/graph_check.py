@@ -165,25 +165,33 @@ def fitting(
     verdicts: Sequence[Verdict],
     accepted: Sequence[int],
     tried: Mapping[int, Verdict],
+    *,
+    is_level: bool,
 ) -> dict[int, LoopVerdict]:
     """Rows of the pairs of which no triangle with accepted pairs is open, tried one after another.
 
     ``tried`` are their verdicts, by row. What fits counts as accepted for those after it. If no
-    triangle closes either, a pose must be as probable as that of a lone link.
+    triangle closes either, a pose must be as probable as that of a lone link, and in a level folder
+    one on the floor alone as others of its kind.
     """
-    told, fits = list(verdicts), list(accepted)
+    triangles = _Triangles(pairs, verdicts, accepted)
     found = {}
     for row, verdict in tried.items():
-        loop = _Triangles(pairs, told, fits).of(pairs[row], verdict)
-        is_probable = loop.num_triangles or verdict.probability >= _LINK_PROBABILITY
+        loop = triangles.of(pairs[row], verdict)
+        on_floor = is_level and _lies_on_floor(verdict)
+        needed = _FLOOR_PROBABILITY if on_floor else _LINK_PROBABILITY
+        is_probable = loop.num_triangles > 0 or verdict.probability >= needed
         if is_probable and not loop.num_contradicted:
-            found[row], told[row] = loop, verdict
-            fits.append(row)
+            found[row] = loop
+            triangles.add(row, verdict)
     return found
 
 
 class _Triangles:
-    """Triangles that further pairs make with accepted ones."""
+    """Triangles that further pairs make with accepted ones.
+
+    Poses that state no errors have those of doubted ones.
+    """
 
     def __init__(
         self,
@@ -191,11 +199,17 @@ class _Triangles:
         verdicts: Sequence[Verdict],
         accepted: Sequence[int],
     ) -> None:
-        self.pairs, self.verdicts = pairs, verdicts
+        self.pairs = pairs
+        self.verdicts: dict[int, Verdict] = {}
         self.rows_of: dict[str, dict[str, int]] = {}
         for row in accepted:
-            for name, other in (pairs[row], pairs[row][::-1]):
-                self.rows_of.setdefault(name, {})[other] = row
+            self.add(row, verdicts[row])
+
+    def add(self, row: int, verdict: Verdict) -> None:
+        """From now on this pair is an accepted one, too."""
+        self.verdicts[row] = with_sigmas(verdict)
+        for name, other in (self.pairs[row], self.pairs[row][::-1]):
+            self.rows_of.setdefault(name, {})[other] = row
 
     def of(self, pair: tuple[str, str], verdict: Verdict) -> LoopVerdict:
         """What the triangles of one pair and two accepted ones say about it."""
@@ -204,7 +218,7 @@ class _Triangles:
         others = [rows[name] for name in shared for rows in (rows1, rows2)]
         return check_loops(
             [pair, *(self.pairs[each] for each in others)],
-            [verdict, *(self.verdicts[each] for each in others)],
+            [with_sigmas(verdict), *(self.verdicts[each] for each in others)],
         )[0]
 
 

@@ -90,10 +90,11 @@ def judge_folder(
     places = check_places(settled)
     by_place = {} if places is None else places.verdicts
     judged = [None if each is None else by_place.get(each) for each in keys]
-    verdicts = checked(named, judged, is_level=is_upright or level is not None)
+    is_level = is_upright or level is not None
+    verdicts = checked(named, judged, is_level=is_level)
     accepted = _accepted(keys, verdicts)
     second = {} if places is None else find_second(settled, places, accepted)
-    verdicts = with_second(verdicts, keys, second)
+    verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.panoramas.keys()
     implied = find_implied(settled, accepted, posed)

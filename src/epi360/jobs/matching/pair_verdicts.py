@@ -15,7 +15,6 @@ from epi360.jobs.graph.graph_check import (
     closing,
     fitting,
     groups_by,
-    with_sigmas,
 )
 from epi360.jobs.graph.place_check import (
     ANOTHER_PLACE,
@@ -99,6 +98,8 @@ def with_second(
     verdicts: Sequence[PairVerdict],
     keys: Sequence[Keys | None],
     second: Mapping[Keys, SecondPair],
+    *,
+    is_level: bool,
 ) -> tuple[PairVerdict, ...]:
     """Verdicts of which some have a second pose, if no triangle with accepted pairs is open.
 
@@ -116,9 +117,8 @@ def with_second(
         for row, each in found.items()
     }
     surest = sorted(found, key=lambda row: (-chances[row], row))
-    fits = fitting(
-        names, verdicts, accepted, {row: with_sigmas(found[row].verified.verdict) for row in surest}
-    )
+    tried = {row: found[row].verified.verdict for row in surest}
+    fits = fitting(names, verdicts, accepted, tried, is_level=is_level)
     told = list(verdicts)
     for row, loop in fits.items():
         own = replace(found[row].verified.verdict, probability=chances[row])
@@ -146,8 +146,7 @@ def with_implied(
             own = implied[each].verified.verdict
             chance = own.probability * float(np.prod([chances[by] for by in implied[each].by]))
             told[row] = PairVerdict.of(names[row], replace(own, probability=chance))
-    tried = {row: with_sigmas(each) for row, each in told.items()}
-    closed = closing(names, verdicts, accepted, tried)
+    closed = closing(names, verdicts, accepted, told)
     return tuple(
         replace(told[row], num_triangles=closed[row].num_triangles) if row in closed else verdict
         for row, verdict in enumerate(verdicts)

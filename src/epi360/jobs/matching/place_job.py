@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.jobs.graph.graph_check import awaits_confirmation
@@ -17,6 +17,7 @@ from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
 from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
 from epi360.places.shared_points import PosedPair
+from epi360.progress import Progress, no_progress
 
 # What more pairs know does not fit into a gigabyte.
 MOST_PAIRS = 10_000
@@ -40,7 +41,7 @@ class Places:
     """
 
     verdicts: Mapping[Keys, PlaceVerdict]
-    folder: VerifiedFolder
+    num_threads: int
     known: Surroundings
     views: Views
     judged: Judged
@@ -55,11 +56,14 @@ class Places:
 
         There are none if a picture is gone.
         """
+        if not posed:
+            return ()
         pairs = (*self.known.pairs, *posed)
         known = replace(self.known, pairs=pairs)
         rows = range(len(self.known.pairs), len(pairs))
-        points = _of_each(self.folder, known.of_points, rows)
-        told = _with_surfaces(self.folder, known, points, self.views)
+        quietly = _Work(self.num_threads, no_progress)
+        points = _of_each(quietly, known.of_points, rows)
+        told = _with_surfaces(quietly, known, points, self.views)
         if told is None or len(points) < len(posed):
             return ()
         return self.judged.on_doubted(told[0])
@@ -71,14 +75,16 @@ def check_places(settled: SettledPairs) -> Places | None:
     Nothing is said of pairs whose pictures cannot be read any more. None where no pairs are
     accepted, or too many.
     """
-    folder, usable = settled.folder, [keys for keys in settled.panoramas if keys[0] != keys[1]]
+    usable = [keys for keys in settled.panoramas if keys[0] != keys[1]]
     accepted = {keys for keys in usable if settled.verdicts[keys].accepted}
     if not 1 <= len(accepted) <= MOST_PAIRS:
         return None
     doubted = {keys for keys in usable if awaits_confirmation(settled.verdicts[keys])}
     asked = accepted | doubted if len(accepted | doubted) <= MOST_PAIRS else accepted
     posed = {each.keys: settled.posed(each) for each in settled.with_matches(asked)}
+    folder = settled.folder
     panorama_of = remembered(partial(_read, folder))
+    work = _Work(folder.num_threads, folder.progress)
 
     def around(keys: Sequence[Keys]) -> Surroundings:
         num_heard = sum(each in accepted for each in keys)
@@ -86,18 +92,18 @@ def check_places(settled: SettledPairs) -> Places | None:
 
     keys = sorted(posed, key=lambda each: (each in doubted, posed[each].images))
     known = around(keys)
-    points = _of_each(folder, known.of_points, range(len(keys)))
+    points = _of_each(work, known.of_points, range(len(keys)))
     if len(points) < len(keys):  # a picture is gone
         keys = [keys[row] for row in points]
         known = around(keys)
-        points = _of_each(folder, known.of_points, range(len(keys)))
+        points = _of_each(work, known.of_points, range(len(keys)))
     if len(points) < len(keys) or known.num_heard == 0:
         return None
-    return _judged(folder, keys, known, points)
+    return _judged(work, keys, known, points)
 
 
 def _judged(
-    folder: VerifiedFolder,
+    work: _Work,
     keys: Sequence[Keys],
     known: Surroundings,
     points: Mapping[int, Evidence],
@@ -106,15 +112,16 @@ def _judged(
     num_heard, evidence = known.num_heard, list(points.values())
     heard, views = known.pairs[:num_heard], Views()
     if num_heard <= _FEW_PAIRS or leave_a_doubt(heard, evidence[:num_heard]):
-        told = _with_surfaces(folder, known, points, views)
+        told = _with_surfaces(work, known, points, views)
         evidence, views = (evidence, views) if told is None else told
     judged = judge_places(heard, evidence[:num_heard])
     verdicts = (*judged.verdicts, *judged.on_doubted(evidence[num_heard:]))
-    return Places(dict(zip(keys, verdicts, strict=True)), folder, known, views, judged)
+    told_of = dict(zip(keys, verdicts, strict=True))
+    return Places(told_of, work.num_threads, known, views, judged)
 
 
 def _with_surfaces(
-    folder: VerifiedFolder,
+    work: _Work,
     known: Surroundings,
     points: Mapping[int, Evidence],
     views: Views,
@@ -123,7 +130,7 @@ def _with_surfaces(
 
     ``views`` are known before. None if a picture is gone.
     """
-    grown = _of_each(folder, known.grown, list(points))
+    grown = _of_each(work, known.grown, list(points))
     if len(grown) < len(points):
         return None
     views = views | {(row, side): told[0][side] for row, told in grown.items() for side in (0, 1)}
@@ -132,7 +139,7 @@ def _with_surfaces(
     def look(row: int) -> Evidence:
         return known.with_surfaces(row, points[row], witnesses, grown[row][1])
 
-    found = _of_each(folder, look, list(points))
+    found = _of_each(work, look, list(points))
     return None if len(found) < len(points) else (list(found.values()), views)
 
 
@@ -143,11 +150,16 @@ def _read(folder: VerifiedFolder, image: int) -> Panorama:
         raise _PictureGoneError from error
 
 
-def _of_each(
-    folder: VerifiedFolder, look: Callable[[int], Found], rows: Sequence[int]
-) -> dict[int, Found]:
+class _Work(NamedTuple):
+    """Who looks, and who is told."""
+
+    num_threads: int
+    progress: Progress
+
+
+def _of_each(work: _Work, look: Callable[[int], Found], rows: Sequence[int]) -> dict[int, Found]:
     """What is found about each pair, on all threads, in order; nothing where a picture is gone."""
-    folder.progress("places", 0, len(rows))
+    work.progress("places", 0, len(rows))
     found = {}
 
     def tried(row: int) -> Found | None:
@@ -156,8 +168,8 @@ def _of_each(
         except _PictureGoneError:
             return None
 
-    for count, (row, each) in enumerate(on_threads(tried, rows, folder.num_threads), start=1):
-        folder.progress("places", count, len(rows))
+    for count, (row, each) in enumerate(on_threads(tried, rows, work.num_threads), start=1):
+        work.progress("places", count, len(rows))
         if each is not None:
             found[row] = each
     return {row: found[row] for row in rows if row in found}

@@ -25,8 +25,8 @@ from epi360.two_view import IMAGE_OPTIONS
 
 _SAME_DEG = 5.0  # a pose this near to the first one says nothing new
 _PAIRS_AT_ONCE = 256  # whose matches are in memory
-PRIOR = "second"
-SECOND = "more matches agree on another pose, which is refused; what surrounds the others fits this"
+PRIOR, _STAGE = "second", "second poses"
+SECOND = "the matches that do not agree with the first pose say this one; its surroundings fit"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +79,7 @@ def find_second(
         and keys[0] != keys[1]
         and settled.verdicts[keys].status != "pure_rotation"
     }
+    folder.progress(_STAGE, 0, len(others))
     candidates = _candidates(settled, others)
     found: dict[Keys, SecondPair] = {}
     while some := {panoramas[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
@@ -90,6 +91,7 @@ def find_second(
         for verified, place in zip(second, verdicts, strict=False):  # none if a picture is gone
             if not place.refused:
                 found[verified.keys] = SecondPair(verified, place)
+    folder.progress(_STAGE, len(others), len(others))
     return found
 
 
@@ -97,7 +99,8 @@ def _candidates(settled: SettledPairs, others: Set[Keys]) -> Iterator[_Candidate
     """Pairs of which enough matches are left."""
     for verified in settled.with_matches(others):
         left = ~verified.inlier_mask
-        if np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
+        is_asked_anew = verified.inlier_mask.any()
+        if is_asked_anew and np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
             yield _Candidate(verified, settled.bearings(verified), left)
 
 

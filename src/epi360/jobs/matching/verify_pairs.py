@@ -92,7 +92,8 @@ def verify_pairs(
     it; if it is "ok" and fits its own inliers, they have a say about the others, with the errors
     that are assumed of doubted poses.
 
-    ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs" and "places".
+    ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs", "places" and
+    "second poses".
 
     Raises
     ------
