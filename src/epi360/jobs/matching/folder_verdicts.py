@@ -2,7 +2,7 @@
 """Verdicts on the pairs of a folder by all that is known of it.
 
 First whether it is level, then what the surroundings of each pair look like, what triangles say,
-and last the poses that accepted pairs imply for others.
+second poses, and last the poses that accepted pairs imply for others.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class JudgedPairs:
 
     @property
     def num_by_others(self) -> int:
-        """Pairs that are accepted because of what other pairs know of the place."""
+        """Pairs that are accepted for what other pairs know of the place, or what surrounds them."""
         return sum(verdict.by_others for verdict in self.verdicts)
 
 

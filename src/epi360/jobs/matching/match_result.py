@@ -91,8 +91,8 @@ def load_matches(folder: str | PathLike[str] | RemotePath, *, by_others: bool = 
     """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
     Every pair has a geometry: look at its status. It is "ok" where `match_images` has accepted the
-    pair. Some of these have a pose that other pairs confirm or imply; others, whose own matches
-    agree with a pose that other pairs speak against, are "refused". If ``by_others`` is false, all
+    pair. Some of these have a pose that other pairs confirm or imply, or a second one; others, whose
+    own matches agree with a pose that other pairs speak against, are "refused". If ``by_others`` is false, all
     have what is found from their own matches.
 
     Raises
@@ -200,7 +200,7 @@ def _places(
 def _implied_places(
     folder: AnyPath, store: StoredPairs, needed: Set[Keys], name: str
 ) -> dict[Keys, tuple[int, int]]:
-    """Part and rows of the pairs that other pairs give a pose."""
+    """Part and rows of the pairs that have another pose than the first one."""
     arrays = read_arrays(inside(folder / IMPLIED_PAIRS, name))
     if arrays is None:
         raise ValueError(f"{folder / IMPLIED_PAIRS / name} is missing or damaged; {_AGAIN}")

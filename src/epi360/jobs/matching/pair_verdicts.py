@@ -68,7 +68,7 @@ class PairVerdict(Verdict):
 
     @property
     def by_others(self) -> bool:
-        """Whether it is accepted because of what other pairs know of the place."""
+        """Whether it is accepted for what other pairs know of the place, or what surrounds it."""
         return self.accepted and (self.has_other_pose or PLACE_AGREES in self.warnings)
 
     @property
