@@ -44,7 +44,7 @@ class JudgedPairs:
 
     @property
     def num_by_others(self) -> int:
-        """Pairs that are accepted for what other pairs know of the place, or what surrounds them."""
+        """Pairs that are accepted for what other pairs know, or for what surrounds them."""
         return sum(verdict.by_others for verdict in self.verdicts)
 
 

@@ -91,9 +91,9 @@ def load_matches(folder: str | PathLike[str] | RemotePath, *, by_others: bool = 
     """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
     Every pair has a geometry: look at its status. It is "ok" where `match_images` has accepted the
-    pair. Some of these have a pose that other pairs confirm or imply, or a second one; others, whose
-    own matches agree with a pose that other pairs speak against, are "refused". If ``by_others`` is false, all
-    have what is found from their own matches.
+    pair. Some of these have a pose that other pairs confirm or imply, or a second one; others,
+    whose own matches agree with a pose that other pairs speak against, are "refused". If
+    ``by_others`` is false, all have what is found from their own matches.
 
     Raises
     ------
