@@ -69,8 +69,6 @@ def find_second(
     ``accepted`` are those whose own pose is accepted. A camera that has only turned has no second
     pose: what does not agree with the first has moved.
     """
-    if not places.can_judge_more:
-        return {}
     folder, panoramas = settled.folder, settled.panoramas
     others = {
         keys
@@ -79,6 +77,8 @@ def find_second(
         and keys[0] != keys[1]
         and settled.verdicts[keys].status != "pure_rotation"
     }
+    if not others or not places.can_judge_more:
+        return {}
     folder.progress(_STAGE, 0, len(others))
     candidates = _candidates(settled, others)
     found: dict[Keys, SecondPair] = {}
