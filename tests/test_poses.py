@@ -4,6 +4,7 @@ import pytest
 
 from epi360.poses import (
     Pose,
+    poses_agree,
     rotation_error_deg,
     rotation_from_vector,
     translation_error_deg,
@@ -198,3 +199,12 @@ def test_pose_composes_only_with_poses():
         random_pose(0) @ np.eye(4)
     with pytest.raises(TypeError):
         np.eye(4) @ random_pose(0)
+
+
+@pytest.mark.parametrize(("turn_deg", "aside_deg"), [(0.9, 1.9), (1.1, 0.0), (0.0, 2.1)])
+def test_poses_agree_within_both_angles(turn_deg, aside_deg):
+    turn, aside = np.radians([turn_deg, aside_deg])
+    pose = Pose(rotation_from_vector([0.0, turn, 0.0]), [np.sin(aside), 0.0, np.cos(aside)])
+    straight = Pose(np.eye(3), [0.0, 0.0, 2.0])
+    assert poses_agree(pose, straight, 1.0, 2.0) == (turn_deg < 1.0 and aside_deg < 2.0)
+    assert not poses_agree(Pose.nan(), straight, 1.0, 2.0)

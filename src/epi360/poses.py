@@ -178,6 +178,14 @@ def translation_error_deg(a: Pose | ArrayLike, b: Pose | ArrayLike) -> float:
     return float(np.degrees(np.arctan2(sine, float(translation_a @ translation_b))))
 
 
+def poses_agree(a: Pose, b: Pose, rotation_deg: float, translation_deg: float) -> bool:
+    """Whether two poses differ by less than these angles in rotation and direction; NaN does not.
+
+    See `rotation_error_deg` and `translation_error_deg`.
+    """
+    return rotation_error_deg(a, b) < rotation_deg and translation_error_deg(a, b) < translation_deg
+
+
 def checked_pose(pose: object, name: str = "cam2_from_cam1") -> Pose:
     """Return a pose, or raise ``ValueError`` if it is something else."""
     if not isinstance(pose, Pose):

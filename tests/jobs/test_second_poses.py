@@ -211,7 +211,7 @@ def test_too_few_matches_are_not_asked(tour, tmp_path, lost, monkeypatch, num_le
 
 
 def test_without_surfaces_there_are_no_second_poses(tour, tmp_path, lost, monkeypatch):
-    """Of many pairs only points are asked, where these agree."""
+    """In a large folder only points are asked, where these agree."""
     monkeypatch.setattr(place_job, "_FEW_PAIRS", 0)
     monkeypatch.setattr(place_job, "leave_a_doubt", lambda *_: False)
     assert verdict_on(match_images(tour, tmp_path)).prior == ""

@@ -107,19 +107,17 @@ def awaits_confirmation(verdict: Verdict) -> bool:
 
 def believed(verdict: SomeVerdict) -> SomeVerdict:
     """The verdict if its doubted pose were accepted."""
-    return replace(
-        verdict,
-        status="ok",
-        cam2_from_cam1=verdict.doubted,
-        rotation_sigma_deg=DOUBTED_ROTATION_DEG,
-        translation_sigma_deg=DOUBTED_DIRECTION_DEG,
-    )
+    return _with_assumed_errors(replace(verdict, status="ok", cam2_from_cam1=verdict.doubted))
 
 
 def with_sigmas(verdict: SomeVerdict) -> SomeVerdict:
     """The verdict, with the errors that are assumed of doubted poses if it states none."""
     if np.isfinite([verdict.rotation_sigma_deg, verdict.translation_sigma_deg]).all():
         return verdict
+    return _with_assumed_errors(verdict)
+
+
+def _with_assumed_errors(verdict: SomeVerdict) -> SomeVerdict:
     return replace(
         verdict,
         rotation_sigma_deg=DOUBTED_ROTATION_DEG,

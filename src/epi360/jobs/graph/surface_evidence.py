@@ -32,7 +32,7 @@ from epi360.places.shared_points import (
     scale_of,
     some_of,
 )
-from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.poses import Pose, poses_agree
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.floating]
@@ -211,10 +211,7 @@ def _agrees(pose: Pose, expected: Pose) -> bool:
     """Whether rotations and directions are equal; short steps have no direction to compare."""
     if float(np.linalg.norm(expected.translation)) < _SHORTEST_STEP:
         return False
-    return (
-        rotation_error_deg(pose, expected) < _ROTATIONS_AGREE_DEG
-        and translation_error_deg(pose, expected) < _DIRECTIONS_AGREE_DEG
-    )
+    return poses_agree(pose, expected, _ROTATIONS_AGREE_DEG, _DIRECTIONS_AGREE_DEG)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
 from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, VerifiedPair
-from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.poses import Pose, poses_agree
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,8 +141,4 @@ def _if_agrees(result: VerifiedPair, candidate: _Candidate, chosen: Mask) -> Ver
 
 def _agree(pose: Pose, way: Way) -> bool:
     """Whether a pose is about the implied one; NaN is not."""
-    errors = (
-        rotation_error_deg(pose, way.cam2_from_cam1),
-        translation_error_deg(pose, way.cam2_from_cam1),
-    )
-    return all(error < _AGREES_DEG for error in errors)
+    return poses_agree(pose, way.cam2_from_cam1, _AGREES_DEG, _AGREES_DEG)

@@ -20,7 +20,7 @@ from epi360.jobs.matching.place_job import Places
 from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
 from epi360.jobs.records.match_store import Keys, VerifiedPair
-from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.poses import poses_agree
 from epi360.two_view import IMAGE_OPTIONS
 
 _SAME_DEG = 5.0  # a pose this near to the first one says nothing new
@@ -56,7 +56,8 @@ class _Candidate:
         if not verdict.accepted and not awaits_confirmation(verdict):
             return None
         pose = verdict.cam2_from_cam1 if verdict.accepted else verdict.doubted
-        if any(_is_same(pose, before) for before in (first.cam2_from_cam1, first.doubted)):
+        before = (first.cam2_from_cam1, first.doubted)
+        if any(poses_agree(pose, each, _SAME_DEG, _SAME_DEG) for each in before):
             return None
         return with_pose_of_some(self.verified, self.left, result, pose, SECOND)
 
@@ -102,9 +103,3 @@ def _candidates(settled: SettledPairs, others: Set[Keys]) -> Iterator[_Candidate
         is_asked_anew = verified.inlier_mask.any()
         if is_asked_anew and np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
             yield _Candidate(verified, settled.bearings(verified), left)
-
-
-def _is_same(pose: Pose, first: Pose) -> bool:
-    """Whether a pose is about the first one; NaN is not."""
-    errors = rotation_error_deg(pose, first), translation_error_deg(pose, first)
-    return all(error < _SAME_DEG for error in errors)
