@@ -7,7 +7,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.place_check import ANOTHER_PLACE, COPY, judge_places, leave_a_doubt
+from epi360.jobs.graph.place_check import (
+    ANOTHER_PLACE,
+    COPY,
+    PlaceVerdict,
+    judge_places,
+    leave_a_doubt,
+)
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.surface_evidence import (
     HIDDEN,
@@ -19,6 +25,7 @@ from epi360.jobs.graph.surface_evidence import (
     surfaces_ratio,
 )
 from epi360.places.own_evidence import OwnEvidence
+from epi360.places.same_place import as_much_rarer
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
@@ -401,6 +408,38 @@ def test_half_of_the_wrong_poses_are_those_of_copies(over_others, over_copies, o
     (verdict,) = judge.on_doubted([told])
     odds = np.log(verdict.probability / (1 - verdict.probability))
     assert odds == pytest.approx(of_all, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("own", "held_back"),
+    [
+        (shows(8.0, -3.0), 0.0),
+        (shows(-2.0, 50.0), 2.0),
+        (shows(-50.0, 50.0), 10.0),  # no more than this counts
+        (shows(-2.0, -2.0), np.log((np.exp(2.0) + np.exp(2.0)) / (1.0 + np.exp(2.0)))),
+        (shows(-2.0, on_floor=True), np.log(0.882 / 0.118 * 0.51 / 0.49)),
+        (shows(-2.0, on_one_wall=True), np.log(0.882 / 0.118 * 0.75 / 0.25)),
+        (shows(is_known=False), 0.0),
+    ],
+)
+def test_all_that_speaks_against_a_refused_pose_counts_in_its_probability(own, held_back):
+    pairs = list(combinations(range(6), 2))
+    judge = judge_places([posed(pair) for pair in pairs], evidence_on(pairs, [1.0] * len(pairs)))
+    (verdict,) = judge.on_doubted([Evidence((nothing(), nothing()), own=own)])
+    assert verdict.held_back == pytest.approx(held_back, abs=1e-4)
+    odds = [each / (1.0 - each) for each in (verdict.probability, verdict.if_refused)]
+    assert odds[1] == pytest.approx(odds[0] * np.exp(-held_back), rel=1e-3)
+
+
+def test_what_is_known_to_be_wrong_or_right_stays_so():
+    told = [PlaceVerdict(each, held_back=3.0).if_refused for each in (0.0, 0.5, 1.0)]
+    assert told == pytest.approx([0.0, 1.0 / (1.0 + np.exp(3.0)), 1.0])
+
+
+def test_right_poses_on_the_floor_or_on_one_wall_are_rarer():
+    for own in (shows(on_floor=True), shows(on_one_wall=True)):
+        assert as_much_rarer(own) > 2.0
+    assert as_much_rarer(shows(4.0, 4.0)) == 0.0
 
 
 def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help():

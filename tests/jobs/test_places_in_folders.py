@@ -11,7 +11,7 @@ from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVe
 from epi360.jobs.matching.pair_verdicts import PairVerdict, checked
 from epi360.poses import Pose, rotation_from_vector
 
-PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3)}
+PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3), "e": (9, 0, 0)}
 
 
 def verdicts_of(names):
@@ -144,3 +144,38 @@ def test_a_doubted_pose_stays_refused_without_them(place):
     assert not judged[0].confirmed
     assert judged[0].refused == ""  # its status says why
     assert judged[0].probability == pytest.approx(0.99 * (0.4 if place else 1.0))
+
+
+def test_a_refused_pose_is_as_probable_as_all_that_speaks_against_it_leaves():
+    verdicts = verdicts_of(["ab", "bc", "cd"])
+    refused = PlaceVerdict(0.5, refused="shows another place", held_back=2.0)
+    judged = checked(verdicts, [refused, PlaceVerdict(), PlaceVerdict()], is_level=False)
+    assert judged[0].probability == pytest.approx(0.99 / (1.0 + np.exp(2.0)))
+
+
+def test_a_pose_that_triangles_confirm_has_the_probability_of_accepted_ones():
+    verdicts = verdicts_of(combinations("abcd", 2))
+    refused = PlaceVerdict(0.5, refused="shows another place", held_back=2.0)
+    judged = checked(verdicts, [refused, *[PlaceVerdict()] * 5], is_level=False)
+    assert judged[0].accepted and judged[0].probability == pytest.approx(0.99 * 0.95)
+
+
+@pytest.mark.parametrize(
+    ("status", "is_lowered"),
+    [
+        ("too_few_inliers", True),
+        ("planar_ambiguous", True),
+        ("pure_rotation", False),
+        ("ok", False),
+    ],
+)
+def test_poses_that_nobody_looked_around_are_as_rare_as_doubted_ones_are(status, is_lowered):
+    verdicts = list(verdicts_of(combinations("abcd", 2)))
+    doubts = [doubted(verdict) for verdict in verdicts_of(["ae", "be", "ce"])]
+    alone = doubted(replace(*verdicts_of(["de"]), probability=0.5))
+    alone = replace(alone, status=status)
+    places = [*[PlaceVerdict()] * 6, *[PlaceVerdict(0.1, refused="may show a copy")] * 3, None]
+    told = checked([*verdicts, *doubts, alone], places, is_level=False)[-1].probability
+    assert told == pytest.approx(0.5 * ((2.0 + 3 * 0.1) / (2.0 + 3) if is_lowered else 1.0))
+    without = checked([*verdicts, alone], [*[PlaceVerdict()] * 6, None], is_level=False)
+    assert without[-1].probability == 0.5

@@ -32,6 +32,7 @@ from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
+    as_much_rarer,
     limited,
     limited_in_folder,
     same_place,
@@ -93,7 +94,8 @@ class PlaceVerdict:
     ``probability`` is that of the pose, given that its matches agree. ``share`` is the share of
     ``num_places`` parts of the views that look the same, of those that both cameras must see. Of a
     pair that is refused for what it shows ``by_itself``, other pairs say nothing: copies close
-    triangles.
+    triangles. What speaks against a pair and is not counted, because it would refuse right ones,
+    is ``held_back``, as a log-likelihood ratio.
     """
 
     probability: float = 1.0
@@ -101,11 +103,18 @@ class PlaceVerdict:
     num_places: int = 0
     refused: str = ""
     by_itself: bool = False
+    held_back: float = 0.0
 
     @property
     def if_accepted(self) -> float:
         """Probability of a pose that is accepted: triangles confirm what leaves a doubt."""
         return max(self.probability, _ACCEPTED)
+
+    @property
+    def if_refused(self) -> float:
+        """Probability of a pose that is refused: all that speaks against it counts."""
+        wrong = (1 - self.probability) * np.exp(self.held_back)
+        return float(self.probability / (self.probability + wrong))
 
     @property
     def leaves_a_doubt(self) -> bool:
@@ -185,6 +194,7 @@ def _by_itself(verdict: PlaceVerdict, place: SamePlace) -> PlaceVerdict:
     return replace(
         verdict,
         probability=min(verdict.probability, place.here),
+        held_back=0.0,
         refused=f"{why}, for what surrounds the matches looks different",
         by_itself=True,
     )
@@ -268,10 +278,7 @@ class _Court:
 
     def ratio(self, row: int, trusted: Mask) -> float:
         """Log-likelihood ratio of a pair being right, by what trusted pairs know and by itself."""
-        heard, own = self.heard(row, trusted), self._own[row]
-        return _over_either(
-            heard.ratio + own.over_others, heard.ratio_over_copies + own.over_copies
-        )
+        return _over_wrong(self.heard(row, trusted), self._own[row])
 
     def place(self, row: int, trusted: Mask) -> SamePlace:
         """What is thought of one of a few pairs, by itself and by what trusted pairs know."""
@@ -321,7 +328,19 @@ class _Court:
         points = self._points_heard(row, joined)
         share = points.num_alike / points.num_places if points.num_places else np.nan
         refused = "" if probability >= _ACCEPTED else self._refusal(row, joined, told, points)
-        return PlaceVerdict(probability, share, points.num_places, refused)
+        held_back = self._held_back(row, joined)
+        return PlaceVerdict(probability, share, points.num_places, refused, held_back=held_back)
+
+    def _held_back(self, row: int, joined: Mask) -> float:
+        """What speaks against a pair by itself, and does not count for whether it is accepted."""
+        shown, counted = self._evidence[row].own, self._own[row]
+        if shown.on_floor or shown.on_one_wall:
+            return as_much_rarer(shown)
+        heard = self.heard(row, joined)
+        over_others = min(limited(shown).over_others, counted.over_others)
+        return _over_wrong(heard, counted) - _over_wrong(
+            heard, replace(counted, over_others=over_others)
+        )
 
     def _refusal(self, row: int, joined: Mask, told: float, points: _Heard) -> str:
         """Why a pair is not accepted; what stands before the comma is what summaries count."""
@@ -350,8 +369,10 @@ class _Court:
         return rates
 
 
-def _over_either(over_others: float, over_copies: float) -> float:
+def _over_wrong(heard: _Heard, own: OwnEvidence) -> float:
     """Log-likelihood ratio of the right pose over a wrong one, of either kind."""
+    over_others = heard.ratio + own.over_others
+    over_copies = heard.ratio_over_copies + own.over_copies
     of_others, of_copies = np.log(1 - _OF_A_COPY) - over_others, np.log(_OF_A_COPY) - over_copies
     return -float(np.logaddexp(of_others, of_copies))
 

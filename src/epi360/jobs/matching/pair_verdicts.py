@@ -31,6 +31,7 @@ from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.poses import Pose
 
 _UNDECIDED = ("pure_rotation", "planar_ambiguous")  # whose inliers are right matches all the same
+_AS_STATED = 2.0  # so many doubted poses are thought to be as probable as their matches say
 _OF_TWO_PLACES = f"{ANOTHER_PLACE}, as other pairs say that look from one to the other"
 
 
@@ -91,7 +92,12 @@ def checked(
     ``places`` has None for pairs whose surroundings were not looked at.
     """
     judged = _judged(verdicts, places, is_level)
-    return tuple(map(_told, verdicts, judged, places))
+    told = list(map(_told, verdicts, judged, places))
+    share = _share_of_doubted(verdicts, places)
+    for row, (verdict, place) in enumerate(zip(told, places, strict=True)):
+        if place is None and verdict.status not in ("ok", "pure_rotation"):
+            told[row] = replace(verdict, probability=verdict.probability * share)
+    return tuple(told)
 
 
 def with_second(
@@ -224,13 +230,28 @@ def _with_graph(
     return tuple(judged)
 
 
+def _share_of_doubted(
+    verdicts: Sequence[PairVerdict], places: Sequence[PlaceVerdict | None]
+) -> float:
+    """How many of the doubted poses whose surroundings were compared are right.
+
+    As many as their matches say, before any is.
+    """
+    chances = [
+        place.if_refused
+        for verdict, place in zip(verdicts, places, strict=True)
+        if place is not None and not verdict.accepted
+    ]
+    return (_AS_STATED + sum(chances)) / (_AS_STATED + len(chances))
+
+
 def _told(own: PairVerdict, judged: PairVerdict, place: PlaceVerdict | None) -> PairVerdict:
     """The verdict with its probability, and without what was only assumed of a doubted pose."""
     if place is None:
         return judged
     if PLACE_AGREES in judged.warnings:
         judged = replace(judged, confirmed=True) if judged.accepted else own
-    chance = place.if_accepted if judged.accepted else place.probability
+    chance = place.if_accepted if judged.accepted else place.if_refused
     return replace(
         judged,
         probability=own.probability * chance,
