@@ -91,7 +91,8 @@ def tour_verdicts(plan: Plan) -> Iterator[Judged]:
     for one in tours(plan):
         tour = one.tour
         for run in _folder_verdicts(plan, one.name, tour.folder, tour.cam2_from_cam1):
-            yield of_tour(run, f"tours, {one.kind}", one.home, tour)
+            name = "photographed" if plan.photographed else "tours"
+            yield of_tour(run, f"{name}, {one.kind}", one.home, tour)
 
 
 def given_verdicts(plan: Plan) -> Iterator[Judged]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -99,6 +99,12 @@ class Judged:
             key: None if isinstance(value, float) and math.isnan(value) else value
             for key, value in values.items()
         }
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> Judged:
+        """What `record` has made of a verdict; it comes without the pose."""
+        values = {key: math.nan if value is None else value for key, value in record.items()}
+        return cls(**values)
 
 
 def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from _trust_records import RIGHT_DEG, WRONG_DEG, Judged
 from _trust_synthetic import Trial
 
-EDGES = (0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 1.0)
+EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 0.999, 1.0)
 # A pose is right if it is within 5 degrees of the truth, or as near as it says itself: three sigma,
 # or one in a hundred of chi^2 with five degrees of freedom. Others count if they are over 10
 # degrees off; what lies between may be an error of the reference.
@@ -123,7 +123,7 @@ def draw_reliability(found: Sequence[Held], path: Path) -> None:
 
     figure = Figure(figsize=(6.5, 6.0), layout="constrained")
     axes = figure.add_subplot()
-    ends = _shown([0.5, 1.0])
+    ends = _shown([0.0, 1.0])
     axes.plot(ends, ends, color="0.6", linewidth=1, label="stated = right")
     for index, group in enumerate(dict.fromkeys(each.group for each in found)):
         own = [each for each in found if each.group == group]
@@ -132,8 +132,8 @@ def draw_reliability(found: Sequence[Held], path: Path) -> None:
         shares = _shown([each.right for each in own])
         bars = np.abs(_shown([each.bounds for each in own]).T - shares)
         axes.errorbar(places, shares, bars, fmt="o:", markersize=5, capsize=2, label=group)
-    ticks = (0.2, 0.5, 0.7, 0.85, 0.95, 0.99, 0.999)
-    axes.set_xticks(_shown(ticks[1:]), [f"{tick:g}" for tick in ticks[1:]])
+    ticks = (0.001, 0.01, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 0.999)
+    axes.set_xticks(_shown(ticks), [f"{tick:g}" for tick in ticks])
     axes.set_yticks(_shown(ticks), [f"{tick:g}" for tick in ticks])
     axes.set_xlabel("stated probability")
     axes.set_ylabel("share of the poses that is right")
