@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A pair whose first pose is refused gets the one that its other matches agree on."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -220,9 +221,34 @@ def test_without_surfaces_there_are_no_second_poses(tour, tmp_path, lost, monkey
 def test_a_picture_that_is_gone_meanwhile_leaves_the_pair_as_it_was(
     tour, tmp_path, lost, monkeypatch
 ):
-    monkeypatch.setattr(place_job.Places, "on_more", lambda *_: ())
+    monkeypatch.setattr(place_job.Places, "on_more", lambda _, posed: [None] * len(posed))
     found = verdict_on(match_images(tour, tmp_path))
     assert not found.accepted and found.prior == ""
+
+
+@dataclass(frozen=True)
+class PicturesOf:
+    """What is known of pairs, some of whose pictures are gone."""
+
+    pairs: tuple
+    gone: tuple
+
+    def of_points(self, row):
+        if row in self.gone:
+            raise place_job._PictureGoneError
+        return row
+
+
+@pytest.mark.parametrize("gone", [(), (3,), (2, 4), (2, 3, 4)])
+def test_poses_of_other_pictures_are_judged_where_one_is_gone(monkeypatch, gone):
+    monkeypatch.setattr(
+        place_job, "_with_surfaces", lambda *arguments: (list(arguments[2].values()), {})
+    )
+    judged = SimpleNamespace(on_doubted=lambda told: [f"on {row}" for row in told])
+    places = place_job.Places({}, 2, PicturesOf((None, None), gone), {}, judged)
+    told = places.on_more([None] * 3)
+    assert told == [None if row in gone else f"on {row}" for row in (2, 3, 4)]
+    assert places.on_more([]) == []
 
 
 def with_a_copy(graph):

@@ -23,7 +23,6 @@ from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, VerifiedPair
 from epi360.poses import Pose, poses_agree
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Of matches this near to its epipolar planes more may belong to the pose, if it is not exact. What
@@ -45,24 +44,19 @@ class ImpliedPair:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A pair with its matches, where they look, and the pose that others imply."""
+    """A pair with its matches, and the pose that others imply."""
 
     verified: VerifiedPair
-    bearings: tuple[Array, Array]
+    matched: Matched
     way: Way
 
     def agreeing(self) -> Mask:
         """Matches that agree with the implied pose."""
-        return self.way.agreeing(*self.bearings)
+        return self.way.agreeing(*self.matched.bearings)
 
     def near(self) -> Mask:
         """Matches that may belong to it even if it is a degree off."""
-        return near_matches(self.way.cam2_from_cam1, *self.bearings, _NEAR_DEG)
-
-    def matched(self, some: Mask) -> Matched:
-        """Some of the matches."""
-        first, second = self.bearings
-        return Matched(self.verified.matches[some], first[some], second[some])
+        return near_matches(self.way.cam2_from_cam1, *self.matched.bearings, _NEAR_DEG)
 
 
 def find_implied(
@@ -102,9 +96,9 @@ def _candidates(
         ways = known.ways(*pair)
         if not ways or any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
             continue
-        bearings = settled.bearings(verified)
-        way = max(ways, key=lambda each: each.num_agreeing(*bearings))
-        yield pair, _Candidate(verified, bearings, way)
+        matched = settled.matched(verified)
+        way = max(ways, key=lambda each: each.num_agreeing(*matched.bearings))
+        yield pair, _Candidate(verified, matched, way)
 
 
 def _verified(
@@ -115,7 +109,7 @@ def _verified(
     """Pairs of which some matches, chosen by the implied pose, say that it is right."""
     chosen = {pair: which(each) for pair, each in candidates.items()}
     asked = {pair: some for pair, some in chosen.items() if some.sum() >= _FEWEST_MATCHES}
-    matched = [(pair, candidates[pair].matched(some)) for pair, some in asked.items()]
+    matched = [(pair, candidates[pair].matched.some(some)) for pair, some in asked.items()]
     results = folder.estimated(matched, PRIOR, None) if matched else {}
     told = {pair: _if_agrees(results[pair], candidates[pair], asked[pair]) for pair in asked}
     return {pair: verified for pair, verified in told.items() if verified is not None}
@@ -130,7 +124,7 @@ def _if_agrees(result: VerifiedPair, candidate: _Candidate, chosen: Mask) -> Ver
     verdict = result.verdict
     if verdict.accepted:
         pose = verdict.cam2_from_cam1
-    elif awaits_confirmation(verdict) and not candidate.way.is_chance(*candidate.bearings):
+    elif awaits_confirmation(verdict) and not candidate.way.is_chance(*candidate.matched.bearings):
         pose = verdict.doubted
     else:
         return None

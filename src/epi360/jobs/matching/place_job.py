@@ -51,22 +51,21 @@ class Places:
         """Whether surfaces were asked for: nothing else speaks for a pose that is not accepted."""
         return bool(self.views)
 
-    def on_more(self, posed: Sequence[PosedPair]) -> Sequence[PlaceVerdict]:
+    def on_more(self, posed: Sequence[PosedPair]) -> Sequence[PlaceVerdict | None]:
         """Verdicts on poses that are not accepted, which say nothing about each other.
 
-        There are none if a picture is gone.
+        None on a pose of a picture that is gone.
         """
-        if not posed:
-            return ()
         pairs = (*self.known.pairs, *posed)
         known = replace(self.known, pairs=pairs)
         rows = range(len(self.known.pairs), len(pairs))
         quietly = _Work(self.num_threads, no_progress)
         points = _of_each(quietly, known.of_points, rows)
         told = _with_surfaces(quietly, known, points, self.views)
-        if told is None or len(points) < len(posed):
-            return ()
-        return self.judged.on_doubted(told[0])
+        if told is None:
+            return [None] * len(posed)
+        verdicts = dict(zip(points, self.judged.on_doubted(told[0]), strict=True))
+        return [verdicts.get(row) for row in rows]
 
 
 def check_places(settled: SettledPairs) -> Places | None:

@@ -42,13 +42,8 @@ class _Candidate:
     """A pair with the matches that do not agree with its first pose: ``left`` (M,) of all."""
 
     verified: VerifiedPair
-    bearings: tuple[NDArray[np.float64], NDArray[np.float64]]
+    matched: Matched
     left: NDArray[np.bool_]
-
-    def matched(self) -> Matched:
-        """Those matches."""
-        first, second = self.bearings
-        return Matched(self.verified.matches[self.left], first[self.left], second[self.left])
 
     def with_pose_of(self, result: VerifiedPair) -> VerifiedPair | None:
         """The pair with the pose that they say; None if there is none, or it is the first one."""
@@ -84,13 +79,13 @@ def find_second(
     candidates = _candidates(settled, others)
     found: dict[Keys, SecondPair] = {}
     while some := {panoramas[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
-        matched = [(pair, each.matched()) for pair, each in some.items()]
+        matched = [(pair, each.matched.some(each.left)) for pair, each in some.items()]
         results = folder.estimated(matched, PRIOR, settled.level)
         told = (some[pair].with_pose_of(result) for pair, result in results.items())
         second = [verified for verified in told if verified is not None]
         verdicts = places.on_more([settled.posed(each) for each in second])
-        for verified, place in zip(second, verdicts, strict=False):  # none if a picture is gone
-            if not place.refused:
+        for verified, place in zip(second, verdicts, strict=True):
+            if place is not None and not place.refused:
                 found[verified.keys] = SecondPair(verified, place)
     folder.progress(_STAGE, len(others), len(others))
     return found
@@ -102,4 +97,4 @@ def _candidates(settled: SettledPairs, others: Set[Keys]) -> Iterator[_Candidate
         left = ~verified.inlier_mask
         is_asked_anew = verified.inlier_mask.any()
         if is_asked_anew and np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
-            yield _Candidate(verified, settled.bearings(verified), left)
+            yield _Candidate(verified, settled.matched(verified), left)

@@ -101,11 +101,13 @@ class SettledPairs:
         """Wanted pairs with their matches."""
         return self.folder.settled_pairs(wanted, self.verdicts, self.level)
 
-    def bearings(self, verified: VerifiedPair) -> tuple[Array, Array]:
-        """Where the matches (M,) of a pair look in both images, (M, 3)."""
-        first, second = self.panoramas[verified.keys]
-        rows1, rows2 = verified.matches.T
-        return self.folder.bearings_of(first)[rows1], self.folder.bearings_of(second)[rows2]
+    def matched(self, verified: VerifiedPair) -> Matched:
+        """The matches of a pair, and where they look in both images."""
+        first, second = (
+            self.folder.bearings_of(image)[rows]
+            for image, rows in zip(self.panoramas[verified.keys], verified.matches.T, strict=True)
+        )
+        return Matched(verified.matches, first, second)
 
     def posed(self, verified: VerifiedPair) -> PosedPair:
         """Pose and inliers of a pair that is accepted, or whose doubted pose is."""

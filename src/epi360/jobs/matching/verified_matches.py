@@ -31,6 +31,15 @@ class Matched:
     bearings1: NDArray[np.float64]
     bearings2: NDArray[np.float64]
 
+    @property
+    def bearings(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where both images look, (M, 3) each."""
+        return self.bearings1, self.bearings2
+
+    def some(self, mask: NDArray[np.bool_]) -> Matched:
+        """Some of the matches."""
+        return Matched(self.matches[mask], self.bearings1[mask], self.bearings2[mask])
+
     def floor_share(self, inlier_mask: NDArray[np.bool_]) -> float:
         """Share of the inliers that both images see well below the horizon; NaN without any."""
         return floor_share(self.bearings1[inlier_mask], self.bearings2[inlier_mask])
