@@ -89,7 +89,11 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
 
     ``copies_indoors`` is the share of copies, of poses that are not of another place, in a room.
     """
-    elsewhere, copy = _thought_before(own, copies_indoors)
+    elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
+    if own.on_floor:
+        elsewhere = _ELSEWHERE_ON_FLOOR
+    if own.on_one_wall:
+        elsewhere, copy = _ON_ONE_WALL
     own = limited(own)
     weights = np.array(
         [
@@ -99,28 +103,6 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
         ]
     )
     return SamePlace(*(weights / weights.sum()).tolist())
-
-
-def as_much_rarer(own: OwnEvidence) -> float:
-    """How much rarer right poses on the floor or on one wall alone are than others, in log-odds.
-
-    Of what is thought before the pictures are compared.
-    """
-    rare, others = (_right_before(each) for each in (own, OwnEvidence()))
-    return math.log(others / (1.0 - others)) - math.log(rare / (1.0 - rare))
-
-
-def _right_before(own: OwnEvidence) -> float:
-    elsewhere, copy = _thought_before(own, _INDOORS[1])
-    return (1.0 - elsewhere) * (1.0 - copy)
-
-
-def _thought_before(own: OwnEvidence, copies_indoors: float) -> tuple[float, float]:
-    """Share of poses of another place, and of the others that of copies."""
-    elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
-    if own.on_floor:
-        elsewhere = _ELSEWHERE_ON_FLOOR
-    return _ON_ONE_WALL if own.on_one_wall else (elsewhere, copy)
 
 
 def limited(own: OwnEvidence) -> OwnEvidence:

@@ -32,7 +32,6 @@ from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
-    as_much_rarer,
     limited,
     limited_in_folder,
     same_place,
@@ -80,6 +79,9 @@ _SPEAKS_AGAINST = -0.25  # a ratio
 # So many of the wrong poses are between copies: 0.4 of those that matches determine in homes with
 # twin rooms, and 0.5 where these are photographed. The others are of another place.
 _OF_A_COPY = 0.5
+# Of poses whose inliers all lie on the floor or on one wall 3 in 100 are right in homes with twin
+# rooms, of others about every second one: as a ratio.
+_RARE_ON_ONE_PLANE = 3.5
 _MOST_STEPS = 300
 
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
@@ -335,7 +337,7 @@ class _Court:
         """What speaks against a pair by itself, and does not count for whether it is accepted."""
         shown, counted = self._evidence[row].own, self._own[row]
         if shown.on_floor or shown.on_one_wall:
-            return as_much_rarer(shown)
+            return _RARE_ON_ONE_PLANE
         heard = self.heard(row, joined)
         over_others = min(limited(shown).over_others, counted.over_others)
         return _over_wrong(heard, counted) - _over_wrong(
