@@ -96,6 +96,8 @@ def test_by_hand_at_the_limits_of_the_tests_the_odds_are_those_of_what_is_accept
     assert lacking.motion / (lacking.motion + lacking.rival) == pytest.approx(0.85)
     by_chance = explanations_reference(changed(sure, log10_false_alarms=-3.0))
     assert by_chance.motion / (by_chance.motion + by_chance.nothing) == pytest.approx(0.85)
+    noisy = explanations_reference(changed(sure, noise=0.03, max_noise=0.01))
+    assert noisy.motion / (noisy.motion + noisy.nothing) == pytest.approx(0.85)
     turn = {"rotation_support": 50, "rotation_log10_false_alarms": -30.0, "rotation_rejection": 4.0}
     rejected = explanations_reference(changed(sure, **turn))
     assert rejected.motion / (rejected.motion + rejected.rotation) == pytest.approx(0.85)

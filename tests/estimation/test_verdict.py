@@ -81,6 +81,13 @@ UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
         ({"rival_evidence": 0.0, "rival_probability": 0.4}, "planar_ambiguous"),
         ({"rival_evidence": 0.0, "rival_probability": 0.4, "has_prior": True}, "ok"),
         ({"rival_evidence": 0.0, "rival_probability": 0.6, "has_prior": True}, "planar_ambiguous"),
+        # Both together: 0.85 beside either, and 0.74 of all
+        (REGIONS | {"log_ratio": 40.6, "rival_evidence": -6.1}, "too_few_inliers"),
+        (REGIONS | {"log_ratio": 60.0, "rival_evidence": -6.6}, "ok"),
+        # More noise than the user knows of
+        ({"max_noise": 0.002 / 2.99}, "ok"),
+        ({"max_noise": 0.002 / 3.01}, "too_few_inliers"),
+        (ROTATION | {"max_noise": 0.002 / 3.01}, "pure_rotation"),
         # Where the inliers are
         ({"spread": 0.029}, "concentrated_inliers"),
         ({"spread": 0.031}, "ok"),
@@ -129,6 +136,8 @@ def test_the_graver_status_wins(changes, status):
         ({"max_noise": 0.0021}, {}),
         ({"max_noise": 0.001, "rival_evidence": 0.0}, {}),
         ({"max_noise": 0.001, "num_distinct": 2}, {}),
+        ({"max_noise": 0.0006}, {"much_noise": (0.002, 0.0006)}),
+        ({"max_noise": 0.0006, "num_distinct": 2}, {}),
         ({"parallax": 0.01, "num_distinct": 2}, {}),
         ({"num_usable": 90, "num_distinct": 2}, {"missing_matches": (10.0, 100.0)}),
         ({"num_usable": 4}, {}),
@@ -149,6 +158,26 @@ def test_much_noise_is_a_warning_only_above_the_limit_that_was_given():
     (warning,) = below.warnings
     assert f"{free.noise_deg:.3g} degrees" in warning and below.status == "ok"
     np.testing.assert_array_equal(below.cam2_from_cam1.rotation, free.cam2_from_cam1.rotation)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_many_times_the_limit_is_a_reason_to_refuse(seed):
+    scene = two_view_scene(seed, noise_deg=0.4, noise_in_both_views=True, outlier_ratio=0.2)
+    matches = scene.bearings1, scene.bearings2
+    free = estimate_relative_pose(*matches)
+    told = [
+        estimate_relative_pose(*matches, max_noise_deg=free.noise_deg / times)
+        for times in (1.5, 2.0, 4.0)
+    ]
+    assert [each.status for each in told] == ["ok", "ok", "too_few_inliers"]
+    probabilities = [each.probability for each in told]
+    assert free.probability >= probabilities[0] > probabilities[1] > 0.9 > probabilities[2]
+    for each in told:
+        assert each.probability == pytest.approx(
+            each.explanations.surface + each.explanations.motion
+        )
+        assert "do the cameras belong to these images" in each.warnings[-1]
+    assert np.isnan(told[-1].cam2_from_cam1.rotation).all()
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf, "much"])

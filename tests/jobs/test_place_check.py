@@ -25,6 +25,7 @@ from epi360.jobs.graph.surface_evidence import (
     surfaces_ratio,
 )
 from epi360.places.own_evidence import OwnEvidence
+from epi360.places.same_place import DOUBT, ONE_WALL, same_place
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
@@ -452,3 +453,22 @@ def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help()
         assert bool(verdict.refused) == is_refused
         assert verdict.refused.startswith(why)
         assert not verdict.leaves_a_doubt
+
+
+@pytest.mark.parametrize(
+    ("own", "warnings"),
+    [
+        (shows(8.0, 8.0), ()),
+        (shows(8.0, -0.5), (DOUBT,)),
+        (shows(8.0, 8.0, on_one_wall=True), (ONE_WALL,)),
+    ],
+)
+def test_one_of_few_pairs_states_no_more_than_it_shows_by_itself(own, warnings):
+    pairs, is_right = twin_rooms()
+    few = [pair for pair, right in zip(pairs, is_right, strict=True) if right][:3]
+    silent = evidence_on(few, np.ones(3), silent=[0, 1, 2])
+    told = judged(few, [replace(each, own=own) for each in silent])
+    here = same_place(own, copies_indoors=0.05).here
+    for verdict in told:
+        assert not verdict.refused and verdict.warnings == warnings
+        assert verdict.if_accepted == verdict.probability == pytest.approx(here)

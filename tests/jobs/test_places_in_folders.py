@@ -179,3 +179,13 @@ def test_poses_that_nobody_looked_around_are_as_rare_as_doubted_ones_are(status,
     assert told == pytest.approx(0.5 * ((2.0 + 3 * 0.1) / (2.0 + 3) if is_lowered else 1.0))
     without = checked([*verdicts, alone], [*[PlaceVerdict()] * 6, None], is_level=False)
     assert without[-1].probability == 0.5
+
+
+def test_a_doubt_about_the_surroundings_is_a_warning_of_what_is_accepted():
+    verdicts = verdicts_of(["ab", "bc", "cd"])
+    doubt = PlaceVerdict(0.9, warnings=("little looks the same",))
+    places = [doubt, replace(doubt, refused="may show a copy"), PlaceVerdict()]
+    judged = checked(verdicts, places, is_level=False)
+    assert [each.accepted for each in judged] == [True, False, True]
+    assert [each.warnings for each in judged] == [("little looks the same",), (), ()]
+    assert judged[0].probability == pytest.approx(0.99 * 0.9)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import cv2
 import numpy as np
@@ -11,7 +11,13 @@ import epi360
 from epi360.estimation.result import SamePlace
 from epi360.features.warped_patches import WIDTH, Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both, shown_by
-from epi360.places.same_place import LEAST_PROBABILITY, ONE_WALL, same_place
+from epi360.places.same_place import (
+    DOUBT,
+    LEAST_PROBABILITY,
+    ONE_WALL,
+    look_around,
+    same_place,
+)
 from epi360.places.shared_points import PosedPair
 from epi360.poses import rotation_error_deg, translation_error_deg
 
@@ -120,6 +126,28 @@ def test_the_probability_is_that_of_matches_and_place():
     result = pose_of("a0", "b1")
     explained = result.explanations.motion + result.explanations.surface
     assert result.probability == pytest.approx(explained * result.place.here)
+
+
+@pytest.mark.parametrize(
+    ("by_matches", "by_place", "status"),
+    [
+        (0.99, 0.9, "ok"),
+        (0.9, 0.96, "ok"),
+        (0.95, 0.87, "another_place"),
+        (0.87, 0.96, "too_few_inliers"),
+    ],
+)
+def test_an_accepted_pose_is_right_with_that_probability_of_all(
+    monkeypatch, by_matches, by_place, status
+):
+    place = SamePlace(by_place, 0.5 * (1.0 - by_place), 0.5 * (1.0 - by_place))
+    monkeypatch.setattr("epi360.places.same_place.same_place", lambda own: place)
+    found = replace(pose_of("a0", "a1"), warnings=(), probability=by_matches)
+    first, second = (Panorama.of(picture(name)) for name in ("a0", "a1"))
+    told = look_around(found, (panorama_camera(), panorama_camera()), (first, second))
+    assert told.status == status
+    assert told.probability == pytest.approx(by_matches * by_place)
+    assert (DOUBT in told.warnings) == (by_place < 0.95)
 
 
 def test_exposures_and_people_do_not_make_it_another_place():

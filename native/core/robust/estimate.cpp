@@ -384,6 +384,7 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
   const bool is_rotation = std::isnan(r.probability);  // its residuals are the noise
   evidence.noise = r.scale * (is_rotation ? 1.0 : noise_per_residual(options.residual));
   evidence.max_noise = max_noise;
+  if (!is_rotation) r.probability = probability_of_pose(evidence);
   r.verdict = judge(evidence);
   const Status status = r.verdict.status;
   if (is_rotation && status != Status::kPureRotation) r.probability = 0.0;  // no pose was found

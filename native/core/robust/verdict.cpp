@@ -21,6 +21,9 @@ constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
 // 700 true planes.
 constexpr double kRotationRejected = 4.0, kPlaneRejected = 3.0;
 constexpr double kRivalRejected = 6.0;  // log-likelihood that a second pose lacks
+// Noise over the limit that the user knows: from so many times it on a pose is not said, and its
+// log-odds fall by so much for each factor of e. Right poses of real pictures have up to 1.1 times.
+constexpr double kMostNoise = 3.0, kLogOddsPerNoise = -8.0;
 
 // What the matches must determine.
 constexpr double kUnknownDirection = 25.0 * kDegree, kUnknownRotation = 20.0 * kDegree;
@@ -74,13 +77,22 @@ double log_odds_by_regions(const Evidence& e) {
          kLogOddsPerMajority * majority_of(e, e.support) + e.log_prior;
 }
 
+bool is_too_noisy(const Evidence& e) { return e.max_noise > 0.0 && e.noise >= e.max_noise; }
+
+// Against background alone, from noise that the key points should not have.
+double log_odds_by_noise(const Evidence& e) {
+  if (!is_too_noisy(e)) return Evidence::kInfinity;
+  return kAcceptedLogOdds + kLogOddsPerNoise * std::log(e.noise / (kMostNoise * e.max_noise));
+}
+
 bool is_chance(const Evidence& e) {
   return e.log10_false_alarms > kFalseAlarms || e.chance > kLargestChance;
 }
 
 double log_odds_of_pose(const Evidence& e) {
   if (e.chance > kLargestChance) return -kCertain;
-  return bounded(std::min(log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms)));
+  return bounded(std::min({log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms),
+                           log_odds_by_noise(e)}));
 }
 
 // Of a rotation that the inliers do not reject, against background alone.
@@ -148,7 +160,14 @@ Status status_of(const Evidence& e) {
   }
   if (is_undetermined(e)) return Status::kConcentratedInliers;
   if (!beats(found(x), x.nothing)) return Status::kTooFewInliers;
-  return beats(found(x), x.rival) ? Status::kOk : Status::kPlanarAmbiguous;
+  if (!beats(found(x), x.rival)) return Status::kPlanarAmbiguous;
+  return found(x) >= kAccepted ? Status::kOk : Status::kTooFewInliers;
+}
+
+bool is_refused_for_noise(Evidence e) {
+  if (!is_too_noisy(e) || status_of(e) != Status::kTooFewInliers) return false;
+  e.max_noise = 0.0;
+  return status_of(e) == Status::kOk;
 }
 
 }  // namespace
@@ -255,6 +274,7 @@ Verdict judge(const Evidence& e) {
   if (missing > 0 && verdict.status != Status::kTooFewMatches) {
     warn(WarningCode::kMissingMatches, missing, e.num_matches);
   }
+  if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   if (!has_translation(verdict.status)) return verdict;
   if (e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
@@ -262,7 +282,7 @@ Verdict judge(const Evidence& e) {
   if (e.coverage < kPartialCoverage * e.match_coverage) {
     warn(WarningCode::kPartialCoverage, e.coverage, e.match_coverage);
   }
-  if (verdict.status == Status::kOk && e.max_noise > 0.0 && e.noise >= e.max_noise) {
+  if (verdict.status == Status::kOk && is_too_noisy(e)) {
     warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   }
   return verdict;

@@ -22,6 +22,7 @@ ROTATION_REJECTED, PLANE_REJECTED = 4.0, 3.0  # standard deviations
 RIVAL_REJECTED = 6.0  # log-likelihood
 RIVAL_PROBABILITY = 0.5
 PLANE_SHARE = 0.9
+MOST_NOISE, LOG_ODDS_PER_NOISE = 3.0, -8.0  # over the limit that the user knows
 LOG_ODDS, LOG_ODDS_PER_RATIO, LOG_ODDS_PER_SIGMA = -2.7, 0.11, -1.2
 LOG_ODDS_PER_MAJORITY = 6.0
 CERTAIN = 50.0
@@ -52,6 +53,8 @@ class PairEvidence:
     rival_probability: float = 1.0
     plane_share: float = 0.0
     has_twin: bool = False
+    noise: float = math.nan
+    max_noise: float = 0.0
 
 
 def explanations_reference(evidence: PairEvidence) -> Explanations:
@@ -91,7 +94,8 @@ def log_odds_by_regions(evidence: PairEvidence) -> float:
 def _log_odds_of_pose(e: PairEvidence) -> float:
     if e.chance > LARGEST_CHANCE:
         return -CERTAIN
-    return _bounded(min(log_odds_by_regions(e), _by_chance(e.log10_false_alarms)))
+    chance = _by_chance(e.log10_false_alarms)
+    return _bounded(min(log_odds_by_regions(e), chance, _by_noise(e)))
 
 
 def _log_odds_of_rotation(e: PairEvidence) -> float:
@@ -130,6 +134,13 @@ def _test(deviations: float) -> float:
 
 def _by_chance(log10_false_alarms: float) -> float:
     return ACCEPTED_LOG_ODDS - math.log(10.0) * (log10_false_alarms - FALSE_ALARMS)
+
+
+def _by_noise(e: PairEvidence) -> float:
+    if not (e.max_noise > 0.0 and e.noise >= e.max_noise):
+        return math.inf
+    times = e.noise / (MOST_NOISE * e.max_noise)
+    return ACCEPTED_LOG_ODDS + LOG_ODDS_PER_NOISE * math.log(times)
 
 
 def _majority(e: PairEvidence, support: int) -> float:

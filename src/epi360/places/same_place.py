@@ -74,14 +74,18 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     if not own.is_known:
         return result
     place = same_place(own)
-    told = replace(result, place=place, probability=result.probability * place.here)
+    probability = result.probability * place.here
+    told = replace(result, place=place, probability=probability)
+    if probability < LEAST_PROBABILITY:
+        told = _refused(told, looks_wrong=place.here <= result.probability)
+    return replace(told, warnings=(*told.warnings, *doubts(own, place)))
+
+
+def doubts(own: OwnEvidence, place: SamePlace) -> tuple[str, ...]:
+    """Warnings about a pose, by what the pair shows by itself and what that makes of it."""
     if own.on_one_wall:
-        told = replace(told, warnings=(*told.warnings, ONE_WALL))
-    if place.here < LEAST_PROBABILITY:
-        return _refused(told)
-    if place.here < _SURE and not own.on_one_wall:
-        return replace(told, warnings=(*told.warnings, DOUBT))
-    return told
+        return (ONE_WALL,)
+    return (DOUBT,) if LEAST_PROBABILITY <= place.here < _SURE else ()
 
 
 def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePlace:
@@ -130,12 +134,15 @@ def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> Own
     return replace(own, over_others=max(own.over_others, _LEAST_IN_FOLDER), over_copies=over_copies)
 
 
-def _refused(result: ImagePairResult) -> ImagePairResult:
-    """The result with its pose among those that are not believed."""
+def _refused(result: ImagePairResult, *, looks_wrong: bool) -> ImagePairResult:
+    """The result with its pose among those that are not believed.
+
+    Unless it ``looks_wrong``, its matches are what speaks most against it.
+    """
     no = math.nan
     return replace(
         result,
-        status="another_place",
+        status="another_place" if looks_wrong else "too_few_inliers",
         cam2_from_cam1=Pose.nan(),
         E=np.full((3, 3), no),
         covariance=np.full((5, 5), no),

@@ -32,6 +32,7 @@ from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
+    doubts,
     limited,
     limited_in_folder,
     same_place,
@@ -97,7 +98,7 @@ class PlaceVerdict:
     ``num_places`` parts of the views that look the same, of those that both cameras must see. Of a
     pair that is refused for what it shows ``by_itself``, other pairs say nothing: copies close
     triangles. What speaks against a pair and is not counted, because it would refuse right ones,
-    is ``held_back``, as a log-likelihood ratio.
+    is ``held_back``, as a log-likelihood ratio. ``warnings`` are about an accepted pose.
     """
 
     probability: float = 1.0
@@ -106,11 +107,12 @@ class PlaceVerdict:
     refused: str = ""
     by_itself: bool = False
     held_back: float = 0.0
+    warnings: tuple[str, ...] = ()
 
     @property
     def if_accepted(self) -> float:
-        """Probability of a pose that is accepted: triangles confirm what leaves a doubt."""
-        return max(self.probability, _ACCEPTED)
+        """Probability of a pose that is accepted: triangles confirm one that is refused."""
+        return max(self.probability, _ACCEPTED) if self.refused else self.probability
 
     @property
     def if_refused(self) -> float:
@@ -188,14 +190,15 @@ def _court_of_folder(
     return court.with_rates(court.rates(groups.joined)), share_wrong
 
 
-def _by_itself(verdict: PlaceVerdict, place: SamePlace) -> PlaceVerdict:
+def _by_itself(verdict: PlaceVerdict, own: OwnEvidence, place: SamePlace) -> PlaceVerdict:
     """The verdict on one of few pairs, which must be probable by what it shows itself, too."""
+    probability = min(verdict.probability, place.here)
     if place.here >= LEAST_PROBABILITY:
-        return verdict
+        return replace(verdict, probability=probability, warnings=doubts(own, place))
     why = ANOTHER_PLACE if place.elsewhere > place.copy else COPY
     return replace(
         verdict,
-        probability=min(verdict.probability, place.here),
+        probability=probability,
         held_back=0.0,
         refused=f"{why}, for what surrounds the matches looks different",
         by_itself=True,
@@ -323,8 +326,9 @@ class _Court:
         verdicts = tuple(self._verdict(row, joined, *each) for row, each in enumerate(told))
         if not few:
             return verdicts
+        own = (each.own for each in self._evidence)
         places = (self.place(row, joined) for row in range(len(verdicts)))
-        return tuple(map(_by_itself, verdicts, places))
+        return tuple(map(_by_itself, verdicts, own, places))
 
     def _verdict(self, row: int, joined: Mask, told: float, probability: float) -> PlaceVerdict:
         points = self._points_heard(row, joined)

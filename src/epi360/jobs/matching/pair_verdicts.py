@@ -252,8 +252,10 @@ def _told(own: PairVerdict, judged: PairVerdict, place: PlaceVerdict | None) -> 
     if PLACE_AGREES in judged.warnings:
         judged = replace(judged, confirmed=True) if judged.accepted else own
     chance = place.if_accepted if judged.accepted else place.if_refused
+    warnings = place.warnings if judged.accepted else ()
     return replace(
         judged,
+        warnings=(*judged.warnings, *warnings),
         probability=own.probability * chance,
         doubted=own.doubted,
         rotation_sigma_deg=own.rotation_sigma_deg,
