@@ -79,7 +79,8 @@ def estimate_relative_pose(
         Standard deviation of the translation's angle over the horizon, where the cameras are known
         to have moved at one height, as on a tripod; needs gravity.
     max_noise_deg : float, optional
-        Noise of the bearings (one sigma) from which on an "ok" result carries a warning.
+        Noise of the bearings (one sigma) from which on an "ok" result carries a warning; its
+        probability falls, and from three times as much on it is refused (``too_few_inliers``).
     options : RansacOptions
         How the sampling runs.
     seed : int

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
-from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
+from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, SurfaceRatios, surfaces_ratios
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
@@ -218,25 +218,22 @@ def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> boo
 
 @dataclass(frozen=True, eq=False)
 class _Heard:
-    """Log-likelihood of each of `_SHARES`, and how many places look the same."""
+    """Log-likelihood of each of `_SHARES`, how many places look the same, what surfaces say."""
 
     logs: Array
     num_places: int
     num_alike: float
+    surfaces: SurfaceRatios = SurfaceRatios()
 
     @property
     def ratio(self) -> float:
         """Log-likelihood ratio of the right pose over any other."""
-        return float(self.logs[0] - self.logs[1:].max())
+        return float(self.logs[0] - self.logs[1:].max()) + self.surfaces.over_others
 
     @property
     def ratio_over_copies(self) -> float:
         """Log-likelihood ratio of the right pose over that of a copy of the place."""
-        return float(self.logs[0] - self.logs[_OF_COPIES].max())
-
-    def favoured_by(self, ratio: float) -> _Heard:
-        """Add evidence for the right pose, as a log-likelihood ratio, against all others."""
-        return replace(self, logs=self.logs - np.where(np.arange(len(self.logs)) > 0, ratio, 0.0))
+        return float(self.logs[0] - self.logs[_OF_COPIES].max()) + self.surfaces.over_copies
 
 
 @dataclass(frozen=True)
@@ -299,8 +296,8 @@ class _Court:
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
         """What trusted pairs say about one, by points and by surfaces."""
-        heard = self._points_heard(row, trusted)
-        return heard.favoured_by(surfaces_ratio(self._evidence[row].surfaces, trusted))
+        surfaces = surfaces_ratios(self._evidence[row].surfaces, trusted)
+        return replace(self._points_heard(row, trusted), surfaces=surfaces)
 
     def _points_heard(self, row: int, trusted: Mask) -> _Heard:
         sides = self._evidence[row].sides
@@ -359,7 +356,7 @@ class _Court:
                 f"{ANOTHER_PLACE}, for only {int(points.num_alike)} of {points.num_places} parts "
                 "of the views that both cameras must see look the same"
             )
-        if surfaces_ratio(self._evidence[row].surfaces, joined) < 0.0:
+        if min(surfaces_ratios(self._evidence[row].surfaces, joined)) < 0.0:
             return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
         return f"{COPY}, and too little of what both cameras must see says otherwise"
 
