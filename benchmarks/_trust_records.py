@@ -95,16 +95,25 @@ class Judged:
         """Values for JSON; NaN is None."""
         values = asdict(replace(self, pose=None))
         del values["pose"]
-        return {
-            key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in values.items()
-        }
+        return for_json(values)
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any]) -> Judged:
         """What `record` has made of a verdict; it comes without the pose."""
-        values = {key: math.nan if value is None else value for key, value in record.items()}
-        return cls(**values)
+        return cls(**of_json(record))
+
+
+def for_json(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values for JSON; NaN is None."""
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in values.items()
+    }
+
+
+def of_json(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Values that `for_json` has made a record of."""
+    return {key: math.nan if value is None else value for key, value in record.items()}
 
 
 def errors_of(pose: Pose, truth: Pose) -> tuple[float, float]:

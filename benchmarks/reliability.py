@@ -10,12 +10,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from _summary import text_table
-from _trust_records import Judged
+from _trust_records import Judged, of_json
 from _trust_reliability import draw_reliability, held, held_rows, stated_probabilities
+from _trust_synthetic import Trial
 
 from epi360.report.files import check_writable
 
@@ -29,22 +29,26 @@ def main() -> int:
     try:
         if options.picture is not None:
             check_writable(options.picture, name="--picture")
-        judged = [each for path in options.runs for each in _verdicts(path)]
+        documents = [_read(path) for path in options.runs]
     except (ValueError, OSError) as error:
         print(f"reliability.py: {error}", file=sys.stderr)
         return 2
-    found = held(stated_probabilities(judged, []))
+    judged = [each for document in documents for each in document[0]]
+    trials = [each for document in documents for each in document[1]]
+    found = held(stated_probabilities(judged, trials))
     print(text_table(held_rows(found)))
     if options.picture is not None:
         draw_reliability(found, options.picture)
     return 0
 
 
-def _verdicts(path: Path) -> Iterator[Judged]:
+def _read(path: Path) -> tuple[list[Judged], list[Trial]]:
+    """Verdicts on pairs, and on synthetic matches."""
     try:
-        records = json.loads(path.read_text("utf-8"))["verdicts"]
-        yield from map(Judged.of_record, records)
-    except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError) as error:
+        document = json.loads(path.read_text("utf-8"))
+        judged = list(map(Judged.of_record, document["verdicts"]))
+        return judged, [Trial(**of_json(each)) for each in document.get("synthetic", [])]
+    except (UnicodeDecodeError, json.JSONDecodeError, AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is not a file of trust.py --json: {error!r}") from error
 
 

@@ -13,6 +13,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,7 @@ from _trust_records import (
     PRECISIONS,
     Judged,
     count_rows,
+    for_json,
     precision_rows,
     relation_rows,
     wrong_lines,
@@ -207,7 +209,11 @@ def _write(
 ) -> None:
     """Write the files that were asked for."""
     if options.json is not None:
-        document = {**facts, "verdicts": [run.record() for run in judged]}
+        document = {
+            **facts,
+            "verdicts": [run.record() for run in judged],
+            "synthetic": [for_json(asdict(trial)) for trial in trials],
+        }
         write_file(options.json, json.dumps(document, indent=1, allow_nan=False).encode())
     if options.reliability is not None:
         draw_reliability(held(stated_probabilities(judged, trials)), options.reliability)
