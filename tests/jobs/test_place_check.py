@@ -513,3 +513,15 @@ def test_one_of_few_pairs_states_no_more_than_it_shows_by_itself(own, warnings):
     for verdict in told:
         assert not verdict.refused and verdict.warnings == warnings
         assert verdict.if_accepted == verdict.probability == pytest.approx(here)
+
+
+def test_surfaces_speak_for_one_of_few_pairs_by_no_more_than_a_limit():
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    silent = evidence_on(pairs, np.ones(3), silent=[0, 1, 2])
+    own = shows(8.0, 3.0)
+    known = replace(sure(0, source=1), witnesses=np.full(300, 1, np.int32))
+    told = judged(pairs, [replace(silent[0], own=own, surfaces=(known, known)), *silent[1:]])
+    alone, helped = (
+        same_place(shows(8.0 + more, 3.0 + more), copies_indoors=0.05).here for more in (0.0, 1.0)
+    )
+    assert alone < told[0].probability <= helped + 1e-9

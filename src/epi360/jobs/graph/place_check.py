@@ -73,6 +73,9 @@ _FEW = 10  # pairs, which do not say how common copies are
 # So they are thought to be more common than where only two panoramas are compared: there, no other
 # pair speaks for a right one.
 _COPIES_AMONG_FEW = 0.05
+# And where a room has one panorama, only pairs that may take it for another room know its surfaces,
+# those that both have: no more than this counts for a pair.
+_MOST_BY_FEW = 1.0
 _ACCEPTED = 0.95  # least probability
 _DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
@@ -285,6 +288,8 @@ class _Court:
     def place(self, row: int, trusted: Mask) -> SamePlace:
         """What is thought of one of a few pairs, by itself and by what trusted pairs know."""
         heard, own = self.heard(row, trusted), limited(self._evidence[row].own)
+        surfaces = SurfaceRatios(*(min(each, _MOST_BY_FEW) for each in heard.surfaces))
+        heard = replace(heard, surfaces=surfaces)
         return same_place(
             replace(
                 own,
