@@ -93,7 +93,7 @@ def test_pairs_that_say_the_same_are_weighed_together():
     groups = groups_of(pairs, ratios, 1.0, linked)
     assert groups.joined.all()
     # Two that are correlated say less than twice as much.
-    assert groups.ratios[1] == groups.ratios[2] == pytest.approx(HEARD * 2 * 0.6 / 1.7)
+    assert groups.ratios[1] == groups.ratios[2] == pytest.approx(HEARD * 2 * 0.6 / 1.15)
 
 
 def test_they_say_the_same_only_if_what_leads_from_one_to_the_other_is_joined():

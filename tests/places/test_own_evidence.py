@@ -220,11 +220,11 @@ def test_no_more_is_believed_than_the_limits():
                 for differs in (None, holes & grown)
             ]
     in_folder = list(map(limited_in_folder, found))
-    assert min(own.over_others for own in in_folder) == -1.0
+    assert min(own.over_others for own in in_folder) == 0.0
     assert min(own.over_copies for own in in_folder) >= -5.0
     assert max(own.over_copies for own in in_folder) <= 10.0
     assert limited_in_folder(OwnEvidence(20.0, 20.0)) == OwnEvidence(10.0, 10.0)
-    assert limited_in_folder(OwnEvidence(-20.0, -20.0)) == OwnEvidence(-1.0, -5.0)
+    assert limited_in_folder(OwnEvidence(-20.0, -20.0)) == OwnEvidence(0.0, -5.0)
 
 
 def test_in_the_open_a_folder_believes_as_little_in_copies_as_a_pair_does():

@@ -37,10 +37,9 @@ _ON_ONE_WALL, _MOST_ON_ONE_WALL = (0.5, 0.5), 3.0
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 10.0, -5.0
-# In photographed homes less grows than in rendered ones, so this hardly speaks for another place;
-# and not for a copy in the open, where what drives along looks like what other owners have put
-# there.
-_LEAST_OVER_OTHERS, _LEAST_IN_THE_OPEN = -1.0, 0.0
+# In photographed homes less grows than in rendered ones, so this never speaks for another place;
+# nor for a copy in the open, where what drives along looks like what other owners have put there.
+_LEAST_IN_FOLDER = 0.0
 
 # Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
 _FEWEST_PIXELS = 512
@@ -131,9 +130,8 @@ def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> Own
     own = limited(own)
     over_copies = own.over_copies
     if own.in_the_open and folder_in_the_open:
-        over_copies = max(over_copies + _MORE_IN_THE_OPEN, _LEAST_IN_THE_OPEN)
-    over_others = max(own.over_others, _LEAST_OVER_OTHERS)
-    return replace(own, over_others=over_others, over_copies=over_copies)
+        over_copies = max(over_copies + _MORE_IN_THE_OPEN, _LEAST_IN_FOLDER)
+    return replace(own, over_others=max(own.over_others, _LEAST_IN_FOLDER), over_copies=over_copies)
 
 
 def _refused(result: ImagePairResult, *, looks_wrong: bool) -> ImagePairResult:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
-from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, SurfaceRatios, surfaces_ratios
+from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
@@ -73,9 +73,6 @@ _FEW = 10  # pairs, which do not say how common copies are
 # So they are thought to be more common than where only two panoramas are compared: there, no other
 # pair speaks for a right one.
 _COPIES_AMONG_FEW = 0.05
-# And where a room has one panorama, only pairs that may take it for another room know its surfaces,
-# those that both have: no more than this counts for a pair.
-_MOST_BY_FEW = 1.0
 _ACCEPTED = 0.95  # least probability
 _DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close
@@ -221,22 +218,25 @@ def leave_a_doubt(pairs: Sequence[PosedPair], points: Sequence[Evidence]) -> boo
 
 @dataclass(frozen=True, eq=False)
 class _Heard:
-    """Log-likelihood of each of `_SHARES`, how many places look the same, what surfaces say."""
+    """Log-likelihood of each of `_SHARES`, and how many places look the same."""
 
     logs: Array
     num_places: int
     num_alike: float
-    surfaces: SurfaceRatios = SurfaceRatios()
 
     @property
     def ratio(self) -> float:
         """Log-likelihood ratio of the right pose over any other."""
-        return float(self.logs[0] - self.logs[1:].max()) + self.surfaces.over_others
+        return float(self.logs[0] - self.logs[1:].max())
 
     @property
     def ratio_over_copies(self) -> float:
         """Log-likelihood ratio of the right pose over that of a copy of the place."""
-        return float(self.logs[0] - self.logs[_OF_COPIES].max()) + self.surfaces.over_copies
+        return float(self.logs[0] - self.logs[_OF_COPIES].max())
+
+    def favoured_by(self, ratio: float) -> _Heard:
+        """Add evidence for the right pose, as a log-likelihood ratio, against all others."""
+        return replace(self, logs=self.logs - np.where(np.arange(len(self.logs)) > 0, ratio, 0.0))
 
 
 @dataclass(frozen=True)
@@ -288,8 +288,6 @@ class _Court:
     def place(self, row: int, trusted: Mask) -> SamePlace:
         """What is thought of one of a few pairs, by itself and by what trusted pairs know."""
         heard, own = self.heard(row, trusted), limited(self._evidence[row].own)
-        surfaces = SurfaceRatios(*(min(each, _MOST_BY_FEW) for each in heard.surfaces))
-        heard = replace(heard, surfaces=surfaces)
         return same_place(
             replace(
                 own,
@@ -301,8 +299,8 @@ class _Court:
 
     def heard(self, row: int, trusted: Mask) -> _Heard:
         """What trusted pairs say about one, by points and by surfaces."""
-        surfaces = surfaces_ratios(self._evidence[row].surfaces, trusted)
-        return replace(self._points_heard(row, trusted), surfaces=surfaces)
+        heard = self._points_heard(row, trusted)
+        return heard.favoured_by(surfaces_ratio(self._evidence[row].surfaces, trusted))
 
     def _points_heard(self, row: int, trusted: Mask) -> _Heard:
         sides = self._evidence[row].sides
@@ -361,7 +359,7 @@ class _Court:
                 f"{ANOTHER_PLACE}, for only {int(points.num_alike)} of {points.num_places} parts "
                 "of the views that both cameras must see look the same"
             )
-        if min(surfaces_ratios(self._evidence[row].surfaces, joined)) < 0.0:
+        if surfaces_ratio(self._evidence[row].surfaces, joined) < 0.0:
             return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
         return f"{COPY}, and too little of what both cameras must see says otherwise"
 

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 GroupPair = tuple[int, int]
 
-# Pairs that say the same show the same rooms, and are hardly independent: their correlation.
-_CORRELATION = 0.7
+# What pairs say that agree is not independent: their correlation.
+_CORRELATION = 0.15
 # A poor pose among good ones says no more against a claim than this, and is not heard about others.
 _LEAST_OF_ONE = -4.0
 # What all others say about a claim, right and wrong ones, counts too: this share of it, limited.

@@ -43,8 +43,7 @@ OWN = -1  # the pair itself, as a source of depths
 PARTS = SphereCells(183)  # of a view, of 15 degrees: what lies in one is one witness
 FEWEST_PARTS = 4  # of either view, before surfaces say anything, and points anything for a pair
 HIDDEN, VISIBLE, UNKNOWN = 1, 0, -1
-SURE = 2  # visible, and a surface is known there for sure, too
-_MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 19 bytes each
+_MOST_SIGHTINGS = 12_000_000  # of all pairs of a folder; 18 bytes each
 _MOST_OF_ONE = 500  # of one witness
 _FEWEST_SHARED = 12  # cells that put two pairs into one scale
 _NEIGHBOURS_PER_WITNESS = 4.0  # neighbouring cells err together
@@ -79,13 +78,6 @@ _FEWEST_CELLS, _MOST_INDEPENDENT, _LARGEST_RATIO = 2, 3.0, 5.0
 # depths speak against right pairs too, and most of a copy looks the same: surfaces may not decide.
 _SHARES = np.array([0.95, 0.8, 0.65, 0.5, 0.3, 0.1])
 _LIMITS = (-1.0, 1.0)
-# But what pairs on both sides know for sure, at one place, has not moved: if it looks different, it
-# is another thing. Share of it that does in right pairs 0.01 (photographed homes) and 0.02 (real
-# tours), between copies 0.11, elsewhere 0.45 (medians). Of so many cells its logarithm, drawn
-# towards a tenth of a cell of three, tells; by logistic regression, over others and over copies.
-_FEWEST_SURE, _DIFFERS, _NEVER_LESS = 30, 0.5, 0.007
-_OVER_OTHERS, _OVER_COPIES = (2.1, -6.0, 4.0), (1.9, -6.2, 3.0)  # slope, constant, the most
-_LEAST_SURE = -1.5  # a poor pose puts right surfaces into wrong places
 # Poses of siblings agree to this; a step shorter than this share of the baseline says nothing.
 _ROTATIONS_AGREE_DEG, _DIRECTIONS_AGREE_DEG, _SHORTEST_STEP = 2.5, 6.0, 0.2
 
@@ -127,12 +119,6 @@ class KnownView:
         """Depth of every cell, NaN where it is not known."""
         depths = np.full(NUM_CELLS, np.nan)
         depths[self.cells] = self.depths
-        return depths
-
-    def sure_map(self) -> Array:
-        """Depth of every cell, NaN where it is not known for sure."""
-        depths = np.full(NUM_CELLS, np.nan)
-        depths[self.cells[self.is_sure]] = self.depths[self.is_sure]
         return depths
 
 
@@ -177,18 +163,15 @@ class SurfaceSightings:
         Cells of `features.shared_surfaces.grid`.
     ratios : ndarray, shape (N,)
         Log-likelihood ratio that the same surface is seen there, over another one.
-    differs : ndarray of bool, shape (N,)
-        Whether something else is seen there.
     sources : ndarray of int, shape (S,)
         Pairs that know depths in the other view; `OWN` is the pair itself.
     hidden : ndarray of int, shape (N, S)
-        `HIDDEN`, `VISIBLE`, `SURE` or `UNKNOWN`, as each source says.
+        `HIDDEN`, `VISIBLE` or `UNKNOWN`, as each source says.
     """
 
     witnesses: NDArray[np.int32]
     cells: NDArray[np.int16]
     ratios: NDArray[np.float32]
-    differs: Mask
     sources: Indices
     hidden: NDArray[np.int8]
 
@@ -301,7 +284,6 @@ class SurfaceWitnesses:
             names.astype(np.int32),
             cells.astype(np.int16),
             _RATIOS[changes, np.digitize(alike, _EDGES)].astype(np.float32),
-            alike < _DIFFERS,
             sources,
             hidden,
         )
@@ -341,15 +323,11 @@ class SurfaceWitnesses:
     ) -> tuple[Indices, NDArray[np.int8]]:
         """What the pair and others know about things in front of points in the view of a side."""
         near = grid().nearest(seen.directions, _NUM_NEAR)
-        own = self.views[row, side].as_map()
-        sources, states = [OWN], [_states(own[near], seen.ranges)]
+        maps = {OWN: self.views[row, side].as_map()}
         for each in witnesses:
-            factor = np.exp(each.log_scale)
-            told = _states(factor * each.view.as_map()[near], seen.ranges)
-            apart = np.abs(np.log(factor * each.view.sure_map()[near[:, 0]] / seen.ranges))
-            sources.append(each.pair)
-            states.append(np.where((told == VISIBLE) & (apart < _ONE_SURFACE), SURE, told))
-        return np.array(sources, np.int64), np.stack(states, axis=1).astype(np.int8)
+            maps[each.pair] = np.exp(each.log_scale) * each.view.as_map()
+        states = [_states(depths[near], seen.ranges) for depths in maps.values()]
+        return np.array(list(maps), np.int64), np.stack(states, axis=1)
 
 
 def _states(depths: Array, ranges: Array) -> NDArray[np.int8]:
@@ -361,31 +339,8 @@ def _states(depths: Array, ranges: Array) -> NDArray[np.int8]:
     return np.where(is_behind, HIDDEN, states).astype(np.int8)
 
 
-class SurfaceRatios(NamedTuple):
-    """Log-likelihood ratios of a pose over that of another place, and over that of a copy."""
-
-    over_others: float = 0.0
-    over_copies: float = 0.0
-
-
-def surfaces_ratios(sides: Sequence[SurfaceSightings], trusted: Mask) -> SurfaceRatios:
-    """What surfaces say of a pose, as far as trusted pairs know them; limited."""
-    differs = [_sure_on_both(each, trusted) for each in sides]
-    if (num_sure := sum(map(len, differs))) < _FEWEST_SURE:
-        ratio = _limited_ratio(sides, trusted)
-        return SurfaceRatios(ratio, ratio)
-    count = sum(map(np.count_nonzero, differs))
-    evenness = -np.log((count + 0.3) / (num_sure + 3) + _NEVER_LESS)
-    return SurfaceRatios(
-        *(
-            float(np.clip(slope * evenness + constant, _LEAST_SURE, most))
-            for slope, constant, most in (_OVER_OTHERS, _OVER_COPIES)
-        )
-    )
-
-
-def _limited_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
-    """Log-likelihood ratio of a pose over any other, by what pairs of either side know."""
+def surfaces_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
+    """Log-likelihood ratio of a pose over any other, by what trusted pairs know; limited."""
     if len(sides) == 0:
         return 0.0
     places = [_place_ratios(each, trusted) for each in sides]
@@ -397,30 +352,12 @@ def _limited_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
     return float(np.clip(ratio, *_LIMITS))
 
 
-def _must_be_seen(sightings: SurfaceSightings, trusted: Mask) -> Mask:
-    """Cells of trusted pairs that nothing hides, as far as trusted pairs know."""
-    states = sightings.hidden[:, (sightings.sources == OWN) | trusted[sightings.sources]]
-    is_visible = np.any((states == VISIBLE) | (states == SURE), axis=1)
-    seen: Mask = is_visible & ~np.any(states == HIDDEN, axis=1) & trusted[sightings.witnesses]
-    return seen
-
-
-def _sure_on_both(sightings: SurfaceSightings, trusted: Mask) -> Mask:
-    """Whether each cell looks different that trusted pairs of both sides know for sure."""
-    by_others = (sightings.sources != OWN) & trusted[sightings.sources]
-    kept = np.any(sightings.hidden[:, by_others] == SURE, axis=1)
-    kept &= _must_be_seen(sightings, trusted)
-    cells = sightings.cells[kept].astype(np.int64)
-    counts = np.bincount(cells, minlength=NUM_CELLS)
-    sums = np.bincount(cells, sightings.differs[kept], minlength=NUM_CELLS)
-    (asked,) = np.nonzero(counts)
-    differs: Mask = sums[asked] > 0.5 * counts[asked]
-    return differs
-
-
 def _place_ratios(sightings: SurfaceSightings, trusted: Mask) -> Array:
     """Log-likelihood ratio of each part of a view that both cameras must see."""
-    kept = _must_be_seen(sightings, trusted)
+    heeded = (sightings.sources == OWN) | trusted[sightings.sources]
+    states = sightings.hidden[:, heeded]
+    kept = np.any(states == VISIBLE, axis=1) & ~np.any(states == HIDDEN, axis=1)
+    kept &= trusted[sightings.witnesses]
     cells = sightings.cells[kept].astype(np.int64)
     counts = np.bincount(cells, minlength=NUM_CELLS)
     sums = np.bincount(cells, sightings.ratios[kept], minlength=NUM_CELLS)
