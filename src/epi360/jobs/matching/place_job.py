@@ -56,6 +56,8 @@ class Places:
 
         None on a pose of a picture that is gone.
         """
+        if not posed:
+            return []
         pairs = (*self.known.pairs, *posed)
         known = replace(self.known, pairs=pairs)
         rows = range(len(self.known.pairs), len(pairs))
