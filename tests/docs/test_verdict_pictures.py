@@ -14,7 +14,7 @@ STATUSES = {
     "too_few_inliers": "too_few_inliers",
     "low_probability": "too_few_inliers",
     "too_few_matches": "too_few_matches",
-    "fixed_to_the_camera": "pure_rotation",
+    "fixed_to_the_camera": "ok",
     "little_parallax": "ok",
     "part_of_the_scene": "ok",
     "wrong_calibration": "ok",
@@ -22,6 +22,7 @@ STATUSES = {
     "same_floor": "another_place",
 }
 WARNINGS = {
+    "fixed_to_the_camera": "287 of 378 matches stand still",
     "little_parallax": "the median parallax is only",
     "part_of_the_scene": "inliers cover",
     "same_floor": "inliers cover",

@@ -33,6 +33,28 @@ def test_pairs_get_the_poses_that_their_matches_have():
         assert translation_error_deg(pair.geometry.cam2_from_cam1, truth) < 1.0
 
 
+def test_a_folder_whose_camera_carries_more_than_it_sees_gets_its_poses():
+    """300 key points that never move, as on a car, beside 200 of the scene."""
+    poses, graph = panoramas_of_points(4)
+    below = np.random.default_rng(0).uniform([0.0, 760.0], [2000.0, 1000.0], (300, 2))
+    rows = 200 + np.arange(300)
+    images = {
+        name: dataclasses.replace(image, keypoints=np.concatenate([image.keypoints, below]))
+        for name, image in graph.images.items()
+    }
+    pairs = tuple(
+        dataclasses.replace(pair, matches=np.concatenate([pair.matches, np.stack([rows] * 2, 1)]))
+        for pair in graph.pairs
+    )
+    carried = dataclasses.replace(graph, images=images, pairs=pairs)
+    found = verify_pairs(without_geometries(carried))
+    for pair, verdict in zip(found.graph.pairs, found.verdicts, strict=True):
+        truth = relative_pose(poses[pair.image1], poses[pair.image2])
+        assert verdict.accepted and "300 of 500 matches stand still" in verdict.warnings[0]
+        assert rotation_error_deg(pair.geometry.cam2_from_cam1, truth) < 0.1
+        assert (pair.geometry.inliers < 200).all()
+
+
 def test_a_pair_that_has_a_geometry_keeps_it():
     _, graph = panoramas_of_points(3)
     first, *others = graph.pairs

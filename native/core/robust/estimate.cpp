@@ -6,9 +6,11 @@
 #include <numeric>
 #include <utility>
 
+#include "core/robust/conclusion.h"
 #include "core/robust/covariance.h"
 #include "core/robust/derivative_noise.h"
 #include "core/robust/evidence.h"
+#include "core/robust/fixed_content.h"
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
 #include "core/robust/rival.h"
@@ -362,46 +364,23 @@ class Estimate {
   RobustResult result_;
 };
 
-// The numbers that this status leaves undetermined become NaN.
-void clear_undetermined(Status status, RelativePose& cam2_from_cam1) {
-  if (has_translation(status)) return;
-  cam2_from_cam1.t.setConstant(RobustResult::kNaN);
-  if (status != Status::kPureRotation) cam2_from_cam1.R.setConstant(RobustResult::kNaN);
-}
-
-// The last evidence, where the inliers are, and the verdict on everything.
-void conclude(const Matches& m, const RobustOptions& options, std::size_t num_matches,
-              double max_noise, RobustResult& r) {
-  Evidence& evidence = r.evidence;
-  evidence.num_matches = static_cast<int>(num_matches);
-  evidence.min_num_inliers = options.min_num_inliers;
-  evidence.num_distinct = count_distinct(m, r.inlier.data(), options.min_num_inliers);
-  const Extents where = extents(m, r.inlier.data());
-  evidence.spread = where.chosen.spread;
-  evidence.spread_of_matches = where.all.spread;
-  evidence.coverage = where.chosen.coverage;
-  evidence.match_coverage = where.all.coverage;
-  const bool is_rotation = std::isnan(r.probability);  // its residuals are the noise
-  evidence.noise = r.scale * (is_rotation ? 1.0 : noise_per_residual(options.residual));
-  evidence.max_noise = max_noise;
-  if (!is_rotation) r.probability = probability_of_pose(evidence);
-  r.verdict = judge(evidence);
-  const Status status = r.verdict.status;
-  if (is_rotation && status != Status::kPureRotation) r.probability = 0.0;  // no pose was found
-  r.translation_basis.setConstant(RobustResult::kNaN);
-  if (has_translation(status)) r.translation_basis = tangent_basis(r.cam2_from_cam1.t);
-  if (!has_translation(status) && status != Status::kPureRotation) {
-    r.covariance.setConstant(RobustResult::kNaN);
-  }
-  if (status == Status::kTooFewInliers) {
-    r.alternatives.clear();
-    if (is_worth_a_look(evidence)) r.alternatives = {r.cam2_from_cam1};
-  }
-  if (status == Status::kConcentratedInliers) {  // what it would have been
-    r.alternatives.insert(r.alternatives.begin(), r.cam2_from_cam1);
-    if (is_rotation) r.alternatives.front().t.setConstant(RobustResult::kNaN);
-  }
-  clear_undetermined(status, r.cam2_from_cam1);
+// The answer of these matches, found with gravity and, where that leads to none, without.
+RobustResult estimate_all(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
+                          std::uint64_t seed) {
+  Estimate estimate(m, options, priors, priors.pose, seed);
+  if (priors.pose.has_gravity) estimate.try_upright_poses();
+  if (!priors.pose.has_gravity || estimate.has_answer()) return estimate.take();
+  MatchPriors free = priors;
+  free.pose = PosePrior{};
+  RobustResult result = estimate.take();
+  Estimate again(m, options, free, priors.pose, seed);
+  again.judge_by(priors.pose);
+  const int num_iterations = result.num_iterations;
+  RobustResult other = again.take();
+  other.num_iterations += num_iterations;
+  if (is_better(other, result)) return other;
+  result.num_iterations = other.num_iterations;
+  return result;
 }
 
 }  // namespace
@@ -409,28 +388,18 @@ void conclude(const Matches& m, const RobustOptions& options, std::size_t num_ma
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     std::size_t num_matches, double max_noise) {
-  Estimate estimate(m, options, priors, priors.pose, seed);
-  if (priors.pose.has_gravity) estimate.try_upright_poses();
-  RobustResult result;
-  if (priors.pose.has_gravity && !estimate.has_answer()) {
-    MatchPriors free = priors;
-    free.pose = PosePrior{};
-    result = estimate.take();
-    Estimate again(m, options, free, priors.pose, seed);
-    again.judge_by(priors.pose);
-    const int num_iterations = result.num_iterations;
-    RobustResult other = again.take();
-    other.num_iterations += num_iterations;
-    if (is_better(other, result)) {
-      result = std::move(other);
-    } else {
-      result.num_iterations = other.num_iterations;
-    }
-  } else {
-    result = estimate.take();
-  }
+  RobustResult result = estimate_all(m, options, priors, seed);
   conclude(m, options, num_matches, max_noise, result);
-  return result;
+  const std::vector<std::size_t> fixed = maybe_fixed(m, result);
+  if (fixed.empty()) return result;
+  const MatchesLeft left = without(m, priors, fixed);
+  RobustResult other = estimate_all(left.m, options, left.priors, seed);
+  other.num_iterations += result.num_iterations;
+  result.num_iterations = other.num_iterations;
+  other.evidence.num_fixed = static_cast<int>(fixed.size());
+  conclude(left.m, options, num_matches, max_noise, other);
+  if (!shows_fixed(m, fixed, left, other, options.residual)) return result;
+  return on_all(m, left, std::move(other), options.residual);
 }
 
 }  // namespace epi360

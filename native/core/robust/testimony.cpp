@@ -10,6 +10,7 @@
 #include "core/constants.h"
 #include "core/refinement/refine.h"
 #include "core/robust/covariance.h"
+#include "core/robust/fixed_content.h"
 #include "core/robust/neighbourhoods.h"
 #include "core/robust/random.h"
 #include "core/solvers/dense.h"
@@ -18,7 +19,6 @@ namespace epi360 {
 namespace {
 
 constexpr std::size_t kMostWitnesses = 512;  // more are thinned out at random
-constexpr double kFixed = 1.0 * kDegree;     // of what stands still, if stitched or bent
 constexpr double kUnderfoot = 0.866;         // cosine of 30 degrees
 // Side of a neighbourhood in gates: nearer partners agree with whatever their matches agree with.
 constexpr double kNeighbourhood = 4.0;
@@ -51,13 +51,14 @@ std::vector<double> agreement_by_exchange(const Matches& m, double gate, const A
 void leave_out_what_is_fixed(const Matches& m, const Linearisation& at, double gate,
                              std::vector<double>& weights) {
   const double tolerance = std::min(gate, kLargestWrongParallax);
-  std::vector<std::size_t> fixed;
+  const auto agrees = [&](std::size_t i) {
+    return at.margins[i] > -tolerance && std::abs(at.residuals[i]) < gate;
+  };
   std::size_t num_inliers = 0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (!(at.margins[i] > -tolerance) || !(std::abs(at.residuals[i]) < gate)) continue;
-    ++num_inliers;
-    if ((view1(m, i) - view2(m, i)).norm() < std::max(gate, kFixed)) fixed.push_back(i);
-  }
+  for (std::size_t i = 0; i < m.size; ++i) num_inliers += agrees(i);
+  std::vector<std::size_t> fixed = standing_still(m, gate);
+  fixed.erase(std::remove_if(fixed.begin(), fixed.end(), [&](auto i) { return !agrees(i); }),
+              fixed.end());
   if (2 * fixed.size() >= num_inliers) return;
   for (const std::size_t i : fixed) weights[i] = 0.0;
 }

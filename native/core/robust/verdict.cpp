@@ -91,8 +91,8 @@ bool is_chance(const Evidence& e) {
 
 double log_odds_of_pose(const Evidence& e) {
   if (e.chance > kLargestChance) return -kCertain;
-  return bounded(std::min({log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms),
-                           log_odds_by_noise(e)}));
+  return bounded(std::min(
+      {log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms), log_odds_by_noise(e)}));
 }
 
 // Of a rotation that the inliers do not reject, against background alone.
@@ -199,9 +199,11 @@ const char* name_of(WarningCode code) {
     case WarningCode::kPartialCoverage:
       return "partial_coverage";
     case WarningCode::kMuchNoise:
+      return "much_noise";
+    case WarningCode::kFixedContent:
       break;
   }
-  return "much_noise";
+  return "fixed_content";
 }
 
 int fewest_matches(int sample_size) { return std::max(sample_size, 5); }
@@ -270,10 +272,11 @@ Verdict judge(const Evidence& e) {
   const auto warn = [&](WarningCode code, double value, double reference) {
     verdict.warnings.push_back({code, value, reference});
   };
-  const int missing = e.num_matches - e.num_usable;
+  const int missing = e.num_matches - e.num_usable - e.num_fixed;
   if (missing > 0 && verdict.status != Status::kTooFewMatches) {
     warn(WarningCode::kMissingMatches, missing, e.num_matches);
   }
+  if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   if (!has_translation(verdict.status)) return verdict;
   if (e.parallax < kCertainParallax * e.scale) {

@@ -16,14 +16,21 @@ enum class Status {
   kConcentratedInliers,
 };
 
-enum class WarningCode { kMissingMatches, kLittleParallax, kPartialCoverage, kMuchNoise };
+enum class WarningCode {
+  kMissingMatches,
+  kLittleParallax,
+  kPartialCoverage,
+  kMuchNoise,
+  kFixedContent
+};
 
 // The names that a user sees.
 const char* name_of(Status status);
 const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
-// coverage by inliers and by all matches; noise and its limit.
+// coverage by inliers and by all matches; noise and its limit; matches that are fixed to the camera
+// of all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -40,9 +47,10 @@ struct Evidence {
   static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-  // The matches: rows given, those that are not missing, those of a sample, and how many matches of
-  // equal weight say as much (Kish): that many the numbers below refer to.
-  int num_matches = 0, num_usable = 0, sample_size = 5, num_effective = 0;
+  // The matches: rows given, those that are fixed to the camera, the others that are not missing,
+  // those of a sample, and how many matches of equal weight say as much (Kish): that many the
+  // numbers below refer to.
+  int num_matches = 0, num_fixed = 0, num_usable = 0, sample_size = 5, num_effective = 0;
 
   // The pose with a translation: inliers; log10 of the poses with so many that chance would make;
   // probability that a wrong match lies inside the gate; median parallax and standard deviation of

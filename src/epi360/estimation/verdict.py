@@ -59,6 +59,11 @@ def _sentence(warning: _core.Warning) -> str:
     value, reference = warning.value, warning.reference
     if warning.code == "missing_matches":
         return f"{value:.0f} of {reference:.0f} matches are missing (NaN or weight 0)"
+    if warning.code == "fixed_content":
+        return (
+            f"{value:.0f} of {reference:.0f} matches stand still in the images while the camera "
+            "moved: something is fixed to the camera, and they were left out"
+        )
     if warning.code == "little_parallax":
         return (
             f"the median parallax is only {value / reference:.1f} times the noise: "

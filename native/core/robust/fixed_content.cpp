@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/fixed_content.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "core/bearings.h"
+#include "core/constants.h"
+#include "core/residuals/residuals.h"
+#include "core/robust/evidence.h"
+
+namespace epi360 {
+namespace {
+
+constexpr double kFixed = 1.0 * kDegree;  // of what stands still, if stitched or bent
+constexpr double kSurrounds = 1.5;
+
+// Whether some matches lie around the camera, and others in a smaller part of what it sees. A pole
+// is a corner of many cells, and two poles have no mean bearing: either measure will do.
+bool surround(const Extent& some, const Extent& others) {
+  return some.spread > kSurrounds * others.spread || some.coverage > kSurrounds * others.coverage;
+}
+
+std::vector<unsigned char> mask_of(const Matches& m, const std::vector<std::size_t>& chosen) {
+  std::vector<unsigned char> mask(m.size, 0);
+  for (const std::size_t i : chosen) mask[i] = 1;
+  return mask;
+}
+
+// Residuals of matches under a pose, or under a rotation alone.
+std::vector<double> residuals_under(const RobustResult& answer, const Matches& m,
+                                    Residual residual) {
+  std::vector<double> residuals(m.padded), margins(m.padded);
+  if (has_translation(answer.verdict.status)) {
+    compute_residuals(m, residual, plain(answer.cam2_from_cam1), residuals.data(), margins.data());
+  } else {
+    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = answer.cam2_from_cam1.R;
+    compute_rotation_residuals(m, rows.data(), residuals.data());
+  }
+  return residuals;
+}
+
+}  // namespace
+
+std::vector<std::size_t> standing_still(const Matches& m, double gate) {
+  const double tolerance = std::max(gate, kFixed);
+  std::vector<std::size_t> still;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if ((view1(m, i) - view2(m, i)).norm() < tolerance) still.push_back(i);
+  }
+  return still;
+}
+
+std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer) {
+  if (has_translation(answer.verdict.status)) return {};
+  std::vector<std::size_t> still = standing_still(m, answer.threshold);
+  std::size_t agreeing = 0, num_inliers = 0;
+  for (const std::size_t i : still) agreeing += answer.inlier[i];
+  for (const unsigned char each : answer.inlier) num_inliers += each;
+  if (agreeing == 0 || 2 * agreeing < num_inliers) return {};
+  const std::vector<unsigned char> fixed = mask_of(m, still);
+  std::vector<unsigned char> others(m.size);
+  std::transform(fixed.begin(), fixed.end(), others.begin(), [](auto each) { return !each; });
+  const Extent where = extents(m, fixed.data()).chosen;
+  return surround(extents(m, others.data()).chosen, where) ? still : std::vector<std::size_t>{};
+}
+
+MatchesLeft without(const Matches& m, const MatchPriors& priors,
+                    const std::vector<std::size_t>& fixed) {
+  MatchesLeft left;
+  const std::vector<unsigned char> is_fixed = mask_of(m, fixed);
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (is_fixed[i]) continue;
+    left.rows.push_back(i);
+    if (!priors.scores.empty()) left.priors.scores.push_back(priors.scores[i]);
+  }
+  left.m = chosen_matches(m, left.rows);
+  left.priors.pose = priors.pose;
+  return left;
+}
+
+bool shows_fixed(const Matches& m, const std::vector<std::size_t>& fixed, const MatchesLeft& left,
+                 const RobustResult& answer, Residual residual) {
+  const Status status = answer.verdict.status;
+  if (status != Status::kOk && status != Status::kPureRotation) return false;
+  const Matches still = chosen_matches(m, fixed);
+  const std::vector<double> residuals = residuals_under(answer, still, residual);
+  std::size_t moved = 0;
+  for (std::size_t i = 0; i < still.size; ++i)
+    moved += !(std::abs(residuals[i]) < answer.threshold);
+  if (2 * moved <= still.size) return false;
+  const Extent where = extents(m, mask_of(m, fixed).data()).chosen;
+  return surround(extents(left.m, answer.inlier.data()).chosen, where);
+}
+
+RobustResult on_all(const Matches& m, const MatchesLeft& left, RobustResult answer,
+                    Residual residual) {
+  answer.residuals = residuals_under(answer, m, residual);
+  std::vector<unsigned char> inlier(m.size, 0);
+  for (std::size_t k = 0; k < left.rows.size(); ++k) inlier[left.rows[k]] = answer.inlier[k];
+  answer.inlier = std::move(inlier);
+  return answer;
+}
+
+}  // namespace epi360

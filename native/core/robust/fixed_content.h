@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What is fixed to the camera: a tripod, a car, an operator with a stick, a logo, a black cap.
+//
+// It stands still in the image while the camera moves, and matches itself as a camera that never
+// moved would. Where such matches outnumber those of the scene, they are the answer unless somebody
+// asks what the others say.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "core/matches.h"
+#include "core/residuals/residuals.h"
+#include "core/robust/estimate.h"
+#include "core/robust/options.h"
+
+namespace epi360 {
+
+// Matches that both views see in the same direction, to the tolerance of stitched or bent content.
+std::vector<std::size_t> standing_still(const Matches& m, double gate);
+
+// Matches that an answer without a pose rests on, if most of its inliers stand still: they may be
+// fixed to the camera. None where the others do not surround it more than they do.
+std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer);
+
+// The other matches of a pair, their rows in it, and what is known of them.
+struct MatchesLeft {
+  std::vector<std::size_t> rows;
+  Matches m;
+  MatchPriors priors;
+};
+MatchesLeft without(const Matches& m, const MatchPriors& priors,
+                    const std::vector<std::size_t>& fixed);
+
+// Whether the answer of the others says that those are fixed: it is a pose or a rotation under
+// which most of them would have moved, and its inliers surround the camera more than they do.
+bool shows_fixed(const Matches& m, const std::vector<std::size_t>& fixed, const MatchesLeft& left,
+                 const RobustResult& answer, Residual residual);
+
+// That answer with the inliers and residuals of all matches; none of those fixed is an inlier.
+RobustResult on_all(const Matches& m, const MatchesLeft& left, RobustResult answer,
+                    Residual residual);
+
+}  // namespace epi360
