@@ -7,11 +7,12 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from _peers import pycolmap_two_view
+from _trust_cameras import CAMERAS, make_camera_matches
 from _trust_degenerate import KINDS, make_degenerate
 from _trust_records import RIGHT_DEG, WRONG_DEG
 from _two_view_answer import Answer, errors_deg, normalised_squared_error
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from epi360 import estimate_relative_pose
 from epi360.poses import Pose
+from epi360.two_view import IMAGE_OPTIONS
 
 CELLS = (
     "rotation-400-0-0.5",
@@ -82,6 +84,12 @@ def degenerate_trials(num_trials: int, seed: int, jobs: int) -> Iterator[Trial]:
     yield from _on_processes(partial(_degenerate_trial, seed=seed), tasks, jobs)
 
 
+def camera_trials(num_trials: int, seed: int, jobs: int) -> Iterator[Trial]:
+    """Trials of what real cameras do, with the options of image pairs, by ourselves alone."""
+    tasks = [(name, index) for name in CAMERAS for index in range(num_trials)]
+    yield from _on_processes(partial(_camera_trial, seed=seed), tasks, jobs)
+
+
 def trial_rows(trials: Iterable[Trial]) -> list[list[str]]:
     """Table of counts for each kind and method."""
     groups: dict[tuple[str, str], list[Trial]] = {}
@@ -124,6 +132,19 @@ def _degenerate_trial(task: tuple[str, int], *, seed: int) -> Trial:
     except ValueError:
         return Trial(name, OURS, "ValueError", accepted=False, error_deg=math.nan)
     return _trial(name, OURS, answer_from_result(result), data.cam2_from_cam1, result.probability)
+
+
+def _camera_trial(task: tuple[str, int], *, seed: int) -> Trial:
+    name, index = task
+    data = make_camera_matches(name, index, seed)
+    result = estimate_relative_pose(
+        data.bearings1, data.bearings2, seed=index, options=IMAGE_OPTIONS
+    )
+    answer, truth = answer_from_result(result), data.cam2_from_cam1
+    trial = _trial(name, OURS, answer, truth, result.probability)
+    if result.status == "pure_rotation" and not errors_deg(answer.cam2_from_cam1, truth)[0] < 1.0:
+        return replace(trial, status="another rotation")
+    return trial
 
 
 def _trial(

@@ -43,7 +43,13 @@ from _trust_records import (
     wrong_lines,
 )
 from _trust_reliability import draw_reliability, held, held_rows, stated_probabilities
-from _trust_synthetic import Trial, cell_trials, degenerate_trials, trial_rows
+from _trust_synthetic import (
+    Trial,
+    camera_trials,
+    cell_trials,
+    degenerate_trials,
+    trial_rows,
+)
 
 from epi360.report.files import check_writable
 from epi360.report.overview import Panel
@@ -59,7 +65,7 @@ PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "tourpairs": tour_pair_verdicts,
     "few": few_verdicts,
 }
-SETS = (*PAIR_SETS, "cells", "degenerate")
+SETS = (*PAIR_SETS, "cells", "degenerate", "cameras")
 NEEDS_DATA = ("zind", "learned", "pairs")
 
 
@@ -181,7 +187,8 @@ def _run(
 def _trials(name: str, plan: Plan, options: argparse.Namespace) -> Iterator[Trial]:
     if name == "cells":
         return cell_trials(options.trials, plan.seed, plan.jobs, with_peer=plan.with_peer)
-    return degenerate_trials(options.trials, plan.seed, plan.jobs)
+    make = camera_trials if name == "cameras" else degenerate_trials
+    return make(options.trials, plan.seed, plan.jobs)
 
 
 def _tables(judged: list[Judged], trials: list[Trial]) -> list[list[list[str]]]:

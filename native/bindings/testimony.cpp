@@ -56,10 +56,17 @@ void bind_testimony(nb::module_& m) {
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale, double least) {
         const Matches m = to_matches(b1, b2);
         const RelativePose pose = to_pose(R, t);
-        return rows_of(shared_error_covariance(m, pose, linearised(m, pose, Residual::kSampson),
-                                               scale, least));
+        const Linearisation at = linearised(m, pose, Residual::kSampson);
+        return rows_of(shared_error(m, pose, at, scale, least).covariance);
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a, "least"_a);
+  m.def(
+      "independent_share",
+      [](Bearings b1, Bearings b2, double shared) {
+        const Matches m = to_matches(b1, b2);
+        return independent_share(m, std::vector<unsigned char>(m.size, 1), shared);
+      },
+      "bearings1"_a, "bearings2"_a, "shared"_a);
   m.def(
       "errors_in_variables",
       [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale,

@@ -5,9 +5,10 @@ import pytest
 
 import epi360
 from epi360._core import internals
-from epi360.estimation.covariance import shared_error_covariance
+from epi360.estimation.covariance import independent_share, shared_error_covariance
 from epi360.poses import rotation_from_vector, vector_from_rotation
 from epi360.synthetic import two_view_scene
+from epi360.two_view import IMAGE_OPTIONS
 
 NOISE_DEG = 0.05
 
@@ -133,6 +134,60 @@ def assert_equals_the_formula(b1, b2, pose, least):
         np.linalg.eigvalsh(found), np.linalg.eigvalsh(expected), rtol=1e-5, atol=1e-16
     )
     return found
+
+
+@pytest.mark.parametrize("radius_deg", [35.0, 180.0])
+@pytest.mark.parametrize("shared", [0.3, 1.0, 5.0])
+def test_the_core_knows_how_many_matches_are_independent(shared, radius_deg):
+    b1, b2, _ = stitched_pair(0, 0.0, num_matches=4000)
+    b1, b2 = (each[b2[:, 2] > np.cos(np.radians(radius_deg))][:300] for each in (b1, b2))
+    found = internals.independent_share(b1, b2, shared)
+    assert found == pytest.approx(independent_share(b2, shared), rel=1e-6)
+    assert 5.0 < 300.0 * found < 250.0
+
+
+def test_independent_errors_count_all_but_what_a_rotation_fits():
+    _, b2, _ = stitched_pair(0, 0.0)
+    assert internals.independent_share(b2, b2, 0.0) == pytest.approx(1.0 - 1.5 / len(b2))
+    shares = [internals.independent_share(b2, b2, shared) for shared in (0.0, 0.5, 1.0, 4.0, 100.0)]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_the_size_of_errors_that_neighbours_share_varies_as_much_as_said():
+    """Monte Carlo: rotation residuals of a field, whose mean square varies as n matches let it."""
+    rng = np.random.default_rng(0)
+    _, b2, _ = stitched_pair(0, 0.0, num_matches=150)
+    chords = np.linalg.norm(b2[:, None] - b2, axis=2)
+    root = np.linalg.cholesky(np.exp(-chords / np.radians(45.0)) + 1e-9 * np.eye(len(b2)))
+    sizes = []
+    for _ in range(1500):
+        moved = root @ rng.normal(size=b2.shape) + rng.normal(size=b2.shape)
+        moved -= b2 * np.sum(moved * b2, axis=1, keepdims=True)
+        A = np.cross(np.eye(3), b2[:, None]).transpose(0, 2, 1).reshape(-1, 3)
+        left = moved.ravel() - A @ np.linalg.lstsq(A, moved.ravel(), rcond=None)[0]
+        sizes.append(left @ left)
+    independent = np.mean(sizes) ** 2 / np.var(sizes)
+    assert independent == pytest.approx(len(b2) * independent_share(b2, 1.0), rel=0.15)
+
+
+def test_most_cameras_that_turn_with_stitching_errors_have_only_turned():
+    """Both views are bent by three times the noise; 5 of 20 were a pose or two without that."""
+    assert [turned_and_stitched(seed) for seed in range(20)].count("pure_rotation") >= 17
+
+
+def turned_and_stitched(seed):
+    """Status of a pair whose camera has turned, of panoramas that are badly stitched."""
+    rng = np.random.default_rng(seed)
+    b1 = unit(rng.normal(size=(400, 3)))
+    b2 = b1 @ rotation_from_vector(rng.normal(size=3)).T
+    fields = 3.0 * np.radians(NOISE_DEG) * rng.normal(size=(2, 3, 3, 3))
+    noise = np.radians(NOISE_DEG) * rng.normal(size=(2, 400, 3))
+    b1, b2 = unit(bent(b1, fields[0]) + noise[0]), unit(bent(b2, fields[1]) + noise[1])
+    return epi360.estimate_relative_pose(b1, b2, options=IMAGE_OPTIONS).status
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def test_independent_errors_leave_the_covariance_alone():

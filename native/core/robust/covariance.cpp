@@ -54,7 +54,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
                              const std::vector<double>& residuals, const PosePrior& prior,
-                             double shared_error) {
+                             double least_shared_error) {
   Uncertainty result;
   result.scale = inlier_scale(m, inlier, residuals, gate);
   const double variance = result.scale * result.scale;
@@ -96,8 +96,11 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
       std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
   Matrix5 errors =
       errors_in_variables(noisy_information(m, residual, cam2_from_cam1, at, inflated));
-  if (shared_error > 0.0 || result.clustering > kSuspicious) {
-    errors += shared_error_covariance(m, cam2_from_cam1, at, std::sqrt(inflated), shared_error);
+  if (least_shared_error > 0.0 || result.clustering > kSuspicious) {
+    const SharedError shared =
+        shared_error(m, cam2_from_cam1, at, std::sqrt(inflated), least_shared_error);
+    errors += shared.covariance;
+    result.shared = shared.variance / inflated;
   }
   Matrix5 information = inverse(errors);
   Vector5 slopes = Vector5::Zero();

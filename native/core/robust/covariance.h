@@ -16,7 +16,8 @@ struct Uncertainty {
   double scale;                            // standard deviation of the inliers' residuals, radians
   Eigen::Matrix<double, 5, 5> covariance;  // NaN where the matches tell nothing
   double clustering =
-      1.0;  // how much more the sums over cells vary than independent errors let them
+      1.0;              // how much more the sums over cells vary than independent errors let them
+  double shared = 0.0;  // variance of the error that neighbours share, over that of one match
 };
 
 // Standard deviations of rotation and direction, over all their components.
@@ -42,14 +43,14 @@ Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t pad
 // Covariance of an M-estimator (Huber 1981): (mean psi^2 / (mean psi')^2) (J^T J)^-1, with the
 // derivative psi of the negative log-likelihood, so that the wrong matches which agree by chance
 // count as the noise they are. What the errors of neighbouring matches share is added, at least
-// shared_error standard deviations of one match: see shared_error.h.
+// least_shared_error standard deviations of one match: see shared_error.h.
 // residuals: those that the inliers were marked by; dropped: matches that leverage left out.
 Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
                              const std::vector<double>& residuals, const PosePrior& prior,
-                             double shared_error);
+                             double least_shared_error);
 
 // The same of a rotation alone, NaN where the translation would be.
 Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,

@@ -17,6 +17,7 @@
 #include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
 #include "core/robust/search.h"
+#include "core/robust/shared_error.h"
 #include "core/robust/testimony.h"
 #include "core/robust/upright_search.h"
 
@@ -265,7 +266,7 @@ class Estimate {
     if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
     if (rotation_explains(evidence)) {
       evidence.rotation_rejection =
-          rotation_rejection(m_, result_.inlier, uncertainty.scale, uncertainty.clustering);
+          rotation_rejection(m_, result_.inlier, uncertainty.scale, shared_errors(uncertainty));
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
@@ -280,6 +281,17 @@ class Estimate {
     if (status() == Status::kPlanarAmbiguous) {
       result_.alternatives = {rivals.distant->cam2_from_cam1};
     }
+  }
+
+  // What the inliers of a pose are wrong by together. Of the two components of a shared error that
+  // pose may have hidden one: it is the epipolar lines along which most of it goes.
+  NeighbourErrors shared_errors(const Uncertainty& uncertainty) const {
+    NeighbourErrors errors{1.0 / uncertainty.clustering, 0.5 * uncertainty.shared};
+    if (errors.hidden > 0.0) {
+      errors.independent =
+          std::min(errors.independent, independent_share(m_, result_.inlier, uncertainty.shared));
+    }
+    return errors;
   }
 
   // Adds what the covariance does not know of poses near by that may be right as well.

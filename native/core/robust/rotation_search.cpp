@@ -114,7 +114,7 @@ bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlie
 }
 
 double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                          double clustering) {
+                          const NeighbourErrors& errors) {
   const double variance = std::max(scale * scale, kSmallestScale * kSmallestScale);
   std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
   double count = 0.0;
@@ -144,8 +144,9 @@ double rotation_rejection(const Matches& m, const std::vector<unsigned char>& in
   // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
   // from the same inliers and has an error of its own.
   const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
-  return (middle->first / std::sqrt(variance) - kRayleighMedian) /
-         (error * std::sqrt(clustering / count));
+  const double expected = kRayleighMedian * std::sqrt(1.0 + errors.hidden);
+  return (middle->first / std::sqrt(variance) - expected) /
+         (error / std::sqrt(errors.independent * count));
 }
 
 }  // namespace epi360

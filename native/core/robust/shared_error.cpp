@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/shared_error.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
+#include "core/bearings.h"
 #include "core/constants.h"
 #include "core/multiversion.h"
 #include "core/robust/covariance.h"
@@ -117,10 +119,62 @@ void correlation_row(const double* const* columns, std::size_t i, double* row) {
   }
 }
 
+// The inliers of the cells of view 2: the roots of their numbers, their mean bearings, and how
+// these move as the camera turns about each axis, times the root.
+struct Cells {
+  std::vector<double> root, x, y, z;
+  Eigen::Matrix<double, Eigen::Dynamic, 9> turned;
+
+  std::size_t size() const { return root.size(); }
+};
+
+Cells cells_of(const Matches& m, const std::vector<unsigned char>& inlier) {
+  constexpr auto kCells = static_cast<std::size_t>(kBandsOfShared * kSectorsOfShared);
+  std::vector<Eigen::Vector3d> sums(kCells, Eigen::Vector3d::Zero());
+  std::vector<double> counts(kCells, 0.0);
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!inlier[i]) continue;
+    const Eigen::Vector3d b = view2(m, i);
+    const std::size_t cell = group_of(b);
+    sums[cell] += b;
+    counts[cell] += 1.0;
+  }
+  Cells cells;
+  cells.turned.resize(kCells, 9);
+  for (std::size_t k = 0; k < kCells; ++k) {
+    if (counts[k] == 0.0) continue;
+    const Eigen::Vector3d b = sums[k].normalized();
+    const Eigen::Matrix3d turned = std::sqrt(counts[k]) * skew(b);
+    cells.turned.row(static_cast<Eigen::Index>(cells.size())) =
+        Eigen::Map<const Eigen::Matrix<double, 1, 9>>(turned.data());
+    cells.root.push_back(std::sqrt(counts[k]));
+    cells.x.push_back(b.x());
+    cells.y.push_back(b.y());
+    cells.z.push_back(b.z());
+  }
+  cells.turned.conservativeResize(static_cast<Eigen::Index>(cells.size()), 9);
+  return cells;
+}
+
+// Row i of what the errors of sums over cells, over the roots of their numbers, have in common but
+// for the projections on both tangent planes; returns the sum of the squares with these.
+EPI360_MULTIVERSION
+double shared_row(const Cells& cells, double shared, std::size_t i, double* row) {
+  const double *x = cells.x.data(), *y = cells.y.data(), *z = cells.z.data();
+  double squares = 0.0;
+  for (std::size_t j = 0; j < cells.size(); ++j) {
+    const double cosine = x[i] * x[j] + y[i] * y[j] + z[i] * z[j], chord2 = 2.0 - 2.0 * cosine;
+    const double near = vector_exp(-std::sqrt(chord2 > 0.0 ? chord2 : 0.0) / kReachOfShared);
+    row[j] = shared * cells.root[i] * cells.root[j] * near + (i == j);
+    squares += row[j] * row[j] * (1.0 + cosine * cosine);
+  }
+  return squares;
+}
+
 }  // namespace
 
-Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_cam1,
-                                const Linearisation& at, double scale, double least) {
+SharedError shared_error(const Matches& m, const RelativePose& cam2_from_cam1,
+                         const Linearisation& at, double scale, double least) {
   const Groups groups = grouped(m, cam2_from_cam1, at);
   const std::size_t size = groups.size();
   const auto& J = groups.jacobian;
@@ -160,7 +214,41 @@ Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_
   const bool shows = size >= kFewestGroups && slope > 0.0 &&
                      excess > kSignificant * variance * std::sqrt(2.0 * slope);
   const double tau2 = std::max(shows ? excess / slope : 0.0, least * least * variance);
-  return tau2 * H * (A + own) * H;
+  return {tau2, tau2 * H * (A + own) * H};
+}
+
+double independent_share(const Matches& m, const std::vector<unsigned char>& inlier,
+                         double shared) {
+  const Cells cells = cells_of(m, inlier);
+  const auto size = static_cast<Eigen::Index>(cells.size());
+  // An orthonormal basis of what a rotation takes up, three components of three columns a cell.
+  Eigen::Matrix3d gram = Eigen::Matrix3d::Zero();
+  const auto moved = [&](Eigen::Index k) {
+    return Eigen::Map<const Eigen::Matrix3d, 0, Eigen::Stride<Eigen::Dynamic, Eigen::Dynamic>>(
+        cells.turned.data() + k, Eigen::Stride<Eigen::Dynamic, Eigen::Dynamic>(3 * size, size));
+  };
+  for (Eigen::Index k = 0; k < size; ++k) gram += moved(k).transpose() * moved(k);
+  const Eigen::Matrix3d to_basis =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(gram).operatorInverseSqrt();
+  Eigen::VectorXd row(size);
+  double trace = 0.0, squares = 0.0, within = 0.0, crossing = 0.0;
+  Eigen::Matrix3d inside = Eigen::Matrix3d::Zero();
+  for (Eigen::Index i = 0; i < size; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    squares += shared_row(cells, shared, k, row.data());
+    trace += 2.0 * row[i];
+    within += 2.0 * (cells.root[k] * cells.root[k] - 1.0);
+    const Eigen::Matrix<double, 1, 9> sum = row.transpose() * cells.turned;
+    const Eigen::Vector3d b(cells.x[k], cells.y[k], cells.z[k]);
+    Eigen::Matrix3d across = Eigen::Map<const Eigen::Matrix3d>(sum.data()) * to_basis;
+    across -= b * (b.transpose() * across);
+    crossing += across.squaredNorm();
+    inside += (moved(i) * to_basis).transpose() * across;
+  }
+  // C without the part that the basis takes up, and what differs from the means of the cells.
+  trace += within - inside.trace();
+  squares += within - 2.0 * crossing + inside.squaredNorm();
+  return trace * trace / (squares * (2.0 * static_cast<double>(size) + within));
 }
 
 }  // namespace epi360

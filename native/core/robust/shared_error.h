@@ -12,7 +12,12 @@
 
 namespace epi360 {
 
-// What the pose may be off by a shared error, as the covariance (radians^2) of its five parameters.
+struct SharedError {
+  double variance = 0.0;                 // tau^2 below, radians^2
+  Matrix5 covariance = Matrix5::Zero();  // radians^2, of the five parameters of the pose
+};
+
+// What the pose may be off by a shared error.
 //
 // Model: each view has a random field of displacements over its sphere, of standard deviation tau
 // and with a correlation that falls off exponentially with the angle. Then the covariance of two
@@ -24,7 +29,13 @@ namespace epi360 {
 // cells show nothing of the field: then the least is all.
 //
 // at: residuals and Jacobians at the pose, weights zero for matches that do not count.
-Matrix5 shared_error_covariance(const Matches& m, const RelativePose& cam2_from_cam1,
-                                const Linearisation& at, double scale, double least);
+SharedError shared_error(const Matches& m, const RelativePose& cam2_from_cam1,
+                         const Linearisation& at, double scale, double least);
+
+// Share of the inliers that would tell as much of the size of the angles between R b1 and b2 if
+// their errors were independent: (tr C)^2 / (2 |C|^2) matches, with the covariance C of two
+// components each, without what the rotation that fits best takes up. `shared`: tau^2 over the
+// variance of one component of a match.
+double independent_share(const Matches& m, const std::vector<unsigned char>& inlier, double shared);
 
 }  // namespace epi360

@@ -225,6 +225,34 @@ def shared_error_covariance(
     return np.asarray(tau2 * H @ (A + (J.T * own) @ J) @ H)
 
 
+def independent_share(bearings2: Array, shared: float) -> float:
+    """Return the share of matches that tell as much if no neighbours are wrong together.
+
+    It is of the size of the angles between R b1 and ``bearings2``, unit, of shape (N, 3), under the
+    rotation that fits best, which takes up part of every shared error. ``shared`` is the variance
+    of that, in each of two components, over the variance of the error of one match.
+
+    Notes
+    -----
+    Of a Gaussian vector with covariance C, the squared length has the mean tr C and the variance
+    2 tr C^2. The square of the one over the other is n for n matches with equal, independent
+    errors (Satterthwaite 1946).
+    """
+    cells = _groups(bearings2)
+    middle = cells @ bearings2
+    middle = cells.T @ (middle / np.linalg.norm(middle, axis=1)[:, None])  # of the cell of each
+    axes = np.stack([tangent_basis(bearing) for bearing in middle])  # (N, 3, 2)
+    near = np.exp(-np.linalg.norm(middle[:, None] - middle, axis=2) / SHARED_ERROR_REACH_RAD)
+    C = shared * np.einsum("ij,ika,jkb->iajb", near, axes, axes)
+    C = C.reshape(2 * len(axes), 2 * len(axes)) + np.eye(2 * len(axes))
+    turned = np.cross(np.eye(3), middle[:, None])  # how the bearing moves as the camera turns
+    by_rotation = np.einsum("nka,nrk->nar", axes, turned).reshape(-1, 3)
+    Q = np.linalg.qr(by_rotation)[0]
+    left = np.eye(len(C)) - Q @ Q.T
+    C = left @ C @ left
+    return float(np.trace(C) ** 2 / (2.0 * (C**2).sum()) / len(bearings2))
+
+
 def _groups(bearings: Array) -> Array:
     """Which match (columns) lies in which cell of the sphere (rows): 0 or 1."""
     x, y, z = bearings.T

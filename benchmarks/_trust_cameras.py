@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Matches as real 360-degree cameras give them: stitched, and with something that they carry."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.poses import Pose, rotation_from_vector
+
+Array = NDArray[np.float64]
+
+NUM_MATCHES = 400
+WRONG_SHARE = 0.3
+NOISE_RAD = np.radians(0.05)
+REACH_RAD = np.radians(45.0)  # over which the error of stitching falls to 1 / e of its correlation
+ROOM_M = (4.0, 1.5, 4.0)  # half its sides
+STEP_M = 0.7  # of the camera along an axis, at most
+CARRIED_DEG = 40.0  # around straight down
+CAR_DEG = 30.0  # around what passes
+
+
+@dataclass(frozen=True)
+class CameraMatches:
+    """Matches of two views, (N, 3) each, and the true pose; NaN translation of a turn."""
+
+    bearings1: Array
+    bearings2: Array
+    cam2_from_cam1: Pose
+
+
+def make_camera_matches(name: str, index: int, seed: int) -> CameraMatches:
+    """Trial `index` of a kind of `CAMERAS`: the same for equal arguments."""
+    rng = np.random.Generator(np.random.PCG64([seed, zlib.crc32(name.encode()), index]))
+    return CAMERAS[name](rng)
+
+
+def _stitched(rng: np.random.Generator, *, strength: float, moved: bool) -> CameraMatches:
+    """A room or its surroundings, in two views that are each bent by a smooth random field."""
+    pose = _pose(rng, moved=moved)
+    seen = [_bent(rng, each, strength) for each in _room(rng, pose, NUM_MATCHES)]
+    return _disturbed(rng, seen[0], seen[1], pose)
+
+
+def _carried(rng: np.random.Generator, *, num: int, moved: bool) -> CameraMatches:
+    """A hundred matches of a room, and what carries the camera, which never moves."""
+    pose = _pose(rng, moved=moved)
+    first, second = _room(rng, pose, 100)
+    carrier = _cap(rng, num, CARRIED_DEG)
+    return _disturbed(
+        rng, np.concatenate([first, carrier]), np.concatenate([second, carrier]), pose
+    )
+
+
+def _passed(rng: np.random.Generator, *, num: int) -> CameraMatches:
+    """A camera that stands still on its tripod while a car drives by and turns."""
+    scene = _unit(rng.normal(size=(100, 3)))
+    car = _cap(rng, num, CAR_DEG)[:, [0, 2, 1]] * rng.uniform(3.0, 5.0, (num, 1))
+    turn = rotation_from_vector(np.array([0.0, rng.uniform(0.1, 0.6), 0.0]))
+    middle = car.mean(axis=0)
+    later = (car - middle) @ turn.T + middle + rng.uniform(-1.5, 1.5, 3) * [1.0, 0.0, 1.0]
+    first, second = (np.concatenate([scene, _unit(each)]) for each in (car, later))
+    return _disturbed(rng, first, second, Pose(np.eye(3), np.full(3, np.nan)))
+
+
+def _pose(rng: np.random.Generator, *, moved: bool) -> Pose:
+    """Pose of a camera that stands upright to a degree and has turned by 30 degrees or more."""
+    turn = rotation_from_vector(np.radians([rng.normal(), rng.uniform(30.0, 330.0), rng.normal()]))
+    step = rng.uniform(-STEP_M, STEP_M, 3) * [1.0, 0.2, 1.0]
+    return Pose(turn, -turn @ step if moved else np.full(3, np.nan))
+
+
+def _room(rng: np.random.Generator, pose: Pose, num: int) -> tuple[Array, Array]:
+    """Bearings of landmarks in a room, some of them matched with anything."""
+    landmarks = rng.uniform(-1.0, 1.0, (num, 3)) * ROOM_M
+    second = _unit(landmarks @ pose.rotation.T + np.nan_to_num(pose.translation))
+    wrong = rng.random(num) < WRONG_SHARE
+    second[wrong] = _unit(rng.normal(size=(wrong.sum(), 3)))
+    return _unit(landmarks), second
+
+
+def _bent(rng: np.random.Generator, bearings: Array, strength: float) -> Array:
+    """Bearings moved by a field of so many standard deviations of the noise in each component."""
+    angles = np.arccos(np.clip(bearings @ bearings.T, -1.0, 1.0))
+    covariance = np.exp(-angles / REACH_RAD) + 1e-9 * np.eye(len(bearings))
+    field = np.linalg.cholesky(covariance) @ rng.normal(size=bearings.shape)
+    return _unit(bearings + strength * NOISE_RAD * _across(bearings, field))
+
+
+def _disturbed(rng: np.random.Generator, first: Array, second: Array, pose: Pose) -> CameraMatches:
+    noisy = [
+        _unit(each + NOISE_RAD * _across(each, rng.normal(size=each.shape)))
+        for each in (first, second)
+    ]
+    return CameraMatches(noisy[0], noisy[1], pose)
+
+
+def _cap(rng: np.random.Generator, num: int, radius_deg: float) -> Array:
+    """Directions within so many degrees of straight down."""
+    down = rng.uniform(np.cos(np.radians(radius_deg)), 1.0, num)
+    turn = rng.uniform(0.0, 2.0 * np.pi, num)
+    side = np.sqrt(1.0 - down**2)
+    return np.column_stack([side * np.cos(turn), down, side * np.sin(turn)])
+
+
+def _across(bearings: Array, vectors: Array) -> Array:
+    """The parts of vectors that are tangent to the sphere."""
+    return np.asarray(vectors - bearings * np.sum(vectors * bearings, axis=1, keepdims=True))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
+    **{f"turn, stitched {s} x": partial(_stitched, strength=s, moved=False) for s in (1, 3, 10)},
+    **{f"step, stitched {s} x": partial(_stitched, strength=s, moved=True) for s in (1, 3, 10)},
+    **{f"step, {n} carried": partial(_carried, num=n, moved=True) for n in (50, 150, 400)},
+    **{f"turn, {n} carried": partial(_carried, num=n, moved=False) for n in (50, 150, 400)},
+    **{f"still, {n} passing": partial(_passed, num=n) for n in (50, 100, 200)},
+}
