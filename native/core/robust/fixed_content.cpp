@@ -90,6 +90,8 @@ bool shows_fixed(const Matches& m, const std::vector<std::size_t>& fixed, const 
   for (std::size_t i = 0; i < still.size; ++i)
     moved += !(std::abs(residuals[i]) < answer.threshold);
   if (2 * moved <= still.size) return false;
+  const auto agreeing = std::count(answer.inlier.begin(), answer.inlier.end(), 1);
+  if (2 * static_cast<std::size_t>(agreeing) <= left.m.size) return false;
   const Extent where = extents(m, mask_of(m, fixed).data()).chosen;
   return surround(extents(left.m, answer.inlier.data()).chosen, where);
 }

@@ -32,8 +32,9 @@ struct MatchesLeft {
 MatchesLeft without(const Matches& m, const MatchPriors& priors,
                     const std::vector<std::size_t>& fixed);
 
-// Whether the answer of the others says that those are fixed: it is a pose or a rotation under
-// which most of them would have moved, and its inliers surround the camera more than they do.
+// Whether the answer of the others says that those are fixed: it is a pose or a rotation that most
+// of the others agree with, and under which most of those would have moved, and its inliers
+// surround the camera more than they do.
 bool shows_fixed(const Matches& m, const std::vector<std::size_t>& fixed, const MatchesLeft& left,
                  const RobustResult& answer, Residual residual);
 
