@@ -173,8 +173,21 @@ def test_a_pair_that_turns_its_panoramas_otherwise_than_surer_ones_is_refused():
     found[2] = replace(found[2], own=NOTHING_GROWS)
     verdicts = judge_places(pairs, found).verdicts
     assert "turn its panoramas otherwise" in verdicts[2].refused
+    assert_leads(images[2], [images[row] for row in verdicts[2].against])
     assert verdicts[2].probability == 0.0
     assert [bool(verdict.refused) for verdict in verdicts] == [row == 2 for row in range(6)]
+
+
+def assert_leads(ends, way):
+    """Pairs that lead from one panorama to another."""
+    links = [set(pair) for pair in way]
+    assert links
+    at = {ends[0]}
+    for _ in range(len(links)):
+        (link,) = [each for each in links if each & at][:1]
+        links.remove(link)
+        at = link - at
+    assert at == {ends[1]}
 
 
 def test_points_that_something_may_hide_say_nothing():
@@ -269,6 +282,11 @@ def test_the_reason_counts_places():
     worst = verdicts[int(np.argmin(is_right))]
     assert f"of {worst.num_places} parts of the views" in worst.refused
     assert worst.probability < 0.01
+    # Pairs within the rooms say so, and none that is refused itself.
+    ends = set(pairs[int(np.argmin(is_right))])
+    assert all(is_right[row] and ends & set(pairs[row]) for row in worst.against)
+    assert len(worst.against) > 2
+    assert not any(each.against for each in verdicts if not each.refused)
 
 
 def test_the_reason_names_surfaces_where_they_alone_speak_against_a_pair():
@@ -279,7 +297,9 @@ def test_the_reason_names_surfaces_where_they_alone_speak_against_a_pair():
         (0.0, "and too little of what"),
     ):
         found[0] = replace(found[0], surfaces=(surfaces_of([1, 2], ratio, num=6000),) * 2)
-        assert why in judged(pairs, found)[0].refused
+        verdict = judged(pairs, found)[0]
+        assert why in verdict.refused
+        assert verdict.against == ((1, 2) if ratio < 0.0 else ())
 
 
 def test_the_reason_names_pairs_that_say_the_same():

@@ -71,6 +71,7 @@ def test_a_pair_that_turns_a_panorama_otherwise_than_surer_ones_contradicts_them
     groups = groups_of(pairs, [5.0, 4.0, 3.0, 2.0], 0.0)
     assert groups.joined.tolist() == [True, True, True, False]
     assert groups.ratios.tolist() == [5.0 * HEARD, 4.0 * HEARD, 3.0, -np.inf]
+    assert {row: sorted(way) for row, way in groups.ways.items()} == {3: [0, 1]}
     assert (groups.num_contradicting, groups.num_loops) == (1, 2)
 
 

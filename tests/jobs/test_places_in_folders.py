@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
-from epi360.jobs.matching.pair_verdicts import PairVerdict, checked
+from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, without_copies
 from epi360.poses import Pose, rotation_from_vector
 
 PLACES = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 0.5, 3), "e": (9, 0, 0)}
@@ -80,6 +80,26 @@ def test_refused_pairs_do_not_speak_against_right_ones():
     judged = checked(tuple(verdicts), places, is_level=False)
     assert all(verdict.num_contradicted == 0 for verdict in judged)
     assert [verdict.accepted for verdict in judged] == [False, *[True] * 5]
+
+
+def test_a_refused_pair_names_those_that_speak_against_it():
+    verdicts = verdicts_of(["ab", "bc", "cd"])
+    against = tuple((each, "f") for each in "abcde")
+    place = PlaceVerdict(0.2, 0.3, 30, "shows another place, for surfaces", contradicted_by=against)
+    judged = checked(verdicts, [place, PlaceVerdict(), PlaceVerdict()], is_level=False)
+    assert judged[0].contradicted_by == against
+    assert judged[0].warnings == ("does not fit a - f, b - f, c - f, d - f and 1 more",)
+    assert not judged[1].contradicted_by and not judged[1].warnings
+
+
+def test_pairs_between_two_places_name_the_pair_that_tells_them_apart():
+    verdicts = list(verdicts_of(["ab", "cd", "bc", "ad"]))
+    verdicts[2] = replace(verdicts[2], refused="shows another place, for surfaces differ")
+    verdicts[3] = replace(verdicts[3], status="pure_rotation")
+    told = without_copies(verdicts)
+    assert told[3].refused.startswith("shows another place, as other pairs say")
+    assert told[3].contradicted_by == (("b", "c"),)
+    assert told[3].warnings == ("does not fit b - c",)
 
 
 def doubted(verdict):

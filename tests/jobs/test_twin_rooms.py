@@ -48,12 +48,18 @@ def test_pairs_of_twin_rooms_are_refused_though_their_matches_agree(run):
     assert min(alone) > 0.95
     assert max(verdict.probability for verdict in between) < 0.5
     assert all(verdict.refused.startswith("shows another place") for verdict in between)
+    # Pairs within one of both rooms say so.
+    assert all(verdict.contradicted_by for verdict in between)
+    named = [pair for verdict in between for pair in verdict.contradicted_by]
+    assert all(first[0] == second[0] for first, second in named)
 
 
 def test_cameras_at_the_same_place_of_both_rooms_have_not_turned(run):
     same = [v for v in run.verdicts if v.image1[1] == v.image2[1]]
     assert [v.status for v in same] == ["pure_rotation"] * 3
     assert all(v.refused.startswith("shows another place, as other pairs say") for v in same)
+    assert all(a[0] != b[0] for v in same for a, b in v.contradicted_by)
+    assert all(v.contradicted_by and "does not fit" in v.warnings[-1] for v in same)
     kept = {(p.image1, p.image2): p.geometry for p in load_matches(run.folder).pairs}
     assert all(kept[v.image1, v.image2].status == "refused" for v in same)
 

@@ -49,16 +49,22 @@ class GraphVerdict(LoopVerdict):
         doubts = []
         if self.doubtful:
             doubts.append(OPEN_TRIANGLES)
-        if self.contradicted_by:
-            named = [" - ".join(pair) for pair in self.contradicted_by[:_MOST_NAMED]]
-            more = len(self.contradicted_by) - len(named)
-            rest = f" and {more} more" if more else ""
-            doubts.append(f"does not fit {', '.join(named)}{rest}")
+        doubts += does_not_fit(self.contradicted_by)
         if self.refused.startswith(LONE_FLOOR):
             doubts.append(FLOOR_ONLY)
         if self.confirmed:
             doubts.append(CONFIRMED)
         return doubts
+
+
+def does_not_fit(others: Sequence[tuple[str, str]]) -> list[str]:
+    """A sentence that names the pairs that speak against one, if there are any."""
+    if not others:
+        return []
+    named = [" - ".join(pair) for pair in others[:_MOST_NAMED]]
+    more = len(others) - len(named)
+    rest = f" and {more} more" if more else ""
+    return [f"does not fit {', '.join(named)}{rest}"]
 
 
 def check_graph(

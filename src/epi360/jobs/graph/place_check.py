@@ -28,7 +28,12 @@ from numpy.typing import NDArray
 from epi360.estimation.result import SamePlace
 from epi360.jobs.graph.place_evidence import Evidence, Sightings
 from epi360.jobs.graph.place_groups import Groups, Testimony, put_together
-from epi360.jobs.graph.surface_evidence import FEWEST_PARTS, OWN, surfaces_ratio
+from epi360.jobs.graph.surface_evidence import (
+    FEWEST_PARTS,
+    OWN,
+    surfaces_against,
+    surfaces_ratio,
+)
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import (
     LEAST_PROBABILITY,
@@ -98,7 +103,9 @@ class PlaceVerdict:
     ``num_places`` parts of the views that look the same, of those that both cameras must see. Of a
     pair that is refused for what it shows ``by_itself``, other pairs say nothing: copies close
     triangles. What speaks against a pair and is not counted, because it would refuse right ones,
-    is ``held_back``, as a log-likelihood ratio. ``warnings`` are about an accepted pose.
+    is ``held_back``, as a log-likelihood ratio. ``warnings`` are about an accepted pose, and
+    ``against`` are the rows of the pairs that speak against one that is refused, which their folder
+    knows by the names of both images: ``contradicted_by``.
     """
 
     probability: float = 1.0
@@ -108,6 +115,8 @@ class PlaceVerdict:
     by_itself: bool = False
     held_back: float = 0.0
     warnings: tuple[str, ...] = ()
+    against: tuple[int, ...] = ()
+    contradicted_by: tuple[tuple[str, str], ...] = ()
 
     @property
     def if_accepted(self) -> float:
@@ -132,7 +141,7 @@ class Judged:
 
     verdicts: tuple[PlaceVerdict, ...]
     _court: _Court
-    _joined: Mask
+    _groups: Groups
     _share_wrong: float
 
     def on_doubted(self, evidence: Sequence[Evidence]) -> tuple[PlaceVerdict, ...]:
@@ -141,9 +150,11 @@ class Judged:
         They say nothing about each other, nor about the accepted pairs.
         """
         court = self._court.on(evidence)
-        ratios = np.array([court.ratio(row, self._joined) for row in range(len(evidence))])
+        joined = self._groups.joined
+        ratios = np.array([court.ratio(row, joined) for row in range(len(evidence))])
         share_wrong = max(self._share_wrong, _DOUBTED_WRONG)
-        return court.verdicts(self._joined, ratios, share_wrong, few=len(self.verdicts) < _FEW)
+        groups = Groups(self._groups.joined, ratios, {}, self._groups.num_loops)
+        return court.verdicts(groups, share_wrong, few=len(self.verdicts) < _FEW)
 
 
 def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Judged:
@@ -158,8 +169,8 @@ def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Ju
     court, share_wrong = _court_of_folder(pairs, evidence)
     groups = court.groups(pairs, _least_ratio(share_wrong))
     few = len(pairs) < _FEW
-    verdicts = court.verdicts(groups.joined, groups.ratios, share_wrong, few=few)
-    return Judged(verdicts, court, groups.joined, share_wrong)
+    verdicts = court.verdicts(groups, share_wrong, few=few)
+    return Judged(verdicts, court, groups, share_wrong)
 
 
 def _court_of_folder(
@@ -202,6 +213,7 @@ def _by_itself(verdict: PlaceVerdict, own: OwnEvidence, place: SamePlace) -> Pla
         held_back=0.0,
         refused=f"{why}, for what surrounds the matches looks different",
         by_itself=True,
+        against=(),
     )
 
 
@@ -319,23 +331,26 @@ class _Court:
         return replace(heard, logs=np.zeros(len(_SHARES))) if one_sided else heard
 
     def verdicts(
-        self, joined: Mask, ratios: Array, share_wrong: float, *, few: bool
+        self, groups: Groups, share_wrong: float, *, few: bool
     ) -> tuple[PlaceVerdict, ...]:
         """What is said about all pairs in the end, by their ratios."""
-        told = zip(ratios.tolist(), _probabilities(ratios, share_wrong).tolist(), strict=True)
-        verdicts = tuple(self._verdict(row, joined, *each) for row, each in enumerate(told))
+        probabilities = _probabilities(groups.ratios, share_wrong).tolist()
+        verdicts = tuple(self._verdict(row, groups, each) for row, each in enumerate(probabilities))
         if not few:
             return verdicts
         own = (each.own for each in self._evidence)
-        places = (self.place(row, joined) for row in range(len(verdicts)))
+        places = (self.place(row, groups.joined) for row in range(len(verdicts)))
         return tuple(map(_by_itself, verdicts, own, places))
 
-    def _verdict(self, row: int, joined: Mask, told: float, probability: float) -> PlaceVerdict:
-        points = self._points_heard(row, joined)
+    def _verdict(self, row: int, groups: Groups, probability: float) -> PlaceVerdict:
+        points = self._points_heard(row, groups.joined)
         share = points.num_alike / points.num_places if points.num_places else np.nan
-        refused = "" if probability >= _ACCEPTED else self._refusal(row, joined, told, points)
-        held_back = self._held_back(row, joined)
-        return PlaceVerdict(probability, share, points.num_places, refused, held_back=held_back)
+        is_refused = probability < _ACCEPTED
+        refused, against = self._refusal(row, groups, points) if is_refused else ("", ())
+        held_back = self._held_back(row, groups.joined)
+        return PlaceVerdict(
+            probability, share, points.num_places, refused, held_back=held_back, against=against
+        )
 
     def _held_back(self, row: int, joined: Mask) -> float:
         """What speaks against a pair by itself, and does not count for whether it is accepted."""
@@ -348,20 +363,42 @@ class _Court:
             heard, replace(counted, over_others=over_others)
         )
 
-    def _refusal(self, row: int, joined: Mask, told: float, points: _Heard) -> str:
-        """Why a pair is not accepted; what stands before the comma is what summaries count."""
+    def _refusal(self, row: int, groups: Groups, points: _Heard) -> tuple[str, tuple[int, ...]]:
+        """Why a pair is not accepted, and by which pairs.
+
+        What stands before the comma is what summaries count.
+        """
+        joined, told = groups.joined, groups.ratios[row]
         if np.isneginf(told):
-            return f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise"
+            way = tuple(groups.ways[row])
+            return (
+                f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise",
+                way,
+            )
         if told < (alone := self.ratio(row, joined)) and alone >= 0.0:
-            return f"{COPY}, for too little speaks for pairs that say the same"
+            return f"{COPY}, for too little speaks for pairs that say the same", ()
         if points.ratio < 0.0:
             return (
                 f"{ANOTHER_PLACE}, for only {int(points.num_alike)} of {points.num_places} parts "
-                "of the views that both cameras must see look the same"
+                "of the views that both cameras must see look the same",
+                _surest(self._points_against(row, joined)),
             )
-        if surfaces_ratio(self._evidence[row].surfaces, joined) < 0.0:
-            return f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see"
-        return f"{COPY}, and too little of what both cameras must see says otherwise"
+        surfaces = self._evidence[row].surfaces
+        if surfaces_ratio(surfaces, joined) < 0.0:
+            return (
+                f"{ANOTHER_PLACE}, for surfaces differ that both cameras must see",
+                _surest(surfaces_against(surfaces, joined)),
+            )
+        return f"{COPY}, and too little of what both cameras must see says otherwise", ()
+
+    def _points_against(self, row: int, trusted: Mask) -> Array:
+        """What the points of each pair (N,) say against one, as a log-likelihood ratio."""
+        logs = np.zeros((len(trusted), len(_SHARES)))
+        for sightings, of_each in zip(self._evidence[row].sides, self._logs[row], strict=True):
+            kept = _must_be_seen(sightings, trusted)
+            np.add.at(logs, sightings.witnesses[kept], of_each[kept])
+        against: Array = logs[:, 1:].max(axis=1) - logs[:, 0]
+        return against
 
     def rates(self, trusted: Mask) -> Array:
         """Share of the visible points that trusted pairs find, by class of the view change."""
@@ -399,6 +436,12 @@ def _must_be_seen(sightings: Sightings, trusted: Mask) -> Mask:
     farthest = known.max(axis=1, initial=-np.inf)
     seen: Mask = np.isfinite(farthest) & (farthest < _HIDDEN) & trusted[sightings.witnesses]
     return seen
+
+
+def _surest(against: Array) -> tuple[int, ...]:
+    """Rows of the pairs that speak against a pose, those that say most first."""
+    rows = np.argsort(-against, kind="stable")
+    return tuple(rows[against[rows] > 0.0].tolist())
 
 
 def _asked(evidence: Evidence) -> set[int]:

@@ -14,7 +14,7 @@ where no group knows anything yet it tells where to begin.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,12 +58,13 @@ class Groups:
 
     ``joined`` (N,) are the pairs that the groups rest on. ``ratios`` (N,) are log-likelihood ratios
     of each pair being right, together with those that say the same; minus infinity for what
-    contradicts the groups. ``num_loops`` are the pairs within groups beyond those that it takes to
-    join their panoramas.
+    contradicts the groups; ``ways`` has the pairs that lead from one of its panoramas to the other.
+    ``num_loops`` are the pairs within groups beyond those that it takes to join their panoramas.
     """
 
     joined: Mask
     ratios: Array
+    ways: Mapping[int, Sequence[int]]
     num_loops: int
 
     @property
@@ -124,6 +125,7 @@ class _Assembly:
         self._turns: dict[int, Array] = {image: np.eye(3) for image in images}  # from the group
         self._tree: dict[int, list[tuple[int, int]]] = {image: [] for image in images}
         self._undecided: list[int] = []  # of pairs within groups
+        self._ways: dict[int, list[int]] = {}  # of pairs that contradict theirs
         self._between: dict[GroupPair, list[int]] = {}
         for row in range(len(pairs)):
             self._between.setdefault(self._groups_of(row), []).append(row)
@@ -153,7 +155,7 @@ class _Assembly:
             self._said[row] = max([self._ratio(row), *implied])
         num_within = sum(first == second for first, second in map(self._groups_of, rows))
         num_joints = len(self._group_of) - len(self._members)
-        return Groups(self._joined, self._said, num_within - num_joints)
+        return Groups(self._joined, self._said, self._ways, num_within - num_joints)
 
     def _implying(self, row: int) -> list[int]:
         """Joined pairs that say the same as one within a group."""
@@ -176,8 +178,9 @@ class _Assembly:
         sound = [row for row in claim.rows if self._ratio(row) >= _LEAST_OF_ONE]
         del self._claims[groups]
         for row in sorted(set(self._between.pop(groups)).difference(claim.rows)):
-            if self._contradicts(row):
-                self._said[row] = -np.inf
+            way = self._way(*self._pairs[row].images)
+            if self._contradicts(row, way):
+                self._said[row], self._ways[row] = -np.inf, way
             else:
                 self._undecided.append(row)
         stale = self._believe(sound) | self._renamed(second) | self._settle_within()
@@ -226,9 +229,8 @@ class _Assembly:
         turn = self._turns[second].T @ self._pairs[row].cam2_from_cam1.rotation @ self._turns[first]
         return turn if self._group_of[first] <= self._group_of[second] else turn.T
 
-    def _contradicts(self, row: int) -> bool:
-        """Whether a pair turns its panoramas otherwise than those between them do."""
-        way = self._way(*self._pairs[row].images)
+    def _contradicts(self, row: int, way: Sequence[int]) -> bool:
+        """Whether a pair turns its panoramas otherwise than those on the way between them do."""
         variance = sum(self._sigma_deg(each) ** 2 for each in (row, *way))
         limit = _AGREES_DEG + _NUM_SIGMAS * variance**0.5
         return bool(rotation_error_deg(self._turn(row), np.eye(3)) > limit)

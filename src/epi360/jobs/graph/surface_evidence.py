@@ -352,12 +352,26 @@ def surfaces_ratio(sides: Sequence[SurfaceSightings], trusted: Mask) -> float:
     return float(np.clip(ratio, *_LIMITS))
 
 
-def _place_ratios(sightings: SurfaceSightings, trusted: Mask) -> Array:
-    """Log-likelihood ratio of each part of a view that both cameras must see."""
+def surfaces_against(sides: Sequence[SurfaceSightings], trusted: Mask) -> Array:
+    """What each pair (N,) that is trusted says against a pose, as a sum over its cells."""
+    told = np.zeros(len(trusted))
+    for each in sides:
+        kept = _must_be_seen(each, trusted)
+        told -= np.bincount(each.witnesses[kept], each.ratios[kept], minlength=len(trusted))
+    return told
+
+
+def _must_be_seen(sightings: SurfaceSightings, trusted: Mask) -> Mask:
+    """Cells of trusted pairs that nothing hides, as far as trusted pairs know."""
     heeded = (sightings.sources == OWN) | trusted[sightings.sources]
     states = sightings.hidden[:, heeded]
-    kept = np.any(states == VISIBLE, axis=1) & ~np.any(states == HIDDEN, axis=1)
-    kept &= trusted[sightings.witnesses]
+    kept: Mask = np.any(states == VISIBLE, axis=1) & ~np.any(states == HIDDEN, axis=1)
+    return kept & trusted[sightings.witnesses]
+
+
+def _place_ratios(sightings: SurfaceSightings, trusted: Mask) -> Array:
+    """Log-likelihood ratio of each part of a view that both cameras must see."""
+    kept = _must_be_seen(sightings, trusted)
     cells = sightings.cells[kept].astype(np.int64)
     counts = np.bincount(cells, minlength=NUM_CELLS)
     sums = np.bincount(cells, sightings.ratios[kept], minlength=NUM_CELLS)

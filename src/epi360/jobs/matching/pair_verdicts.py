@@ -13,6 +13,7 @@ from epi360.jobs.graph.graph_check import (
     believed,
     check_graph,
     closing,
+    does_not_fit,
     fitting,
     groups_by,
 )
@@ -40,7 +41,7 @@ class PairVerdict(Verdict):
     """What became of a pair of images.
 
     The last six attributes are those of `GraphVerdict`; ``refused`` may also be that of
-    `PlaceVerdict`.
+    `PlaceVerdict`, and ``contradicted_by`` then names the pairs that speak against it.
     """
 
     image1: str
@@ -170,9 +171,12 @@ def without_copies(verdicts: Sequence[PairVerdict]) -> tuple[PairVerdict, ...]:
     def ends(verdict: PairVerdict) -> frozenset[str]:
         return frozenset(group_of.get(name, name) for name in (verdict.image1, verdict.image2))
 
-    apart = {ends(v) for v in verdicts if v.refused.startswith((ANOTHER_PLACE, COPY))}
+    apart: dict[frozenset[str], list[tuple[str, str]]] = {}
+    for v in verdicts:
+        if v.refused.startswith((ANOTHER_PLACE, COPY)):
+            apart.setdefault(ends(v), []).append((v.image1, v.image2))
     return tuple(
-        replace(v, refused=_OF_TWO_PLACES)
+        _refused(v, _OF_TWO_PLACES, apart[ends(v)])
         if v.status in _UNDECIDED and len(ends(v)) == 2 and ends(v) in apart
         else v
         for v in verdicts
@@ -208,10 +212,16 @@ def _with_place(verdict: PairVerdict, place: PlaceVerdict | None) -> PairVerdict
     if place is None:
         return verdict
     if verdict.accepted:
-        return replace(verdict, refused=place.refused)
+        return _refused(verdict, place.refused, place.contradicted_by)
     if not place.refused:
         return replace(believed(verdict), warnings=(*verdict.warnings, PLACE_AGREES))
     return verdict if place.leaves_a_doubt else replace(verdict, doubted=Pose.nan())
+
+
+def _refused(verdict: PairVerdict, refused: str, against: Sequence[tuple[str, str]]) -> PairVerdict:
+    """The verdict with why it is refused, and the pairs that speak against it."""
+    warnings = (*verdict.warnings, *does_not_fit(against))
+    return replace(verdict, refused=refused, contradicted_by=tuple(against), warnings=warnings)
 
 
 def _with_graph(
@@ -222,8 +232,11 @@ def _with_graph(
     checks = check_graph(_names(verdicts), verdicts, is_level=is_level, seen=seen)
     for verdict, found in zip(verdicts, checks, strict=True):
         warnings = (*verdict.warnings, *found.doubts(verdict))
-        refused = verdict.refused or found.refused
-        each = replace(verdict, **{**vars(found), "refused": refused}, warnings=warnings)
+        heard = {
+            "refused": verdict.refused or found.refused,
+            "contradicted_by": verdict.contradicted_by or found.contradicted_by,
+        }
+        each = replace(verdict, **{**vars(found), **heard}, warnings=warnings)
         if found.confirmed:
             each = replace(each, status="ok", cam2_from_cam1=verdict.doubted)
         judged.append(each)

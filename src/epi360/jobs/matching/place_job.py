@@ -100,16 +100,17 @@ def check_places(settled: SettledPairs) -> Places | None:
         points = _of_each(work, known.of_points, range(len(keys)))
     if len(points) < len(keys) or known.num_heard == 0:
         return None
-    return _judged(work, keys, known, points)
+    return _judged(folder, keys, known, points)
 
 
 def _judged(
-    work: _Work,
+    folder: VerifiedFolder,
     keys: Sequence[Keys],
     known: Surroundings,
     points: Mapping[int, Evidence],
 ) -> Places:
     """Verdicts by points, and by surfaces, which cost much more: of many pairs only in doubt."""
+    work = _Work(folder.num_threads, folder.progress)
     num_heard, evidence = known.num_heard, list(points.values())
     heard, views = known.pairs[:num_heard], Views()
     if num_heard <= _FEW_PAIRS or leave_a_doubt(heard, evidence[:num_heard]):
@@ -117,8 +118,18 @@ def _judged(
         evidence, views = (evidence, views) if told is None else told
     judged = judge_places(heard, evidence[:num_heard])
     verdicts = (*judged.verdicts, *judged.on_doubted(evidence[num_heard:]))
-    told_of = dict(zip(keys, verdicts, strict=True))
+    named = (_naming_others(folder, known.pairs, each) for each in verdicts)
+    told_of = dict(zip(keys, named, strict=True))
     return Places(told_of, work.num_threads, known, views, judged)
+
+
+def _naming_others(
+    folder: VerifiedFolder, pairs: Sequence[PosedPair], place: PlaceVerdict
+) -> PlaceVerdict:
+    """The verdict with the names of the images of the pairs that speak against it."""
+    against = (pairs[row].images for row in place.against)
+    names = tuple((folder.name_of(first), folder.name_of(second)) for first, second in against)
+    return replace(place, contradicted_by=names)
 
 
 def _with_surfaces(
