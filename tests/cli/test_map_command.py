@@ -13,6 +13,7 @@ pytest.importorskip("pycolmap")
 
 from epi360.interop import Reconstruction  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
+from epi360.jobs.mapping.lone_branches import Branch  # noqa: E402
 from epi360.jobs.mapping.map_attempts import Attempt  # noqa: E402
 from epi360.jobs.mapping.map_folder import MapRun  # noqa: E402
 from epi360.jobs.mapping.mapped_models import MappedModel  # noqa: E402
@@ -83,6 +84,20 @@ def test_the_command_says_what_to_do_with_a_second_model(tmp_path, capsys, monke
     printed = capsys.readouterr().out
     assert "models       2 that do not connect: 0, 0 images" in printed
     assert f"epi360 cubemap {tmp_path / 'sparse' / '1'} {tmp_path / 'in'} NEW" in printed
+
+
+def test_the_command_says_which_images_hang_on_one_pair(tmp_path, capsys, monkeypatch):
+    model = MappedModel(tmp_path / "sparse" / "0", Reconstruction({}, ()), 0.5)
+    branches = (Branch(("e", "b"), tuple("efghi")), Branch(("a", "x"), ("x",)))
+    run = MapRun(nothing_matched(tmp_path), (model,), {}, 17, {}, (), branches=branches)
+    monkeypatch.setattr("epi360.jobs.mapping.map_folder.map_images", lambda *_, **__: run)
+    write_picture(tmp_path / "in" / "a.png", np.zeros((64, 128, 3), np.uint8))
+    assert cli.main(["map", str(tmp_path / "in"), "--output", str(tmp_path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("one pair")] == [
+        "one pair     e, f, g, h and 1 more hang on e - b alone: nothing checks how far away",
+        "one pair     x hangs on a - x alone: nothing checks how far away",
+    ]
 
 
 def test_the_command_says_what_was_tried_where_one_way_was_not_enough(

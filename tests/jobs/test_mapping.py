@@ -68,6 +68,7 @@ def test_every_image_of_a_rendered_room_is_placed_right_also_one_that_only_turne
     _, run = room_run
     poses = poses_of(run.models[0].reconstruction)
     assert poses.keys() == truth.keys()
+    assert run.branches == ()
     position, degrees = aligned_errors(poses, truth)
     assert position < 0.004  # 0.0013 measured; a pixel is 0.7 degrees
     assert degrees < 0.15  # 0.05 measured

@@ -237,7 +237,8 @@ def cubemap(
 def _shown_map(run: MapRun) -> MapShown:
     from epi360.report.folder_page import MapShown
 
-    return MapShown([model.reconstruction for model in run.models], run.unregistered)
+    models = [model.reconstruction for model in run.models]
+    return MapShown(models, run.unregistered, run.branches)
 
 
 def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:
@@ -272,7 +273,7 @@ def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
 
 def _describe(run: MapRun, images: ImageSet) -> str:
     """Lines for people: what registered, what did not and why, and how long it took."""
-    from epi360.report.match_table import describe_level, describe_others
+    from epi360.report.match_table import branch_sentence, describe_level, describe_others
 
     num_registered = len(run.models[0].reconstruction.images) if run.models else 0
     lines = [f"registered   {num_registered} of {run.num_images} images"]
@@ -295,6 +296,7 @@ def _describe(run: MapRun, images: ImageSet) -> str:
             f"             another one: epi360 cubemap {run.models[1].folder} {images.folder} NEW, "
             f"epi360 convert {run.models[1].folder} NEW.json",
         ]
+    lines += [f"one pair     {branch_sentence(branch)}" for branch in run.branches[:NAMED]]
     times = ", ".join(f"{name} {value:.1f} s" for name, value in run.seconds.items())
     lines.append(f"time         {times}" + (" (by an earlier run)" if run.was_mapped else ""))
     reasons = [*run.unregistered.items(), *images.skipped]

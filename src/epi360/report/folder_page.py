@@ -11,12 +11,14 @@ from epi360.cameras import Camera
 from epi360.features import read_image
 from epi360.interop import MatchGraph, Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.mapping.lone_branches import Branch
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.match_folder import MatchRun, load_matches
 from epi360.jobs.matching.verify_pairs import VerifiedGraph
 from epi360.report.html_page import Page, camera_record, escaped, picture_address, shrunk
 from epi360.report.match_table import (
     REJECTIONS,
+    branch_sentence,
     describe_judged,
     groups_sentence,
     joined_images,
@@ -46,6 +48,7 @@ class MapShown:
 
     models: Sequence[Reconstruction]  # the largest first, which is drawn
     left_out: Mapping[str, str]  # image without a pose in it, and the reason
+    branches: Sequence[Branch] = ()  # images that one pair alone joins to the rest
 
 
 def write_match_report(
@@ -167,6 +170,8 @@ def _map_section(shown_map: MapShown, num_images: int, has_webgl: bool) -> str:
         items.append(f"<li>and {len(left_out) - _NAMED} more</li>")
     if items:
         words += f"<p>These images are not in it:</p><ul>{''.join(items)}</ul>"
+    hanging = map(branch_sentence, shown_map.branches[:_NAMED])
+    words += "".join(f"<p>{escaped(sentence)}.</p>" for sentence in hanging)
     if not has_webgl:
         return f"{heading}{words}<p>{escaped(MISSING)}</p>"
     return (

@@ -10,6 +10,7 @@ from dataclasses import astuple
 import numpy as np
 
 from epi360.jobs.graph.graph_check import groups_by
+from epi360.jobs.mapping.lone_branches import Branch
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
 from epi360.jobs.matching.place_job import MOST_PAIRS
@@ -39,6 +40,7 @@ Row = tuple[str, str]  # label and text
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
 _QUESTIONED_NAMED = 4
+_BRANCH_NAMED = 4
 
 
 def pairs_csv(judged: JudgedPairs) -> bytes:
@@ -124,6 +126,15 @@ def joined_images(judged: JudgedPairs) -> list[tuple[str, str]]:
     accepted = (verdict for verdict in judged.verdicts if verdict.accepted)
     kept = (names for names in judged.kept if names not in judged.questioned)
     return [*((verdict.image1, verdict.image2) for verdict in accepted), *kept]
+
+
+def branch_sentence(branch: Branch) -> str:
+    """What hangs on one pair of a map, and why that matters."""
+    count = len(branch.images)
+    named = ", ".join(branch.images[:_BRANCH_NAMED])
+    more = f" and {count - _BRANCH_NAMED} more" if count > _BRANCH_NAMED else ""
+    hang = "hangs" if count == 1 else "hang"
+    return f"{named}{more} {hang} on {' - '.join(branch.pair)} alone: nothing checks how far away"
 
 
 def describe_questioned(judged: JudgedPairs) -> list[str]:

@@ -7,7 +7,7 @@ import os
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from epi360.jobs.mapping.colmap_mapper import (
     turn_upright,
 )
 from epi360.jobs.mapping.composed_poses import ComposedPoses, composed_poses
+from epi360.jobs.mapping.lone_branches import Branch, lone_branches
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
@@ -94,6 +95,7 @@ class MapRun:
     attempts: tuple[Attempt, ...] = ()  # ways of mapping that were tried, in order
     track: dict[str, Any] | None = None  # of a sequence: `SequenceStart.summary`
     was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
+    branches: tuple[Branch, ...] = ()  # of the first model, that one pair alone joins to the rest
 
 
 def map_images(
@@ -195,6 +197,7 @@ def map_images(
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
         record["track"] if was_asked or poses else None,
         was_mapped,
+        _branches(graph, models),
     )
 
 
@@ -288,6 +291,19 @@ class _Work:
             _panoramas(self.images, self.options.match.mask_nadir_deg),
             progress=self.progress,
         )
+
+
+def _branches(graph: MatchGraph, models: Sequence[MappedModel]) -> tuple[Branch, ...]:
+    """Images of the first model that hang on one pair."""
+    placed = [image.name for image in models[0].reconstruction.images] if models else []
+    frames = {name: graph.images[name].frame for name in placed}
+    frame_of = {name: name if frame is None else frame for name, frame in frames.items()}
+    mapped = (
+        (pair.image1, pair.image2)
+        for pair in graph.pairs
+        if pair.geometry is not None and pair.geometry.status in CONFIG_OF_STATUS
+    )
+    return lone_branches(mapped, frame_of)
 
 
 def _no_descriptors(name: str) -> None:
