@@ -28,10 +28,11 @@ from epi360.interop import (  # noqa: E402
     Reconstruction,
     TwoViewGeometry,
 )
-from epi360.interop.colmap_database import write_colmap_database  # noqa: E402
+from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database  # noqa: E402
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 from epi360.interop.nerfstudio import read_nerfstudio  # noqa: E402
 from epi360.jobs.folder.image_set import ImageSet, SourceImage, find_images  # noqa: E402
+from epi360.jobs.mapping import guided_matches  # noqa: E402
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
 from epi360.jobs.mapping.map_folder import MapOptions, map_images  # noqa: E402
 from epi360.jobs.mapping.mapped_models import MappedModel, write_transforms  # noqa: E402
@@ -168,6 +169,23 @@ def test_the_database_is_written_again_where_it_lacks_what_is_asked_for(
     assert num_with_descriptors(True) == 6
     (output / "database.db").unlink()  # somebody tidied up
     assert num_with_descriptors(True) == 6
+
+
+def test_pairs_get_more_inliers_along_their_epipolar_curves(room_folder, tmp_path, monkeypatch):
+    path, truth = room_folder
+    monkeypatch.setattr(guided_matches, "_ENOUGH", 10**6)  # its pairs have hundreds
+    options = MapOptions(MatchOptions(num_threads=1), mapper_threads=1)
+    run = map_images(find_images(path), tmp_path, options)
+    with closing(sqlite3.connect(tmp_path / "database.db")) as database:
+        (num_mapped,) = database.execute("SELECT SUM(rows) FROM two_view_geometries").fetchone()
+    num_found = sum(
+        told.num_inliers for told in run.matched.verdicts if told.status in CONFIG_OF_STATUS
+    )
+    assert num_mapped > 1.1 * num_found
+    poses = poses_of(run.models[0].reconstruction)
+    assert poses.keys() == truth.keys()
+    position, degrees = aligned_errors(poses, truth)
+    assert position < 0.004 and degrees < 0.15
 
 
 def rig_graph(back_from_front):

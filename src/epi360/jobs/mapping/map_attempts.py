@@ -34,7 +34,7 @@ from epi360.jobs.matching.match_folder import PairVerdict
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 
-RULES = 5  # of the attempts and the check: other rules, other models
+RULES = 6  # of the attempts and the check: other rules, other models
 # Another way is tried if more than this share of the images that pairs connect is left out.
 _MOST_LEFT_OUT = 0.05
 COMPOSED = "the poses of the pairs"

@@ -9,6 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from epi360.jobs.mapping.colmap_mapper import (
     turn_upright,
 )
 from epi360.jobs.mapping.composed_poses import ComposedPoses, composed_poses
+from epi360.jobs.mapping.guided_matches import with_guided
 from epi360.jobs.mapping.lone_branches import Branch, lone_branches
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
@@ -49,6 +51,7 @@ from epi360.jobs.matching.match_folder import (
 )
 from epi360.jobs.matching.match_result import Colors, descriptors_of, load_matches_and_colors
 from epi360.jobs.pairs.pair_selection import Pair, trajectory_pairs, ways_of
+from epi360.jobs.threads import num_cores
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import fingerprint, read_record, write_record
@@ -240,6 +243,13 @@ class _Work:
         made = self._map(how, poses)
         return {"fingerprint": made_from, **made, "descriptors": self.options.descriptors}, False
 
+    @cached_property
+    def _with_guided(self) -> MatchGraph:
+        """The graph that is mapped, which has more inliers where pairs have few."""
+        noise_deg = {(told.image1, told.image2): told.noise_deg for told in self.matched.verdicts}
+        num_threads = self.options.match.num_threads or num_cores()
+        return with_guided(self.graph, noise_deg, descriptors_of(self.output), num_threads)
+
     @property
     def _mapper(self) -> MapperOptions:
         given = self.options
@@ -250,7 +260,7 @@ class _Work:
         path = self.output / DATABASE
         path.unlink(missing_ok=True)
         wanted = descriptors_of(self.output) if self.options.descriptors else _no_descriptors
-        write_colmap_database(path, self.graph, descriptors=wanted)
+        write_colmap_database(path, self._with_guided, descriptors=wanted)
 
     def _map(self, how: str, poses: Mapping[str, Pose]) -> dict[str, Any]:
         """Write database and models; returns what the record says of them."""
@@ -261,7 +271,7 @@ class _Work:
         mapped = map_by_attempts(
             self.output / DATABASE,
             self._mapper,
-            self.graph,
+            self._with_guided,
             self.matched.verdicts,
             colors=self.colors,
             initial=(how, poses),
