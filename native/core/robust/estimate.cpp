@@ -287,10 +287,9 @@ class Estimate {
   // pose may have hidden one: it is the epipolar lines along which most of it goes.
   NeighbourErrors shared_errors(const Uncertainty& uncertainty) const {
     NeighbourErrors errors{1.0 / uncertainty.clustering, 0.5 * uncertainty.shared};
-    if (errors.hidden > 0.0) {
-      errors.independent =
-          std::min(errors.independent, independent_share(m_, result_.inlier, uncertainty.shared));
-    }
+    if (!(errors.hidden > 0.0)) return errors;
+    const double share = independent_share(m_, result_.inlier, uncertainty.shared);
+    if (share < errors.independent) errors.independent = share;
     return errors;
   }
 

@@ -34,8 +34,8 @@ SharedError shared_error(const Matches& m, const RelativePose& cam2_from_cam1,
 
 // Share of the inliers that would tell as much of the size of the angles between R b1 and b2 if
 // their errors were independent: (tr C)^2 / (2 |C|^2) matches, with the covariance C of two
-// components each, without what the rotation that fits best takes up. `shared`: tau^2 over the
-// variance of one component of a match.
+// components each, without what the rotation that fits best takes up. NaN where they lie in one
+// direction and fix none. `shared`: tau^2 over the variance of one component of a match.
 double independent_share(const Matches& m, const std::vector<unsigned char>& inlier, double shared);
 
 }  // namespace epi360
