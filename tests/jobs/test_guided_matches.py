@@ -61,6 +61,13 @@ def test_key_points_that_repeat_are_told_apart_along_their_curves():
     assert pair.geometry.cam2_from_cam1 is before.geometry.cam2_from_cam1
 
 
+def test_somebody_hears_how_far_it_is():
+    graph, described = few_inliers(num_images=3)
+    heard = []
+    with_guided(graph, noise_of(graph), described.__getitem__, 2, lambda *told: heard.append(told))
+    assert heard == [("more matches", count, 3) for count in range(4)]
+
+
 def test_a_wrong_pose_finds_far_fewer():
     graph, described = few_inliers()
     (pair,) = graph.pairs

@@ -22,6 +22,7 @@ from epi360.epipolar.essential import cheirality_mask, essential_from_pose
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.jobs.threads import on_threads
 from epi360.poses import Pose
+from epi360.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 Descriptors = NDArray[np.float32]
@@ -36,6 +37,7 @@ _NUM_SIGMAS = 3.0  # of the noise, from the epipolar curve
 _RATIO, _AS_ALIKE_AS = 0.7, 0.9
 _ROWS_AT_ONCE = 128  # whose angles to all key points stay in the cache
 _IMAGES_IN_MEMORY = 32  # with descriptors of 5 MB
+_STAGE = "more matches"
 
 
 class View(NamedTuple):
@@ -61,11 +63,13 @@ def with_guided(
     noise_deg: Mapping[tuple[str, str], float],
     descriptors: Callable[[str], Descriptors],
     num_threads: int,
+    progress: Progress = no_progress,
 ) -> MatchGraph:
     """Return the graph with more inliers of its "ok" pairs that have fewer than 200.
 
     ``noise_deg`` is that of the pairs, by the names of both images; a pair without keeps what it
-    has. With more than ``MOST_PAIRS`` of these pairs all do.
+    has. With more than ``MOST_PAIRS`` of these pairs all do. ``progress`` is told of the stage
+    "more matches".
     """
     asked = [
         (row, pair)
@@ -85,9 +89,12 @@ def with_guided(
         return _with_more(pair, (view_of(pair.image1), view_of(pair.image2)), gate)
 
     pairs = list(graph.pairs)
+    progress(_STAGE, 0, len(asked))
     with threadpool_limits(1, user_api="blas"):
-        for (row, _), pair in on_threads(more, asked, num_threads):
+        found = on_threads(more, asked, num_threads)
+        for count, ((row, _), pair) in enumerate(found, start=1):
             pairs[row] = pair
+            progress(_STAGE, count, len(asked))
     return dataclasses.replace(graph, pairs=tuple(pairs))
 
 

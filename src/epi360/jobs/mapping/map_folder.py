@@ -248,7 +248,8 @@ class _Work:
         """The graph that is mapped, which has more inliers where pairs have few."""
         noise_deg = {(told.image1, told.image2): told.noise_deg for told in self.matched.verdicts}
         num_threads = self.options.match.num_threads or num_cores()
-        return with_guided(self.graph, noise_deg, descriptors_of(self.output), num_threads)
+        descriptors = descriptors_of(self.output)
+        return with_guided(self.graph, noise_deg, descriptors, num_threads, self.progress)
 
     @property
     def _mapper(self) -> MapperOptions:
