@@ -12,6 +12,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from epi360.epipolar.essential import cheirality_mask, essential_from_pose
 from epi360.interop.match_graph import MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.jobs.records.stored_graph import OnDemand
 from epi360.jobs.threads import on_threads
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
@@ -71,31 +73,29 @@ def with_guided(
     has. With more than ``MOST_PAIRS`` of these pairs all do. ``progress`` is told of the stage
     "more matches".
     """
-    asked = [
-        (row, pair)
-        for row, pair in enumerate(graph.pairs)
-        if pair.geometry is not None
-        and pair.geometry.status == "ok"
-        and 0 < len(pair.geometry.inliers) < _ENOUGH
-        and np.isfinite(noise_deg.get((pair.image1, pair.image2), np.nan))
-    ]
+    lacking = (row for row, pair in enumerate(graph.pairs) if _lacks_inliers(pair, noise_deg))
+    asked = list(islice(lacking, MOST_PAIRS + 1))
     if not 0 < len(asked) <= MOST_PAIRS:
         return graph
     view_of = lru_cache(_IMAGES_IN_MEMORY)(partial(_view, graph, descriptors))
 
-    def more(item: tuple[int, MatchedPair]) -> MatchedPair:
-        pair = item[1]
+    def more(row: int) -> MatchedPair:
+        pair = graph.pairs[row]
         gate = _NUM_SIGMAS * np.radians(noise_deg[pair.image1, pair.image2])
         return _with_more(pair, (view_of(pair.image1), view_of(pair.image2)), gate)
 
-    pairs = list(graph.pairs)
+    found: dict[int, MatchedPair] = {}
     progress(_STAGE, 0, len(asked))
     with threadpool_limits(1, user_api="blas"):
-        found = on_threads(more, asked, num_threads)
-        for count, ((row, _), pair) in enumerate(found, start=1):
-            pairs[row] = pair
-            progress(_STAGE, count, len(asked))
-    return dataclasses.replace(graph, pairs=tuple(pairs))
+        for row, pair in on_threads(more, asked, num_threads):
+            found[row] = pair
+            progress(_STAGE, len(found), len(asked))
+
+    def pair_of(row: int) -> MatchedPair:
+        return found[row] if row in found else graph.pairs[row]
+
+    # The others stay as small as they are stored.
+    return dataclasses.replace(graph, pairs=OnDemand(pair_of, range(len(graph.pairs))))
 
 
 def guided_matches(view1: View, view2: View, geometry: TwoViewGeometry, gate: float) -> Indices:
@@ -125,6 +125,15 @@ def guided_matches(view1: View, view2: View, geometry: TwoViewGeometry, gate: fl
     first, second = nearest.first[kept], nearest.second[kept]
     ahead = cheirality_mask(left[0].bearings[first], left[1].bearings[second], pose)
     return np.stack([free1[first[ahead]], free2[second[ahead]]], axis=1)
+
+
+def _lacks_inliers(pair: MatchedPair, noise_deg: Mapping[tuple[str, str], float]) -> bool:
+    """Whether more are looked for: its pose is known, and how near the curve they must be."""
+    geometry = pair.geometry
+    if geometry is None or geometry.status != "ok":
+        return False
+    is_known = bool(np.isfinite(noise_deg.get((pair.image1, pair.image2), np.nan)))
+    return is_known and 0 < len(geometry.inliers) < _ENOUGH
 
 
 def _view(graph: MatchGraph, descriptors: Callable[[str], Descriptors], name: str) -> View:
