@@ -39,8 +39,7 @@ Row = tuple[str, str]  # label and text
 
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
-_QUESTIONED_NAMED = 4
-_BRANCH_NAMED = 4
+_FEW_NAMED = 4
 
 
 def pairs_csv(judged: JudgedPairs) -> bytes:
@@ -130,11 +129,9 @@ def joined_images(judged: JudgedPairs) -> list[tuple[str, str]]:
 
 def branch_sentence(branch: Branch) -> str:
     """What hangs on one pair of a map, and why that matters."""
-    count = len(branch.images)
-    named = ", ".join(branch.images[:_BRANCH_NAMED])
-    more = f" and {count - _BRANCH_NAMED} more" if count > _BRANCH_NAMED else ""
-    hang = "hangs" if count == 1 else "hang"
-    return f"{named}{more} {hang} on {' - '.join(branch.pair)} alone: nothing checks how far away"
+    hang = "hangs" if len(branch.images) == 1 else "hang"
+    pair = " - ".join(branch.pair)
+    return f"{_first_few(branch.images)} {hang} on {pair} alone: nothing checks how far away"
 
 
 def describe_questioned(judged: JudgedPairs) -> list[str]:
@@ -142,11 +139,10 @@ def describe_questioned(judged: JudgedPairs) -> list[str]:
     count = len(judged.questioned)
     if not count:
         return []
-    named = ", ".join(" - ".join(names) for names in judged.questioned[:_QUESTIONED_NAMED])
-    more = f" and {count - _QUESTIONED_NAMED} more" if count > _QUESTIONED_NAMED else ""
+    named = _first_few([" - ".join(names) for names in judged.questioned])
     what = "1 pair keeps a pose" if count == 1 else f"{count} pairs keep poses"
     return [
-        f"{what} that others or its own inliers speak against ({named}{more}): --verify-again "
+        f"{what} that others or its own inliers speak against ({named}): --verify-again "
         "judges all pairs anew."
     ]
 
@@ -249,6 +245,11 @@ def _listed(label: str, lines: list[str]) -> list[Row]:
     if len(lines) > _MAX_LISTED:
         rows.append((label, f"and {len(lines) - _MAX_LISTED} more"))
     return rows
+
+
+def _first_few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _FEW_NAMED} more" if len(names) > _FEW_NAMED else ""
+    return ", ".join(names[:_FEW_NAMED]) + more
 
 
 def _number(value: float) -> str:

@@ -153,7 +153,7 @@ class Judged:
         joined = self._groups.joined
         ratios = np.array([court.ratio(row, joined) for row in range(len(evidence))])
         share_wrong = max(self._share_wrong, _DOUBTED_WRONG)
-        groups = Groups(self._groups.joined, ratios, {}, self._groups.num_loops)
+        groups = replace(self._groups, ratios=ratios, ways={})
         return court.verdicts(groups, share_wrong, few=len(self.verdicts) < _FEW)
 
 
@@ -370,10 +370,9 @@ class _Court:
         """
         joined, told = groups.joined, groups.ratios[row]
         if np.isneginf(told):
-            way = tuple(groups.ways[row])
             return (
                 f"{ANOTHER_PLACE}, for pairs that more speaks for turn its panoramas otherwise",
-                way,
+                tuple(groups.ways[row]),
             )
         if told < (alone := self.ratio(row, joined)) and alone >= 0.0:
             return f"{COPY}, for too little speaks for pairs that say the same", ()

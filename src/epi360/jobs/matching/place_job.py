@@ -100,17 +100,20 @@ def check_places(settled: SettledPairs) -> Places | None:
         points = _of_each(work, known.of_points, range(len(keys)))
     if len(points) < len(keys) or known.num_heard == 0:
         return None
-    return _judged(folder, keys, known, points)
+    places = _judged(work, keys, known, points)
+    named = {
+        each: _naming_others(folder, known.pairs, place) for each, place in places.verdicts.items()
+    }
+    return replace(places, verdicts=named)
 
 
 def _judged(
-    folder: VerifiedFolder,
+    work: _Work,
     keys: Sequence[Keys],
     known: Surroundings,
     points: Mapping[int, Evidence],
 ) -> Places:
     """Verdicts by points, and by surfaces, which cost much more: of many pairs only in doubt."""
-    work = _Work(folder.num_threads, folder.progress)
     num_heard, evidence = known.num_heard, list(points.values())
     heard, views = known.pairs[:num_heard], Views()
     if num_heard <= _FEW_PAIRS or leave_a_doubt(heard, evidence[:num_heard]):
@@ -118,8 +121,7 @@ def _judged(
         evidence, views = (evidence, views) if told is None else told
     judged = judge_places(heard, evidence[:num_heard])
     verdicts = (*judged.verdicts, *judged.on_doubted(evidence[num_heard:]))
-    named = (_naming_others(folder, known.pairs, each) for each in verdicts)
-    told_of = dict(zip(keys, named, strict=True))
+    told_of = dict(zip(keys, verdicts, strict=True))
     return Places(told_of, work.num_threads, known, views, judged)
 
 
