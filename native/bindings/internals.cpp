@@ -6,6 +6,8 @@
 #include <vector>
 
 #include "bindings/arrays.h"
+#include "core/refinement/refine.h"
+#include "core/robust/displacement.h"
 #include "core/robust/evidence.h"
 #include "core/robust/plane.h"
 #include "core/robust/ransac.h"
@@ -147,6 +149,33 @@ void bind_internals(nb::module_& module) {
       "density_in_view",
       [](Bearings b1, Bearings b2) { return density_in_view(to_matches(b1, b2)); }, "bearings1"_a,
       "bearings2"_a);
+  m.def(
+      "displacements",
+      [](Bearings b1, Bearings b2) {
+        const Matches matches = to_matches(b1, b2);
+        std::vector<double> sines = displacements(matches);
+        sines.resize(matches.size);
+        return sines;
+      },
+      "bearings1"_a, "bearings2"_a);
+  m.def(
+      "log_odds_over_chance",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, double scale,
+         const std::vector<double>& shares, double outlier_density, double depth_tolerance) {
+        const Matches matches = to_matches(b1, b2);
+        std::vector<double> residuals(matches.padded), margins(matches.padded);
+        compute_residuals(matches, Residual::kSampson, plain(to_pose(R, t)), residuals.data(),
+                          margins.data());
+        LossModel mixture;
+        mixture.loss = Loss::kMixture;
+        mixture.scale = scale;
+        mixture.outlier_density = outlier_density;
+        for (std::size_t k = 0; k < shares.size(); ++k) mixture.share[k] = shares[k];
+        return log_odds_over_chance(matches, displacements(matches), residuals.data(),
+                                    margins.data(), depth_tolerance, mixture);
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "scale"_a, "shares"_a,
+      "outlier_density"_a, "depth_tolerance"_a);
   m.def(
       "rotation_chance",
       [](Bearings b1, Bearings b2, Matrix3 R, double gate, std::uint64_t seed) {

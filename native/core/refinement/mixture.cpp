@@ -20,7 +20,7 @@ struct Model {
   double uniform;
 };
 
-EPI360_INLINE Model prepared(const LossModel& m) {
+EPI360_INLINE Model prepared(const LossModel& m, double outlier_density) {
   Model out;
   out.factor = -0.5 / (m.scale * m.scale * 4096.0);
   double height = kInverseRootTwoPi / m.scale;
@@ -28,17 +28,18 @@ EPI360_INLINE Model prepared(const LossModel& m) {
     out.height[k] = m.share[k] * height;
     height *= 0.25;
   }
-  out.uniform = m.uniform_share() * m.outlier_density;
+  out.uniform = m.uniform_share() * outlier_density;
   return out;
 }
 
-// near_miss: share of the wider Gaussians that is left to a match behind a camera, 0 or 1.
-EPI360_INLINE MixtureParts parts_at(double residual, bool in_front, double near_miss,
+// near_miss: share of the wider Gaussians that is left to a match behind a camera, 0 or 1. unit: of
+// the densities of Gaussians.
+EPI360_INLINE MixtureParts parts_at(double residual, bool in_front, double near_miss, double unit,
                                     const Model& m) {
   MixtureParts p;
   double e = vector_exp(residual * residual * m.factor) * (in_front ? 1.0 : near_miss);
   for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
-    p.gaussian[k] = m.height[k] * e;
+    p.gaussian[k] = m.height[k] * e * unit;
     for (int squaring = 0; squaring < 4; ++squaring) e *= e;
   }
   p.gaussian[0] = in_front ? p.gaussian[0] : 0.0;
@@ -57,11 +58,11 @@ struct LaneSum {
 
 EPI360_INLINE double total_of(const LaneSum& s) { return lane_sum(s.lane); }
 
-template <bool unit>
+template <bool unit, bool over_chance>
 EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
                                     const double* margins, double tolerance, double near_miss,
-                                    const LossModel& loss, double* weights) {
-  const Model model = prepared(loss);
+                                    const double* reach, const LossModel& loss, double* weights) {
+  const Model model = prepared(loss, over_chance ? 1.0 : loss.outlier_density);
   LaneSum part[LossModel::kGaussians], squares, count, log_density;
   double weight[kBlock], total[kBlock];
   for (std::size_t start = 0; start < m.padded; start += kBlock) {
@@ -69,7 +70,8 @@ EPI360_INLINE MixtureSums pass_loop(const Matches& m, const double* residuals,
       for (std::size_t lane = 0; lane < kLanes; ++lane) {
         const std::size_t j = group + lane, i = start + j;
         const double r = residuals[i], own = m.weight[i];
-        const MixtureParts p = parts_at(r, margins[i] > -tolerance, near_miss, model);
+        const MixtureParts p =
+            parts_at(r, margins[i] > -tolerance, near_miss, over_chance ? reach[i] : 1.0, model);
         const double all = p.total(), share = own / all;
         for (int k = 0; k < LossModel::kGaussians; ++k) part[k].lane[lane] += share * p.gaussian[k];
         weight[j] = share * precision_of(p.gaussian);
@@ -105,9 +107,19 @@ MixtureSums mixture_pass(const Matches& m, const double* residuals, const double
                          double tolerance, bool may_be_near_miss, const LossModel& model,
                          double* weights) {
   const double near_miss = may_be_near_miss ? 1.0 : 0.0;
+  return m.unit_weights ? pass_loop<true, false>(m, residuals, margins, tolerance, near_miss,
+                                                 nullptr, model, weights)
+                        : pass_loop<false, false>(m, residuals, margins, tolerance, near_miss,
+                                                  nullptr, model, weights);
+}
+
+EPI360_MULTIVERSION_WIDE
+MixtureSums mixture_pass_over_chance(const Matches& m, const double* residuals,
+                                     const double* margins, double tolerance, const double* reach,
+                                     const LossModel& model, double* weights) {
   return m.unit_weights
-             ? pass_loop<true>(m, residuals, margins, tolerance, near_miss, model, weights)
-             : pass_loop<false>(m, residuals, margins, tolerance, near_miss, model, weights);
+             ? pass_loop<true, true>(m, residuals, margins, tolerance, 0.0, reach, model, weights)
+             : pass_loop<false, true>(m, residuals, margins, tolerance, 0.0, reach, model, weights);
 }
 
 EPI360_MULTIVERSION_WIDE

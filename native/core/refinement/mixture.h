@@ -23,6 +23,13 @@ MixtureSums mixture_pass(const Matches& m, const double* residuals, const double
                          double tolerance, bool may_be_near_miss, const LossModel& model,
                          double* weights);
 
+// The same with densities relative to those of wrong matches, which differ from match to match:
+// reach[i] is 1 over the density of match i (m.padded entries). log_likelihood is then the log-odds
+// of the mixture over wrong matches alone.
+MixtureSums mixture_pass_over_chance(const Matches& m, const double* residuals,
+                                     const double* margins, double tolerance, const double* reach,
+                                     const LossModel& model, double* weights);
+
 // Weights and cost of the Geman-McClure loss, also as one pass.
 double geman_mcclure_pass(const Matches& m, const double* residuals, const double* margins,
                           double tolerance, double scale, double* weights);

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include "core/refinement/fit_mixture.h"
+#include "core/robust/displacement.h"
 #include "core/robust/evidence.h"
 
 namespace epi360 {
@@ -29,6 +30,12 @@ constexpr int kProbe = 1;            // steps after which it shows whether they 
 constexpr double kProbeGain = 0.3;   // share of that by then
 constexpr double kNarrowest = 1e-4;  // radians, of annealing
 constexpr double kAnnealFrom = 2.0 * kDegree;
+constexpr double kSharper = 1.5;   // times less noise
+constexpr double kClearly = 30.0;  // log-odds that a sharper candidate must have more
+
+bool is_sharper(const Candidate& one, const Candidate& other) {
+  return kSharper * one.loss.scale < other.loss.scale;
+}
 
 }  // namespace
 
@@ -156,6 +163,33 @@ void Candidates::anneal() {
       annealed(start.cam2_from_cam1, std::max(2.0 * start.loss.scale, kNarrowest));
   if (!same_pose(pose, start.cam2_from_cam1, 0.05 * kSameRotation, 0.05 * kSameDirection)) {
     polish(pose, 25);
+  }
+}
+
+double Candidates::log_odds(const Candidate& candidate) {
+  if (displaced_.empty()) displaced_ = displacements(m_);
+  compute_residuals_at(candidate.cam2_from_cam1);
+  const Linearisation& at = workspace_.current;
+  return scale_evidence(candidate.loss) - prior_.cost(candidate.cam2_from_cam1) +
+         log_odds_over_chance(m_, displaced_, at.residuals.data(), at.margins.data(),
+                              depth_tolerance_, candidate.loss);
+}
+
+double Candidates::lead(const Candidate& candidate, const Candidate& over) {
+  const double by_evidence = candidate.evidence - over.evidence;
+  if (!is_sharper(over, candidate)) return by_evidence;
+  return std::min(by_evidence, log_odds(candidate) - log_odds(over));
+}
+
+void Candidates::give_up_blurred() {
+  const auto is_sharper_than_best = [&](const Candidate& c) { return is_sharper(c, best()); };
+  while (std::any_of(candidates_.begin(), candidates_.end(), is_sharper_than_best)) {
+    const double enough = log_odds(best()) + kClearly;
+    const auto wins = [&](const Candidate& c) {
+      return is_sharper_than_best(c) && log_odds(c) > enough;
+    };
+    if (std::none_of(candidates_.begin(), candidates_.end(), wins)) return;
+    candidates_.erase(candidates_.begin());
   }
 }
 

@@ -49,9 +49,6 @@ class Candidates {
   // The optimum of the residuals alone near a candidate, and its evidence without depths.
   Candidate without_depths(const Candidate& start);
   void replace_best(const Candidate& candidate) { candidates_.front() = candidate; }
-  void raise_best(double evidence) {
-    candidates_.front().evidence = std::max(candidates_.front().evidence, evidence);
-  }
   // Adds a candidate of the same matches behind those that are more likely, and behind one that was
   // put first; false if it is the first one, or known with about as much evidence.
   bool add(const Candidate& candidate);
@@ -65,6 +62,13 @@ class Candidates {
   // Gives the best candidate up for the pose under one Gaussian and the uniform part where the
   // wider Gaussians explain nothing: they would cost a tenth of the accuracy.
   void simplify();
+  // Gives the best candidate up, and the next one again, where a sharper one has clearly more
+  // log-odds over chance (displacement.h): its noise is so large that it explains wrong matches
+  // too.
+  void give_up_blurred();
+  // Evidence by which a candidate leads another one; or the log-odds over chance, if it has more
+  // noise and they are less.
+  double lead(const Candidate& candidate, const Candidate& over);
   // Polishes candidates whose log-evidence is at most `range` below the best one's to the end.
   void finish(const std::vector<Candidate>& candidates, double range);
 
@@ -82,6 +86,7 @@ class Candidates {
   // Whether the matches that agree with a pose, at which the workspace is, show more than noise.
   bool has_parallax(const RefineResult& at) const;
   bool is_known(const RelativePose& cam2_from_cam1, double reach) const;
+  double log_odds(const Candidate& candidate);
   // The one that is the same optimum.
   std::vector<Candidate>::iterator same_as(const Candidate& candidate);
   void keep(const Candidate& candidate);
@@ -91,6 +96,7 @@ class Candidates {
   PosePrior prior_;
   double depth_tolerance_ = 0.0;
   double outlier_density_;
+  std::vector<double> displaced_;  // empty until they are asked for
   std::vector<Candidate> candidates_;
   RefineWorkspace workspace_;
 };

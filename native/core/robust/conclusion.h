@@ -11,7 +11,7 @@
 
 namespace epi360 {
 
-// num_matches, max_noise: as of `estimate_relative_pose`.
+// num_matches: as of `estimate_relative_pose`. max_noise: as of `MatchPriors`.
 void conclude(const Matches& m, const RobustOptions& options, std::size_t num_matches,
               double max_noise, RobustResult& r);
 

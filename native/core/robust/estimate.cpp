@@ -164,12 +164,14 @@ class Estimate {
     // What the pose was moved by since it was a candidate may have made it more likely.
     Candidates same(m_, options_.residual, prior_);
     same.set_depth_tolerance(candidates.depth_tolerance());
-    candidates.raise_best(same.polish(result_.cam2_from_cam1, kPolishings, kPolished).evidence);
+    const Candidate moved = same.polish(result_.cam2_from_cam1, kPolishings, kPolished);
+    if (moved.evidence > candidates.best().evidence) candidates.replace_best(moved);
     bool competes = false;
     for (const Candidate& rival : others.all()) {
       if (rival.evidence < candidates.best().evidence - kCompetingEvidence) break;
       competes = candidates.add(rival) || competes;
     }
+    if (competes) candidates.give_up_blurred();
     return competes;
   }
 
@@ -398,9 +400,9 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
 
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
-                                    std::size_t num_matches, double max_noise) {
+                                    std::size_t num_matches) {
   RobustResult result = estimate_all(m, options, priors, seed);
-  conclude(m, options, num_matches, max_noise, result);
+  conclude(m, options, num_matches, priors.max_noise, result);
   const std::vector<std::size_t> fixed = maybe_fixed(m, result);
   if (fixed.empty()) return result;
   const MatchesLeft left = without(m, priors, fixed);
@@ -408,7 +410,7 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   other.num_iterations += result.num_iterations;
   result.num_iterations = other.num_iterations;
   other.evidence.num_fixed = static_cast<int>(fixed.size());
-  conclude(left.m, options, num_matches, max_noise, other);
+  conclude(left.m, options, num_matches, priors.max_noise, other);
   if (!shows_fixed(m, fixed, left, other, options.residual)) return result;
   return on_all(m, left, std::move(other), options.residual);
 }

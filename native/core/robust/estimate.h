@@ -34,9 +34,9 @@ struct RobustResult {
   std::vector<RelativePose> alternatives;
 };
 
-// num_matches: rows from which `m` was made, missing ones included. max_noise: radians, 0 for none.
+// num_matches: rows from which `m` was made, missing ones included.
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
-                                    std::size_t num_matches, double max_noise);
+                                    std::size_t num_matches);
 
 }  // namespace epi360

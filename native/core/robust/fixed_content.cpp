@@ -77,6 +77,7 @@ MatchesLeft without(const Matches& m, const MatchPriors& priors,
   }
   left.m = chosen_matches(m, left.rows);
   left.priors.pose = priors.pose;
+  left.priors.max_noise = priors.max_noise;
   return left;
 }
 

@@ -27,6 +27,8 @@ struct RobustOptions {
 struct MatchPriors {
   std::vector<double> scores;  // higher is better; empty if there are none
   PosePrior pose;
+  // Radians, of the bearings: more than that is worth a warning, and longer search; 0 for no limit.
+  double max_noise = 0.0;
 };
 
 }  // namespace epi360

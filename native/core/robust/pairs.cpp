@@ -166,8 +166,9 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
     priors.pose.gravity_sigma = input.gravity_sigma;
     priors.pose.elevation_sigma = input.elevation_sigma;
   }
+  priors.max_noise = input.max_noise;
   RobustResult& r = out.robust;
-  r = estimate_relative_pose(usable.m, scaled, priors, input.seed, input.n, input.max_noise);
+  r = estimate_relative_pose(usable.m, scaled, priors, input.seed, input.n);
   r.inlier = spread_out<unsigned char>(r.inlier, usable.rows, input.n, 0);
   r.residuals = spread_out<double>(r.residuals, usable.rows, input.n, std::nan(""));
   return out;

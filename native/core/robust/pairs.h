@@ -24,7 +24,7 @@ struct PairInput {
   const double* gravity2 = nullptr;
   double gravity_sigma = 0.0, elevation_sigma = 0.0;  // radians, see PosePrior
   std::uint64_t seed = 0;
-  double max_noise = 0.0;  // radians: more than that is worth a warning; 0 for no limit
+  double max_noise = 0.0;  // see MatchPriors
 };
 
 // A row of view 1 or 2 that is infinite or of zero length; view 0 where there is none.

@@ -22,7 +22,7 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
                    const Eigen::Matrix<double, 5, 5>& covariance,
                    const std::vector<unsigned char>& inlier, double gate) {
   Rivals rivals;
-  const double evidence = candidates.best().evidence;
+  const Candidate best = candidates.best();
   const Eigen::Vector3d plane = fit_plane(m, pose, inlier, 1.5 * gate, &rivals.plane_share);
   RelativePose twin;
   if (is_planar(rivals.plane_share) && twin_pose(pose, plane, &twin)) {
@@ -40,7 +40,7 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
     return differ(a, b, kSameRotation, kSameDirection);
   };
   for (const Candidate& c : candidates.all()) {  // descending evidence
-    const Rival rival{c.cam2_from_cam1, c.loss, c.evidence - evidence};
+    const Rival rival{c.cam2_from_cam1, c.loss, candidates.lead(c, best)};
     if (same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
       bool is_new = is_other(pose, c.cam2_from_cam1);
       for (const Rival& known : rivals.nearby) {

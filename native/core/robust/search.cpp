@@ -7,6 +7,7 @@
 #include <numeric>
 #include <utility>
 
+#include "core/robust/derivative_noise.h"
 #include "core/robust/essential_problem.h"
 #include "core/robust/pool.h"
 #include "core/robust/ransac.h"
@@ -71,9 +72,22 @@ std::vector<std::size_t> searched(const Matches& m, const std::vector<double>& s
   return chosen;
 }
 
+// A pose with more noise than key points have may agree with most matches, and hide the right one,
+// which agrees with fewer. Above this scale of residuals, sampling goes on as if no larger share
+// agreed.
+struct Hiding {
+  double scale, share;
+};
+
+Hiding hiding(double max_noise, Residual residual) {
+  constexpr double kUsualNoise = 0.3 * kDegree;  // where nobody has said how much there is
+  if (!(max_noise > 0.0)) return {kUsualNoise, 0.5};
+  return {max_noise / noise_per_residual(residual), 0.35};
+}
+
 // Share of inliers among the matches that samples come from.
 double inlier_share(const Matches& m, const RelativePose& pose, const EssentialProblem& problem,
-                    const Sampler& sampler, Candidates& candidates) {
+                    const Sampler& sampler, const Hiding& noisy, Candidates& candidates) {
   const LossModel mixture = candidates.mixture_at(pose);
   const Linearisation& at = candidates.linearisation();
   const double gate = problem.gates().size() == 1 ? problem.gates().front() : gate_of(mixture);
@@ -87,7 +101,8 @@ double inlier_share(const Matches& m, const RelativePose& pose, const EssentialP
     const bool considered = sampler.progressive() && i + 1 >= sampler.reached();
     if (considered && total >= kFewestOrdered) best = std::max(best, inliers / total);
   }
-  return total > 0.0 ? std::max(best, inliers / total) : best;
+  if (total > 0.0) best = std::max(best, inliers / total);
+  return mixture.scale > noisy.scale ? std::min(best, noisy.share) : best;
 }
 
 // Samples after which a pose with the fewest inliers that are believed would have been hit. Who
@@ -105,13 +120,15 @@ LoopOptions limits_of_loop(const Matches& m, int sample_size, const RobustOption
 }
 
 // Sampling until the gate agrees with the noise found. Returns the number of samples.
-int sample_poses(const Matches& m, const RobustOptions& options, EssentialProblem& problem,
-                 Sampler& sampler, Random& random, Candidates& candidates) {
+int sample_poses(const Matches& m, const RobustOptions& options, double max_noise,
+                 EssentialProblem& problem, Sampler& sampler, Random& random,
+                 Candidates& candidates) {
   const LoopOptions loop = limits_of_loop(m, problem.sample_size(), options);
   HypothesisPool pool;
   LoopResult<RelativePose> result;
+  const Hiding noisy = hiding(max_noise, options.residual);
   const auto share = [&](const RelativePose& pose) {
-    return inlier_share(m, pose, problem, sampler, candidates);
+    return inlier_share(m, pose, problem, sampler, noisy, candidates);
   };
   const bool is_known = options.threshold > 0.0;
   problem.set_gates(is_known ? std::vector<double>{options.threshold} : kAllScales);
@@ -119,6 +136,7 @@ int sample_poses(const Matches& m, const RobustOptions& options, EssentialProble
   double gate = kAllScales.back();
   for (int round = 0; round < kScaleRounds && !is_known && result.found(); ++round) {
     candidates.polish_pool(pool, 12);
+    candidates.give_up_blurred();
     if (candidates.empty()) break;
     const Candidate best = candidates.best();
     const double next = estimated_gate(best.loss);
@@ -169,15 +187,20 @@ SearchResult search_poses(const Matches& m, const RobustOptions& options, const 
   if (priors.pose.has_gravity) problem.use_gravity(priors.pose.gravity1, priors.pose.gravity2);
   Sampler sampler(static_cast<std::uint32_t>(used.size), problem.sample_size(),
                   !priors.scores.empty());
-  const int num_iterations = sample_poses(used, options, problem, sampler, random, candidates);
+  const int num_iterations =
+      sample_poses(used, options, priors.max_noise, problem, sampler, random, candidates);
+  candidates.give_up_blurred();
   candidates.anneal();
+  candidates.give_up_blurred();
   if (!is_reordered) {
     candidates.finish(candidates.all(), kFinalistEvidence);
+    candidates.give_up_blurred();
     return {std::move(candidates), num_iterations};
   }
   Candidates of_all(m, options.residual, priors.pose);
   of_all.set_depth_tolerance(default_gate());
   of_all.finish(finalists(m, options, priors, candidates.all(), random), kFinalistEvidence);
+  of_all.give_up_blurred();
   return {std::move(of_all), num_iterations};
 }
 

@@ -80,7 +80,9 @@ def estimate_relative_pose(
         to have moved at one height, as on a tripod; needs gravity.
     max_noise_deg : float, optional
         Noise of the bearings (one sigma) from which on an "ok" result carries a warning; its
-        probability falls, and from three times as much on it is refused (``too_few_inliers``).
+        probability falls, and from three times as much on it is refused (``too_few_inliers``). The
+        search does not end with such a pose: a right one may be hidden that fewer matches agree
+        with.
     options : RansacOptions
         How the sampling runs.
     seed : int
