@@ -23,6 +23,7 @@ ROOM_M = (4.0, 1.5, 4.0)  # half its sides
 STEP_M = 0.7  # of the camera along an axis, at most
 CARRIED_DEG = 40.0  # around straight down
 CAR_DEG = 30.0  # around what passes
+AHEAD_DEG, SWAY_DEG, TURN_DEG = 60.0, 2.5, 6.0  # around who walks ahead, who sways; of the camera
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,19 @@ def _passed(rng: np.random.Generator, *, num: int) -> CameraMatches:
     later = (car - middle) @ turn.T + middle + rng.uniform(-1.5, 1.5, 3) * [1.0, 0.0, 1.0]
     first, second = (np.concatenate([scene, _unit(each)]) for each in (car, later))
     return _disturbed(rng, first, second, Pose(np.eye(3), np.full(3, np.nan)))
+
+
+def _followed(rng: np.random.Generator, *, num: int) -> CameraMatches:
+    """Two hundred matches of a room, and somebody close by who walks ahead of the camera.
+
+    Each of their matches is where it was, to a few degrees.
+    """
+    turn = rotation_from_vector(np.radians(TURN_DEG * rng.normal(size=3) * [0.1, 1.0, 0.1]))
+    pose = Pose(turn, np.array([0.2, 0.05, -1.0]) * rng.uniform(0.3, 1.0))
+    first, second = _room(rng, pose, 200)
+    ahead = _cap(rng, num, AHEAD_DEG)[:, [0, 2, 1]]
+    swayed = _unit(ahead + np.radians(SWAY_DEG) * _across(ahead, rng.normal(size=ahead.shape)))
+    return _disturbed(rng, np.concatenate([first, ahead]), np.concatenate([second, swayed]), pose)
 
 
 def _pose(rng: np.random.Generator, *, moved: bool) -> Pose:
@@ -123,4 +137,5 @@ CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
     **{f"step, {n} carried": partial(_carried, num=n, moved=True) for n in (50, 150, 400)},
     **{f"turn, {n} carried": partial(_carried, num=n, moved=False) for n in (50, 150, 400)},
     **{f"still, {n} passing": partial(_passed, num=n) for n in (50, 100, 200)},
+    **{f"step, {n} walk ahead": partial(_followed, num=n) for n in (100, 200, 300)},
 }

@@ -25,7 +25,7 @@ from epi360_scenes.tours import Panorama, Tour
 
 PAIR, MATCHES_ALONE = f"{OURS} pair", f"{OURS} pair, matches alone"
 CLIPS = ("Tram", "Walking_Girl")  # cars and people move along
-STEPS = (5, 10, 20)  # frames
+STEPS = (5, 10, 15, 20, 25)  # frames
 FEWEST, MOST = 2, 4  # panoramas in a small folder
 MOST_FOLDERS = 6  # of each size and home
 
