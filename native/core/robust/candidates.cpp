@@ -175,6 +175,14 @@ double Candidates::log_odds(const Candidate& candidate) {
                               depth_tolerance_, candidate.loss);
 }
 
+void Candidates::sharpen(const Candidate& over) {
+  const std::vector<Candidate> all = candidates_;  // polish changes candidates_
+  for (const Candidate& c : all) {
+    if (!is_sharper(over, c) || c.evidence < over.evidence - kClearly) continue;
+    polish(c.cam2_from_cam1, 50, kFinal, &over.loss);
+  }
+}
+
 double Candidates::lead(const Candidate& candidate, const Candidate& over) {
   const double by_evidence = candidate.evidence - over.evidence;
   if (!is_sharper(over, candidate)) return by_evidence;

@@ -66,6 +66,8 @@ class Candidates {
   // log-odds over chance (displacement.h): its noise is so large that it explains wrong matches
   // too.
   void give_up_blurred();
+  // Polishes blurred rivals of a candidate with its mixture: they may be as sharp as it is.
+  void sharpen(const Candidate& over);
   // Evidence by which a candidate leads another one; or the log-odds over chance, if it has more
   // noise and they are less.
   double lead(const Candidate& candidate, const Candidate& over);

@@ -29,6 +29,7 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
     candidates.polish(twin, 50, 1e-8);
     rivals.has_twin = true;
   }
+  candidates.sharpen(best);
   // Whether two poses differ by more than the uncertainty can explain, and by more than these
   // angles.
   const auto differ = [&](const RelativePose& a, const RelativePose& b, double least_rotation,
