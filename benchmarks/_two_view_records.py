@@ -13,6 +13,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import epi360
+from epi360 import _core
 
 _FIRST_LINE = "# made by "
 
@@ -118,7 +119,8 @@ def package_digest() -> str:
     The native module, the rooms that the benchmark uses and the benchmark's own problems.
     """
     package, here = Path(epi360.__file__).parent, Path(__file__).parent
-    files = [*package.glob("_core*"), *package.glob("*.py")]
+    # Where the package is installed to be edited, the native module lies elsewhere.
+    files = [Path(_core.__file__), *package.glob("*.py")]
     files += [here / f"_two_view_{name}.py" for name in ("problems", "records")]
     files += package.parent.glob("epi360_paper/paper_ransac.py")
     for room in ("cameras", "epipolar", "estimation", "synthetic"):
