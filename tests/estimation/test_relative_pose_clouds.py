@@ -55,12 +55,16 @@ def test_clouds_leave_one_best_pose_whatever_the_seed(scene):
     assert all(result.success for result in results)
     first = results[0]
     sigma_deg = np.degrees(np.sqrt(np.diag(first.covariance)))
+    turned = []
     for result in results:
         pose = result.cam2_from_cam1
         assert rotation_error_deg(pose, truth) < 0.1
         assert translation_error_deg(pose, truth) < 0.3
         assert result.noise_deg < 2.0 * NOISE_DEG
-        apart = rotation_error_deg(pose, first.cam2_from_cam1)
-        assert apart < 1.5 * np.linalg.norm(sigma_deg[:3])  # one seed of twenty: 1.1
+        turned.append(rotation_error_deg(pose, first.cam2_from_cam1))
         apart = translation_error_deg(pose, first.cam2_from_cam1)
         assert apart < np.linalg.norm(sigma_deg[3:])
+    # One seed of twenty stays 1.1 sigma off, where 689 matches agree in place of 695.
+    *most, farthest = sorted(turned)
+    assert max(most) < np.linalg.norm(sigma_deg[:3])
+    assert farthest < 1.2 * np.linalg.norm(sigma_deg[:3])

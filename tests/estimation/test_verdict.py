@@ -154,6 +154,7 @@ def test_much_noise_is_a_warning_only_above_the_limit_that_was_given():
     assert free.success and not free.warnings
     above = estimate_relative_pose(*matches, max_noise_deg=1.01 * free.noise_deg)
     assert not above.warnings
+    np.testing.assert_array_equal(above.cam2_from_cam1.rotation, free.cam2_from_cam1.rotation)
     below = estimate_relative_pose(*matches, max_noise_deg=0.99 * free.noise_deg)
     (warning,) = below.warnings
     assert f"{free.noise_deg:.3g} degrees" in warning and below.status == "ok"

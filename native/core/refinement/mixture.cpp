@@ -32,14 +32,14 @@ EPI360_INLINE Model prepared(const LossModel& m, double outlier_density) {
   return out;
 }
 
-// near_miss: share of the wider Gaussians that is left to a match behind a camera, 0 or 1. unit: of
-// the densities of Gaussians.
-EPI360_INLINE MixtureParts parts_at(double residual, bool in_front, double near_miss, double unit,
+// near_miss: share of the wider Gaussians that is left to a match behind a camera, 0 or 1. reach:
+// what the Gaussians' densities are multiplied by.
+EPI360_INLINE MixtureParts parts_at(double residual, bool in_front, double near_miss, double reach,
                                     const Model& m) {
   MixtureParts p;
   double e = vector_exp(residual * residual * m.factor) * (in_front ? 1.0 : near_miss);
   for (int k = LossModel::kGaussians - 1; k >= 0; --k) {
-    p.gaussian[k] = m.height[k] * e * unit;
+    p.gaussian[k] = m.height[k] * e * reach;
     for (int squaring = 0; squaring < 4; ++squaring) e *= e;
   }
   p.gaussian[0] = in_front ? p.gaussian[0] : 0.0;

@@ -69,6 +69,8 @@ std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answe
 MatchesLeft without(const Matches& m, const MatchPriors& priors,
                     const std::vector<std::size_t>& fixed) {
   MatchesLeft left;
+  left.priors = priors;
+  left.priors.scores.clear();
   const std::vector<unsigned char> is_fixed = mask_of(m, fixed);
   for (std::size_t i = 0; i < m.size; ++i) {
     if (is_fixed[i]) continue;
@@ -76,8 +78,6 @@ MatchesLeft without(const Matches& m, const MatchPriors& priors,
     if (!priors.scores.empty()) left.priors.scores.push_back(priors.scores[i]);
   }
   left.m = chosen_matches(m, left.rows);
-  left.priors.pose = priors.pose;
-  left.priors.max_noise = priors.max_noise;
   return left;
 }
 

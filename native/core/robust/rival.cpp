@@ -40,17 +40,19 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
   const auto is_other = [&](const RelativePose& a, const RelativePose& b) {
     return differ(a, b, kSameRotation, kSameDirection);
   };
+  const auto as_rival = [&](const Candidate& c) {
+    return Rival{c.cam2_from_cam1, c.loss, candidates.lead(c, best)};
+  };
   for (const Candidate& c : candidates.all()) {  // descending evidence
-    const Rival rival{c.cam2_from_cam1, c.loss, candidates.lead(c, best)};
     if (same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
       bool is_new = is_other(pose, c.cam2_from_cam1);
       for (const Rival& known : rivals.nearby) {
         is_new = is_new && is_other(known.cam2_from_cam1, c.cam2_from_cam1);
       }
-      if (is_new) rivals.nearby.push_back(rival);
+      if (is_new) rivals.nearby.push_back(as_rival(c));
     } else if (!rivals.distant &&
                differ(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection)) {
-      rivals.distant = rival;
+      rivals.distant = as_rival(c);
     }
   }
   return rivals;
