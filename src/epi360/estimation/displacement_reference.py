@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from epi360.epipolar.residuals import pose_residuals
 from epi360.estimation.testimony_reference import in_front
@@ -29,21 +30,15 @@ def displacements(bearings1: Array, bearings2: Array) -> Array:
     """
     step = max(1, len(bearings1) // _MOST_ALIGNED)
     b1, b2 = bearings1[::step], bearings2[::step]
-    R = _aligned(b1, b2, np.ones(len(b1)))
+    turn, _ = Rotation.align_vectors(b2, b1)
     scale = _FROM_SCALE
     while scale > _TO_SCALE:
-        squares = np.sum((b1 @ R.T - b2) ** 2, axis=1) / scale**2
-        R = _aligned(b1, b2, (1.0 + squares) ** -2)
+        squares = np.sum((turn.apply(b1) - b2) ** 2, axis=1) / scale**2
+        turn, _ = Rotation.align_vectors(b2, b1, weights=(1.0 + squares) ** -2)
         scale *= _NARROWING
-    turned, carried = (np.cross(each, bearings2) for each in (bearings1 @ R.T, bearings1))
+    turned, carried = (np.cross(each, bearings2) for each in (turn.apply(bearings1), bearings1))
     lengths = np.linalg.norm(turned, axis=1), np.linalg.norm(carried, axis=1)
     return np.asarray(np.minimum(*lengths))
-
-
-def _aligned(b1: Array, b2: Array, weights: Array) -> Array:
-    """The rotation of least squares (Kabsch)."""
-    U, _, Vt = np.linalg.svd((b2 * weights[:, None]).T @ b1)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def log_odds_over_chance(
