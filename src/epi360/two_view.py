@@ -112,8 +112,9 @@ def relative_pose_of_images(
     -----
     Wide images are searched at 1920 pixels first; only where that does not settle the pose, at
     their full width; and where the verdict is still not "ok", for fainter features. What both
-    cameras must see around the matches is compared if both images are full panoramas: matches on a
-    thing that stands in another place too, or that moves along, agree on a pose of their own.
+    cameras must see around the matches is compared, unless they see less than a fifth of the
+    sphere: matches on a thing that stands in another place too, or that moves along, agree on a
+    pose of their own.
     """
     check_options(max_width, mask_nadir_deg)
     check_threshold(inlier_threshold_deg)
@@ -234,7 +235,7 @@ class _View:
         return cls(picture, camera, usable, mask_nadir_deg)
 
     def panorama(self) -> Panorama:
-        return Panorama.masked(self.picture, self.mask, self.mask_nadir_deg)
+        return Panorama.seen_by(self.camera, self.picture, self.mask, self.mask_nadir_deg)
 
     def features(self, search: _Search) -> Features:
         return extract_features(

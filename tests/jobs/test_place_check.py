@@ -475,6 +475,27 @@ def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help()
         assert not verdict.leaves_a_doubt
 
 
+@pytest.mark.parametrize("is_partial", [False, True])
+def test_a_part_of_the_sphere_must_be_probable_by_itself_among_many_pairs(is_partial):
+    pairs = list(combinations(range(6), 2))
+    own = shows(8.0, -3.0, is_partial=is_partial)
+    evidence = evidence_on(pairs, np.ones(len(pairs)))
+    first, *others = judged(pairs, [replace(evidence[0], own=own), *evidence[1:]])
+    assert bool(first.refused) == first.by_itself == is_partial
+    assert not first.leaves_a_doubt
+    assert not any(each.refused for each in others)
+
+
+@pytest.mark.parametrize("num_pairs", [3, 15])
+def test_nothing_is_said_of_what_cannot_be_compared(num_pairs):
+    pairs = list(combinations(range(6), 2))[:num_pairs]
+    unknown = OwnEvidence(is_partial=True, is_known=False)
+    evidence = evidence_on(pairs, np.ones(num_pairs))
+    verdict = judged(pairs, [replace(evidence[0], own=unknown), *evidence[1:]])[0]
+    assert not verdict.refused and not verdict.warnings
+    assert verdict.probability > 0.95
+
+
 @pytest.mark.parametrize(
     ("own", "warnings"),
     [

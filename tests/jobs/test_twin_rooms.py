@@ -13,8 +13,10 @@ from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.place_evidence import Surroundings
 from epi360.jobs.matching import folder_verdicts, place_job
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.poses import rotation_from_vector
 from epi360.report.folder_page import summary_sentences
 from epi360.report.match_table import describe_match, pairs_csv
+from epi360_scenes.lenses import Lens
 
 ALL = MatchOptions(pairs="exhaustive")
 
@@ -75,6 +77,30 @@ def test_one_room_loses_no_pair_to_other_exposures_and_people(tmp_path):
     assert all(verdict.accepted and is_right(verdict) for verdict in run.verdicts)
 
 
+def test_fisheye_frames_of_twin_rooms_are_told_apart(tmp_path):
+    for name, (pose, picture) in rooms().items():
+        towards = pose.rotation.T @ rotation_from_vector([0.0, 2.6, 0.0])
+        lens = Lens.of(200.0, 768, towards)
+        write_png(tmp_path / "a" / name, lens.picture(picture))
+    lens.write_camera(tmp_path / "lens.yaml")
+    images = find_images(tmp_path / "a", camera=str(tmp_path / "lens.yaml"))
+    run = match_images(images, tmp_path / "out", ALL)
+    agreeing = [verdict for verdict in run.verdicts if verdict.status == "ok"]
+    assert sum(not in_one_room(verdict) for verdict in agreeing) >= 4
+    assert [verdict.accepted for verdict in agreeing] == list(map(in_one_room, agreeing))
+    assert sum(verdict.accepted for verdict in agreeing) == 6
+
+
+def test_small_panoramas_of_twin_rooms_are_told_apart(tmp_path):
+    """Alone, two panoramas of that size are not compared."""
+    for name, (_, picture) in rooms().items():
+        small = cv2.resize(picture, (496, 248), interpolation=cv2.INTER_AREA)
+        write_png(tmp_path / "a" / name, small)
+    run = match_images(find_images(tmp_path / "a"), tmp_path / "out", ALL)
+    assert all(in_one_room(verdict) for verdict in run.verdicts if verdict.accepted)
+    assert sum(verdict.accepted for verdict in run.verdicts) == 6
+
+
 def test_a_second_run_says_the_same_on_one_thread(tmp_path):
     images = write_rooms(tmp_path / "a")
     runs = [
@@ -114,7 +140,7 @@ def test_surroundings_of_too_many_pairs_are_said_to_be_unknown(tmp_path, monkeyp
     run = match_images(write_rooms(tmp_path / "a"), tmp_path / "out", ALL)
     wrong = [v for v in run.verdicts if v.accepted and not in_one_room(v)]
     assert wrong and run.num_not_compared == sum(v.accepted for v in run.verdicts)
-    said = f"The surroundings of {run.num_not_compared} accepted pairs of panoramas were not"
+    said = f"The surroundings of {run.num_not_compared} accepted pairs were not"
     assert said in describe_match(run)
     assert any(each.startswith(said) for each in summary_sentences(run))
 

@@ -5,20 +5,24 @@ import csv
 import dataclasses
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 from colmap_graphs import PANORAMA, panoramas_of_points, relative_pose
 from rendered_views import write_png
+from twin_rooms import rooms as twin_rooms
 from twin_rooms import truth, write_rooms
 
 from epi360.cameras import KannalaBrandt
 from epi360.cli import main
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
+from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.verify_pairs import unverified_pairs, verify_pairs, without_geometries
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.folder_page import NO_PICTURES
 from epi360.report.match_table import describe_verified
+from epi360_scenes.lenses import Lens
 
 
 def test_pairs_get_the_poses_that_their_matches_have():
@@ -177,7 +181,7 @@ def test_without_pictures_twin_rooms_are_one(rooms):
     found = verify_pairs(graph)
     between = [pair for pair in found.graph.pairs if not in_one_room(pair)]
     assert sum(pair.geometry.status == "ok" for pair in between) >= 5
-    assert found.num_panoramic == len(graph.pairs) == 15
+    assert found.num_comparable == len(graph.pairs) == 15
 
 
 def test_the_result_does_not_depend_on_the_number_of_threads(rooms):
@@ -194,6 +198,24 @@ def test_level_panoramas_are_noticed(rooms):
     assert verify_pairs(graph).level == run.level is not None
 
 
+def test_pictures_tell_fisheye_frames_of_twin_rooms_apart(tmp_path):
+    """They may be larger than what their camera is of."""
+    for name, (pose, picture) in twin_rooms().items():
+        lens = Lens.of(200.0, 768, pose.rotation.T @ rotation_from_vector([0.0, 2.6, 0.0]))
+        write_png(tmp_path / "a" / name, lens.picture(picture))
+    lens.write_camera(tmp_path / "lens.yaml")
+    images = find_images(tmp_path / "a", camera=str(tmp_path / "lens.yaml"))
+    match_images(images, tmp_path / "out", MatchOptions(pairs="exhaustive"))
+    graph = without_geometries(load_matches(tmp_path / "out", by_others=False))
+    for path in (tmp_path / "a").iterdir():
+        write_png(path, cv2.resize(cv2.imread(str(path))[..., ::-1], None, fx=1.5, fy=1.5))
+    found = verify_pairs(graph, pictures=tmp_path / "a")
+    assert found.looked_around and found.num_comparable == 15
+    accepted = [each for each in found.verdicts if each.accepted]
+    assert len(accepted) == 6
+    assert all(each.image1[0] == each.image2[0] for each in accepted)
+
+
 def test_a_picture_that_is_missing_is_named(rooms, tmp_path):
     _, _, graph = rooms
     for folder in (tmp_path, str(tmp_path)):
@@ -205,7 +227,7 @@ def test_a_picture_that_is_missing_is_named(rooms, tmp_path):
     ("picture", "message"),
     [
         (b"no picture", "a0.png"),
-        (np.zeros((64, 64, 3), np.uint8), "twice as wide as high, that its camera is; it is 64x64"),
+        (np.zeros((64, 64, 3), np.uint8), "the shape of its camera, 768x384; it is 64x64"),
     ],
 )
 def test_a_picture_that_cannot_be_compared_is_said(rooms, tmp_path, picture, message):

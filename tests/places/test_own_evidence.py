@@ -114,6 +114,24 @@ def test_bare_cells_of_the_other_view_are_told_from_textured_ones():
     assert shown(CAP)["bare"] < 0.01
 
 
+@pytest.mark.parametrize(
+    ("share", "is_known", "is_partial"),
+    [
+        (1.0, True, False),
+        (0.6, True, False),
+        (0.5, True, True),
+        (0.2, True, True),
+        (0.1, False, True),
+    ],
+)
+def test_a_pair_knows_how_much_of_the_sphere_it_sees(share, is_known, is_partial):
+    whole, part = views_of(CAP)
+    part = replace(part, counts=np.arange(NUM_CELLS) < share * NUM_CELLS)
+    for views in ((whole, part), (part, whole)):
+        own = OwnEvidence.of(PAIR, views)
+        assert (own.is_known, own.is_partial) == (is_known, is_partial)
+
+
 def test_what_is_clearly_behind_something_is_not_expected():
     near = views_of(CAP, depth=2.0)[0]
     far = replace(near, expected_depths=3 * near.expected_depths)

@@ -15,13 +15,15 @@ from epi360.places.same_place import (
     DOUBT,
     LEAST_PROBABILITY,
     ONE_WALL,
+    can_be_compared,
     look_around,
     same_place,
 )
 from epi360.places.shared_points import PosedPair
-from epi360.poses import rotation_error_deg, translation_error_deg
+from epi360.poses import rotation_error_deg, rotation_from_vector, translation_error_deg
+from epi360_scenes.lenses import Lens
 
-LENS = epi360.KannalaBrandt(384, 384, 120.0, 120.0, 192.0, 192.0)
+LENS = Lens.of(200.0, 768, np.eye(3)).camera
 
 
 def picture(name):
@@ -55,6 +57,15 @@ def test_evidence_moves_probability_between_the_three_explanations():
         assert same_place(OwnEvidence(others + 1, copies)).here >= place.here
         assert same_place(OwnEvidence(others, copies + 1)).copy <= place.copy
         assert same_place(OwnEvidence(others, copies, on_floor=True)).here < place.here
+
+
+def test_no_more_than_the_limit_speaks_for_a_part_of_the_sphere():
+    whole, part, much = (
+        same_place(OwnEvidence(each, each, is_partial=is_partial))
+        for each, is_partial in ((9.0, False), (9.0, True), (3.0, False))
+    )
+    assert part == much
+    assert LEAST_PROBABILITY < part.here < whole.here
 
 
 def test_on_one_wall_no_more_than_the_limit_speaks_for_a_pair():
@@ -172,13 +183,47 @@ def test_a_mask_takes_out_what_differs():
     assert masked.status == "ok"
 
 
-def test_only_full_panoramas_are_compared():
-    lens1, lens2 = (
-        np.random.default_rng(seed).integers(0, 255, (384, 384, 3), np.uint8) for seed in (0, 1)
-    )
-    result = epi360.relative_pose_of_images(lens1, lens2, camera1=LENS, camera2=LENS)
-    assert np.isnan(astuple(result.place)).all()
+def lens_frame(name, heading):
+    """What a lens shows that looks along a heading of the room, and where it is in its panorama."""
+    pose, panorama = rooms()[f"{name}.png"]
+    lens = Lens(LENS, pose.rotation.T @ rotation_from_vector([0.0, heading, 0.0]))
+    return lens.picture(panorama), lens.pose
+
+
+def pose_of_frames(name1, name2, heading1, heading2):
+    (picture1, lens1), (picture2, lens2) = lens_frame(name1, heading1), lens_frame(name2, heading2)
+    result = epi360.relative_pose_of_images(picture1, picture2, camera1=LENS, camera2=LENS)
+    return result, lens2 @ result.cam2_from_cam1 @ lens1.inverse()
+
+
+@pytest.mark.parametrize("heading", [0.5, 2.6])
+def test_fisheye_frames_of_one_room_are_of_one_place(heading):
+    result, pose = pose_of_frames("a0", "a1", heading, heading)
+    assert result.status == "ok"
+    assert result.place.here > LEAST_PROBABILITY
+    assert error_deg(pose, "a0", "a1") < 3.0
+
+
+def test_a_panorama_and_a_fisheye_frame_are_compared():
+    frame, lens = lens_frame("a1", 0.5)
+    result = epi360.relative_pose_of_images(picture("a0"), frame, camera2=LENS)
+    assert result.status == "ok"
+    assert result.place.here > LEAST_PROBABILITY
+    assert error_deg(lens @ result.cam2_from_cam1, "a0", "a1") < 3.0
+
+
+def test_what_sees_too_little_is_not_compared():
     assert np.isnan(astuple(pose_of("a0", "b0").place)).all()  # a pure rotation
+    wide, narrow, coarse = (
+        Lens.of(*each, np.eye(3)).camera for each in ((110.0, 768), (100.0, 768), (200.0, 360))
+    )
+    assert can_be_compared(LENS) and can_be_compared(wide)
+    assert not can_be_compared(narrow) and not can_be_compared(coarse)
+    assert can_be_compared(epi360.Equirectangular(512, 255))
+    assert not can_be_compared(epi360.Equirectangular(510, 255))
+    no_middle = epi360.KannalaBrandt(400, 400, 200.0, 200.0, -400.0, 200.0, max_angle_deg=100.0)
+    assert not can_be_compared(no_middle)
+    assert can_be_compared(epi360.Equirectangular(2048, 512, 360.0, 90.0))
 
 
 def test_nothing_is_compared_where_masks_leave_too_little():
@@ -208,10 +253,11 @@ def test_a_masked_panorama_counts_where_the_mask_is_white():
     image = np.full((512, 1024, 3), 90, np.uint8)
     mask = np.ones((512, 1024), dtype=bool)
     mask[:, :512] = False  # behind and to the left
-    panorama = Panorama.masked(image, mask, 30.0)
+    panorama = Panorama.seen_by(epi360.Equirectangular(1024, 512), image, mask, 30.0)
     directions = np.array([[0.5, 0, 1.0], [1, 0, 0], [-1, 0, 0], [0.1, 1, 0.1], [0.1, -1, 0.1]])
     assert panorama.counts_at(directions).tolist() == [True, True, False, False, True]
-    assert Panorama.masked(image, None, 0.0).counts_at(directions).all()
+    whole = Panorama.seen_by(epi360.Equirectangular(1024, 512), image)
+    assert whole.counts_at(directions).all()
     assert panorama.usable.shape == (WIDTH // 2, WIDTH)
 
 

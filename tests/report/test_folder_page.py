@@ -243,7 +243,7 @@ def test_given_matches_have_a_page_with_their_pictures_or_without(
         how=GIVEN,
         kept=(run.images[-2:],),
         graph=folder_page.load_matches(None),
-        num_panoramic=6,
+        num_comparable=6,
         looked_around=False,
     )
     pictures = images.folder if has_pictures else None

@@ -1,9 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The camera of a picture that was made smaller or larger."""
+"""How finely a camera sees, and the camera of a picture that was made smaller or larger."""
 
+import math
 from dataclasses import fields, replace
 
+import numpy as np
+
 from epi360.cameras.base import Camera
+from epi360.cameras.equirectangular import Equirectangular
+
+
+def pixels_per_radian(camera: Camera) -> float:
+    """Resolution in the middle of the image, the mean of both directions; of a panorama, across.
+
+    NaN if the middle has no ray.
+    """
+    if isinstance(camera, Equirectangular):  # whose middle may be far from the horizon
+        return camera.width / math.radians(camera.horizontal_fov_deg)
+    middle = np.array([[camera.width / 2, camera.height / 2]])
+    return math.sqrt(2) / float(np.linalg.norm(camera.bearing_jacobians(middle)[0]))
 
 
 def resized_camera(camera: Camera, width: int) -> Camera:

@@ -96,7 +96,7 @@ def convert(
     images
         Folder of the images. Beside transforms.json it is "images" by default: names of images do
         not have it, the paths of nerfstudio do. An OpenSfM project gets links to its pictures. With
-        --verify their pictures tell panoramas of rooms apart that look alike.
+        --verify their pictures tell rooms apart that look alike.
     camera
         Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
         where it holds several.

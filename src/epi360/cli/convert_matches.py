@@ -91,7 +91,7 @@ _FEWEST_JUDGED = 3
 
 def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     print(describe_verified(verified))
-    if verified.num_panoramic == 0 or verified.num_not_compared:
+    if verified.num_comparable == 0 or verified.num_not_compared:
         return
     if verified.looked_around:
         judged = [verdict for verdict in verified.verdicts if verdict.status == "ok"]

@@ -50,7 +50,7 @@ class Explanations:
 
 @dataclass(frozen=True)
 class SamePlace:
-    """Probabilities that two panoramas show one place, by what both must see; they sum to one.
+    """Probabilities that two images show one place, by what both must see; they sum to one.
 
     NaN where nothing was compared.
 
@@ -173,8 +173,9 @@ class ImagePairResult(RelativePoseResult):
     keypoints1, keypoints2 : ndarray, shape (M, 2)
         Continuous pixels of the original images, row i of both is match i.
     place : SamePlace
-        Whether both images show the place of the pose, if both are full panoramas and the matches
-        alone determine it. ``probability`` is then that of the matches times ``place.here``.
+        Whether both images show the place of the pose, if both see enough of the sphere and the
+        matches alone determine it. ``probability`` is then that of the matches times
+        ``place.here``.
     """
 
     keypoints1: NDArray[np.float64]

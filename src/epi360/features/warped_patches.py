@@ -16,8 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Equirectangular
+from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.upright import is_full_panorama
 from epi360.features.images import nadir_mask
+from epi360.features.sphere_pictures import SpherePicture
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -35,7 +37,8 @@ _BLURS_PX = (0.8, 1.6, 3.2)
 _FLATTEST = 0.15  # cosine between a ray and a normal; patches on flatter planes are smeared
 _SIDE = 2 * _HALF + 1
 _IN_MEMORY, _SHARP_IN_MEMORY = 128, 512  # panoramas, of 2 MB; without blurred ones, of 0.5 to 1 MB
-_FILL_PX, _FAR_AWAY = 16.0, 1e-3  # of what is filled in; the weight of the mean of all
+# Of what is filled in, the width and how much coarser it is; the weight of the mean of all.
+_FILL_PX, _COARSER, _FAR_AWAY = 16.0, 8, 1e-3
 
 Name = TypeVar("Name", str, int)
 Found = TypeVar("Found", bound="Panorama | None")
@@ -55,7 +58,7 @@ _WEIGHTS = (_NEAR / _NEAR.sum()).astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """Grey values of a full panorama, 1024 pixels wide: sharp, and blurred more and more.
+    """Grey values of all directions, 1024 pixels wide: sharp, and blurred more and more.
 
     ``usable`` (512, 1024) says what counts; None: all. The rest is bare.
     """
@@ -73,13 +76,23 @@ class Panorama:
         return cls.of_sharp(sharp if usable is None else _bare_where_masked(sharp, usable), usable)
 
     @classmethod
-    def masked(
-        cls, image: NDArray[np.uint8], mask: NDArray[np.bool_] | None, mask_nadir_deg: float
+    def seen_by(
+        cls,
+        camera: Camera,
+        image: NDArray[np.uint8],
+        mask: NDArray[np.bool_] | None = None,
+        mask_nadir_deg: float = 0.0,
     ) -> Panorama:
-        """Make one of an RGB picture without what a mask of its size leaves out, and what is below.
+        """Make one of a camera's RGB picture; what it does not see does not count.
 
-        ``mask_nadir_deg`` is the angle around straight down that does not count.
+        Nor does what a mask of the picture's size leaves out, nor what lies so near to straight
+        down as ``mask_nadir_deg``.
         """
+        if not is_full_panorama(camera):
+            grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+            picture = SpherePicture.of(grey, camera, mask, _CAMERA)
+            usable = picture.seen & _above_nadir(mask_nadir_deg)
+            return cls.of_sharp(_bare_where_masked(picture.grey, usable), usable)
         if mask is None and mask_nadir_deg == 0.0:
             return cls.of(image)
         usable = _above_nadir(mask_nadir_deg)
@@ -129,11 +142,20 @@ def _above_nadir(mask_nadir_deg: float) -> NDArray[np.bool_]:
 def _bare_where_masked(grey: NDArray[np.uint8], kept: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """The picture with the mean of what is around, without an edge, where it is left out."""
     weights = kept.astype(np.float32)
-    around = cv2.GaussianBlur(grey * weights, (0, 0), _FILL_PX)
-    num_around = cv2.GaussianBlur(weights, (0, 0), _FILL_PX)
+    around, num_around = _blurred_much(grey * weights), _blurred_much(weights)
     mean = float(grey[kept].mean()) if kept.any() else 0.0
     filled = (around + _FAR_AWAY * mean) / (num_around + _FAR_AWAY)
-    return np.where(kept, grey, np.round(filled)).astype(np.uint8)
+    smooth = cv2.resize(filled, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.where(kept, grey, np.round(smooth)).astype(np.uint8)
+
+
+def _blurred_much(values: Floats) -> Floats:
+    """Values at an eighth of the size, which is a tenth of the work where all detail goes."""
+    height, width = values.shape
+    small = cv2.resize(
+        values, (width // _COARSER, height // _COARSER), interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(cv2.GaussianBlur(small, (0, 0), _FILL_PX / _COARSER), np.float32)
 
 
 def remembered(panorama_of: Callable[[Name], Found]) -> Callable[[Name], Found]:

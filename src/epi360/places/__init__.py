@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What two panoramas with a pose show of one place."""
+"""What two images with a pose show of one place."""

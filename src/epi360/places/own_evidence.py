@@ -48,7 +48,8 @@ SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
 # copies 4 % have more, and of street scenes nearly all.
 _LARGEST_SPREAD = 1.8
-_LEAST_SHARE = 0.4  # of the cells of either view that masks must leave
+# Of the sphere, clear of masks and edges: what either view must show, and below which it is a part.
+_LEAST_SHARE, _PART = 0.15, 0.55
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
@@ -63,9 +64,10 @@ class OwnEvidence:
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
     speak for a pair: where nothing grows, it is no copy either. ``on_floor`` and ``on_one_wall``
     say that nearly all inliers lie there, which rooms may have alike. ``in_the_open`` says that
-    what both show lies at distances that differ more than in a room. Nothing is known if masks
-    leave too little. ``as_in_homes`` has both ratios by the weights that were fitted to homes
-    alone; a pair on one wall is always weighed by these.
+    what both show lies at distances that differ more than in a room, ``is_partial`` that either
+    view shows little more than a hemisphere, or less. Nothing is known if either view shows too
+    little. ``as_in_homes`` has both ratios by the weights that were fitted to homes alone; a pair
+    on one wall is always weighed by these.
     """
 
     over_others: float = 0.0
@@ -73,14 +75,16 @@ class OwnEvidence:
     on_floor: bool = False
     on_one_wall: bool = False
     in_the_open: bool = False
+    is_partial: bool = False
     is_known: bool = True
     as_in_homes: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> OwnEvidence:
-        """Weigh what has grown from both sides of a pair; nothing if masks leave too little."""
-        if min(map(_share_that_counts, views)) < _LEAST_SHARE:
-            return cls(is_known=False)
+        """Weigh what has grown from both sides of a pair; nothing if they show too little."""
+        share = min(map(_share_that_counts, views))
+        if share < _LEAST_SHARE:
+            return cls(is_known=False, is_partial=True)
         shown = shown_by(pair, views)
         by_all, as_in_homes = _FITTED.ratios(shown), _FITTED_TO_HOMES.ratios(shown)
         in_the_open = min(map(_depth_spread, views)) > _LARGEST_SPREAD
@@ -90,6 +94,7 @@ class OwnEvidence:
             on_floor=on_floor(pair),
             on_one_wall=is_on_one_wall,
             in_the_open=in_the_open,
+            is_partial=share < _PART,
             as_in_homes=as_in_homes,
         )
 
@@ -167,7 +172,7 @@ def shown_by(pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces]) -> A
     shows bare; and the shares that differ, of those of little contrast, of those inside of surfaces
     that are seen from nearly one direction, and of those that the other view shows textured. Cells
     that are seen from directions more than 45 degrees apart do not count in the last three. Numbers
-    are those of whole views, if masks leave parts of them.
+    are those of whole spheres, if the views are parts of them.
     """
     sides = (_Expected.of(pair, side, views) for side in (0, 1))
     cells = _Expected(*(np.concatenate(each) for each in zip(*sides, strict=True)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whether two panoramas with a pose show one place, by what both cameras must see.
+"""Whether two images with a pose show one place, by what both cameras must see.
 
 Doors, floors and furniture repeat from room to room, and what moves along with the camera agrees
 with a pose of its own. So matches may agree on a pose that is wrong. What surrounds them tells.
@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import is_full_panorama
+from epi360.cameras.resizing import pixels_per_radian
 from epi360.estimation.result import ImagePairResult, SamePlace
+from epi360.features.sphere_pictures import share_seen
 from epi360.features.warped_patches import Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
@@ -32,17 +34,21 @@ _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 # kinds together.
 _MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
-# So do papered walls, and right pairs are rarely on one alone: no more than this speaks for them.
-_ON_ONE_WALL, _MOST_ON_ONE_WALL = (0.5, 0.5), 3.0
+_ON_ONE_WALL = (0.5, 0.5)  # so do papered walls, and right pairs are rarely on one alone
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 10.0, -5.0
+# No more speaks for a pair on one wall, nor for one that sees a part of the sphere: of those of
+# rendered homes through lenses of 90 to 190 degrees, the weights tell no better.
+_MOST_OF_PART = 3.0
 # In photographed homes less grows than in rendered ones, so this never speaks for another place;
 # nor for a copy in the open, where what drives along looks like what other owners have put there.
 _LEAST_IN_FOLDER = 0.0
 
-# Of the width of a panorama that is compared: at 300 the twin rooms of the tests look alike.
-_FEWEST_PIXELS = 512
+# Around a camera that is compared: at 300 the twin rooms of the tests look alike.
+_FEWEST_PIXELS, _ROUNDING = 512, 1e-6
+# Of the sphere that it sees: lenses of 107 degrees and more do.
+_LEAST_SEEN = 0.2
 
 DOUBT = (
     "little of what both cameras must see around the matches looks as the pose says; the images "
@@ -51,15 +57,17 @@ DOUBT = (
 ONE_WALL = "nearly all inliers lie on one wall, and rooms may have the same paper, tiles or doors"
 
 
+@lru_cache(maxsize=4096)
 def can_be_compared(camera: Camera) -> bool:
-    """Whether a camera sees all around, and enough of it for what was fitted to larger pictures."""
-    return is_full_panorama(camera) and camera.width >= _FEWEST_PIXELS
+    """Whether a camera sees enough of what is around it, and finely enough."""
+    pixels_around = 2 * math.pi * pixels_per_radian(camera)
+    return pixels_around >= _FEWEST_PIXELS - _ROUNDING and share_seen(camera) >= _LEAST_SEEN
 
 
 def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas) -> ImagePairResult:
-    """Compare what both panoramas show around an accepted pose; it may be refused by that.
+    """Compare what both images show around an accepted pose; it may be refused by that.
 
-    The result is returned as it is if masks leave too little.
+    The result is returned as it is if they show too little.
     """
     bearings = [
         camera.bearings_from_pixels(keypoints[result.inlier_mask])
@@ -111,7 +119,7 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
 
 def limited(own: OwnEvidence) -> OwnEvidence:
     """As much of the evidence as counts."""
-    most = _MOST_ON_ONE_WALL if own.on_one_wall else _MOST
+    most = _MOST_OF_PART if own.on_one_wall or own.is_partial else _MOST
     return replace(
         own,
         over_others=float(np.clip(own.over_others, -_MOST, most)),

@@ -163,7 +163,7 @@ def describe_not_compared(judged: JudgedPairs) -> list[str]:
     if not count:
         return []
     return [
-        f"The surroundings of {count:,} accepted pairs of panoramas were not compared, which is "
+        f"The surroundings of {count:,} accepted pairs were not compared, which is "
         f"done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. Fewer pairs, "
         "or a folder for each floor, let them be compared."
     ]

@@ -12,7 +12,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from epi360.cameras import Camera, Equirectangular, Pinhole
+from epi360.cameras import Camera, Pinhole
+from epi360.cameras.resizing import pixels_per_radian
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
 from epi360.poses import Pose
 
@@ -83,14 +84,6 @@ def face_camera(camera: Camera, options: CubemapOptions) -> Pinhole:
         size = max(8, 2 * round(tangent * pixels_per_radian(camera) * share))
     focal = size / 2 / tangent
     return Pinhole(width=size, height=size, fx=focal, fy=focal, cx=size / 2, cy=size / 2)
-
-
-def pixels_per_radian(camera: Camera) -> float:
-    """Resolution in the middle of the image, the mean of both directions; of a panorama, across."""
-    middle = np.array([[camera.width / 2, camera.height / 2]])
-    if isinstance(camera, Equirectangular):  # whose middle may be far from the horizon
-        return camera.width / math.radians(camera.horizontal_fov_deg)
-    return math.sqrt(2) / float(np.linalg.norm(camera.bearing_jacobians(middle)[0]))
 
 
 def face_image_names(names: list[str], options: CubemapOptions) -> dict[tuple[str, FaceName], str]:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular, Pinhole
-from epi360.jobs.cubes.cube_faces import FaceName, face_from_cam, pixels_per_radian
+from epi360.cameras.resizing import pixels_per_radian
+from epi360.jobs.cubes.cube_faces import FaceName, face_from_cam
 
 _PADDING_PX = 4  # more than bicubic interpolation reads beyond a pixel
 _MapPair = tuple[NDArray[np.float32], NDArray[np.float32]]

@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
+from epi360.cameras import Camera
 from epi360.features import read_image, read_mask
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.folder.image_set import SourceImage
 
 
-def read_panorama(image: SourceImage, mask_nadir_deg: float) -> Panorama:
-    """A full panorama, bare where nothing is to be used: its mask, or around straight down.
+def read_panorama(image: SourceImage, camera: Camera, mask_nadir_deg: float) -> Panorama:
+    """What a camera saw all around, without what its mask leaves out and what is straight down.
 
     ``OSError`` or ``ValueError`` where the picture or the mask cannot be read.
     """
     picture = read_image(image.path)
     mask = None if image.mask is None else read_mask(image.mask, picture.shape[:2])
-    return Panorama.masked(picture, mask, mask_nadir_deg)
+    return Panorama.seen_by(camera, picture, mask, mask_nadir_deg)

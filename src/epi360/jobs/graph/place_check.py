@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rooms that are copies of each other: whether two panoramas stand where their pose says.
+"""Rooms that are copies of each other: whether two cameras stand where their pose says.
 
 Doors, floors and furniture repeat from room to room, and two views of different rooms may agree on
 a pose by all that they share. But what only one of the rooms has is missing in the other. Zach,
@@ -164,7 +164,8 @@ def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Ju
     wrong, and so how much that takes, the folder says itself (`_court_of_folder`): if its pairs
     agree it takes clear evidence to refuse one; if many are copies, a pair needs some for it.
     Few pairs do not say how common copies are: each of them must also be probable by itself, and by
-    what the others say of it, as two panoramas that are compared alone must be.
+    what the others say of it, as two panoramas that are compared alone must be. So must a pair of
+    which a view is a part of the sphere, for few others know the same surroundings.
     """
     court, share_wrong = _court_of_folder(pairs, evidence)
     groups = court.groups(pairs, _least_ratio(share_wrong))
@@ -336,11 +337,12 @@ class _Court:
         """What is said about all pairs in the end, by their ratios."""
         probabilities = _probabilities(groups.ratios, share_wrong).tolist()
         verdicts = tuple(self._verdict(row, groups, each) for row, each in enumerate(probabilities))
-        if not few:
-            return verdicts
-        own = (each.own for each in self._evidence)
-        places = (self.place(row, groups.joined) for row in range(len(verdicts)))
-        return tuple(map(_by_itself, verdicts, own, places))
+        return tuple(
+            _by_itself(verdict, each.own, self.place(row, groups.joined))
+            if (few or each.own.is_partial) and each.own.is_known
+            else verdict
+            for row, (verdict, each) in enumerate(zip(verdicts, self._evidence, strict=True))
+        )
 
     def _verdict(self, row: int, groups: Groups, probability: float) -> PlaceVerdict:
         points = self._points_heard(row, groups.joined)

@@ -216,6 +216,7 @@ def _looked_for(
     alike, contrasts = likeness(first, second, points, pose, planes)
     cosines = np.clip(np.sum(directions * backward, axis=1), -1, 1)
     kept = contrasts > LEAST_CONTRAST
+    kept &= second.counts_at(points @ pose.rotation.T + pose.translation)
     sources = np.array(list(there), dtype=np.int64)
     seen = points[kept] @ pose.rotation.T + pose.translation
     beyond = [log_beyond(seen, cloud) for cloud in there.values()]

@@ -391,10 +391,11 @@ def _panoramas(images: ImageSet, mask_nadir_deg: float) -> Callable[[str], Panor
     @remembered
     def panorama_of(name: str) -> Panorama | None:
         image = image_of[name]
-        if not is_full_panorama(images.cameras[image.camera]):
+        camera = images.cameras[image.camera]
+        if not is_full_panorama(camera):
             return None
         try:
-            return read_panorama(image, mask_nadir_deg)
+            return read_panorama(image, camera, mask_nadir_deg)
         except (OSError, ValueError):
             return None
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from epi360.cameras.upright import is_full_panorama
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching.implied_job import find_implied
@@ -22,7 +23,12 @@ from epi360.jobs.matching.pair_verdicts import (
 )
 from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
 from epi360.jobs.matching.second_poses import find_second
-from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder, full_panoramas
+from epi360.jobs.matching.verified_folder import (
+    SettledPairs,
+    VerifiedFolder,
+    are_usable,
+    readable_pairs,
+)
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import UNREADABLE, Keys, Verdict, VerifiedPair
 
@@ -96,11 +102,11 @@ def judge_folder(
     second = {} if places is None else find_second(settled, places, accepted)
     verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
-    accepted = _accepted(keys, verdicts) & settled.panoramas.keys()
+    accepted = _accepted(keys, verdicts) & settled.images.keys()
     implied = find_implied(settled, accepted, posed)
     verdicts = without_copies(with_implied(verdicts, keys, implied))
     posed |= {each: pair.verified for each, pair in implied.items() if each not in accepted}
-    num_panoramic = sum(told[each].accepted for each in settled.panoramas)
+    num_comparable = sum(told[each].accepted for each in settled.images)
     return FolderVerdicts(
         keys,
         verdicts,
@@ -111,7 +117,7 @@ def judge_folder(
         num_gained=_num_accepted_more(told, finished)
         + sum(v.accepted and CONFIRMED in v.warnings for v in verdicts),
         num_lost=_num_accepted_more(finished, told),
-        num_not_compared=num_panoramic if num_panoramic > MOST_PAIRS else 0,
+        num_not_compared=num_comparable if num_comparable > MOST_PAIRS else 0,
     )
 
 
@@ -125,7 +131,7 @@ def _of_full_panoramas(
     return [
         finished[folder.keys_of(pair)]
         for pair in pairs
-        if folder.is_readable(pair) and folder.sees_all_around(pair)
+        if folder.is_readable(pair) and are_usable(folder, pair, is_full_panorama)
     ]
 
 
@@ -133,7 +139,7 @@ def _with_level(
     folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
 ) -> Mapping[Keys, Verdict]:
     """Verdicts of which some are replaced by those with the prior of the level folder."""
-    usable = full_panoramas(folder, pairs)
+    usable = readable_pairs(folder, pairs, is_full_panorama)
     wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
     again = folder.verify_again(wanted, level)
     kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}

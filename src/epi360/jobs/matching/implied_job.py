@@ -69,13 +69,13 @@ def find_implied(
     """
     if not 2 <= len(accepted) <= MOST_PAIRS:
         return {}
-    folder, panoramas = settled.folder, settled.panoramas
+    folder, images = settled.folder, settled.images
     by_second = [each for keys, each in second.items() if keys in accepted]
     by_first = settled.with_matches(accepted - second.keys())
     posed = {each.keys: settled.posed(each) for each in (*by_first, *by_second)}
-    sure = sorted(posed, key=lambda keys: panoramas[keys])
+    sure = sorted(posed, key=lambda keys: images[keys])
     known = ImpliedPoses([posed[keys] for keys in sure])
-    others = {keys for keys in panoramas if keys not in accepted and keys[0] != keys[1]}
+    others = {keys for keys in images if keys not in accepted and keys[0] != keys[1]}
     candidates = _candidates(settled, others, known)
     found: dict[Keys, ImpliedPair] = {}
     while some := dict(islice(candidates, _PAIRS_AT_ONCE)):
@@ -92,7 +92,7 @@ def _candidates(
 ) -> Iterator[tuple[Pair, _Candidate]]:
     """Pairs with another pose than those that are implied, each with that of most matches."""
     for verified in settled.with_matches(others):
-        pair = settled.panoramas[verified.keys]
+        pair = settled.images[verified.keys]
         ways = known.ways(*pair)
         if not ways or any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
             continue

@@ -119,7 +119,7 @@ def match_images(
     ``restart``, pairs in it that were made with other options are thrown away instead of refusing
     them; features that still fit are kept. ``progress`` is told of the stages "images", "features",
     "retrieval", "pairs", in a level folder "level pairs", and "places" and "second poses" where
-    accepted pairs of panoramas have surroundings to look at.
+    accepted pairs have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
@@ -132,7 +132,7 @@ def match_images(
     estimated again with that known, and then from all key points. An image that cannot be read
     costs its pairs, not the run. In the end the surroundings of accepted and doubted pairs are
     compared, see `judge_places`, and the pairs are held against each other, see `check_graph`. A
-    pair of panoramas that is not accepted gets the pose that its other matches agree on, if its
+    pair that is not accepted gets the pose that its other matches agree on, if its
     surroundings speak for that, see `find_second`, or the pose that two accepted pairs imply, if
     its own matches agree, see `find_implied`.
 

@@ -8,6 +8,7 @@ from collections.abc import Collection, Container, Iterable, Iterator, Mapping, 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.folder.panoramas import read_panorama
 from epi360.jobs.graph.level_folder import Level
@@ -152,12 +153,13 @@ class MatchJob:
         return self.images[index].name
 
     def panorama_of(self, index: int) -> Panorama:
-        """Picture of an image; OSError or ValueError where it cannot be read any more."""
-        return read_panorama(self.images[index], self.work.inputs.cache.options.mask_nadir_deg)
+        """What an image shows all around; OSError or ValueError where it cannot be read now."""
+        nadir_deg = self.work.inputs.cache.options.mask_nadir_deg
+        return read_panorama(self.images[index], self.camera_of(index), nadir_deg)
 
-    def sees_all_around(self, pair: Pair) -> bool:
-        """Whether both images are full panoramas."""
-        return self.work.sees_all_around(pair)
+    def camera_of(self, index: int) -> Camera:
+        """Camera of an image."""
+        return self.work.inputs.cameras[index]
 
     def is_readable(self, pair: Pair) -> bool:
         """Whether both images could be used so far."""

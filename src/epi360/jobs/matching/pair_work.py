@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import gravity_of, is_full_panorama
+from epi360.cameras.upright import gravity_of
 from epi360.features import Features
 from epi360.features.detection import CONTRAST_THRESHOLD, SiftKeypoints
 from epi360.features.matching import Look, look
@@ -124,10 +124,6 @@ class PairWork:
         done = self._verified_with_prior(missing, level)
         files = [write_part(self.inputs.output, done, level.store)] if done else []
         return Written(files, [(each.keys, each.verdict) for each in done])
-
-    def sees_all_around(self, pair: Pair) -> bool:
-        """Whether both images are full panoramas."""
-        return all(is_full_panorama(self.inputs.cameras[index]) for index in pair)
 
     def is_readable(self, pair: Pair) -> bool:
         """Whether both images could be used so far."""

@@ -76,7 +76,7 @@ def check_places(settled: SettledPairs) -> Places | None:
     Nothing is said of pairs whose pictures cannot be read any more. None where no pairs are
     accepted, or too many.
     """
-    usable = [keys for keys in settled.panoramas if keys[0] != keys[1]]
+    usable = [keys for keys in settled.images if keys[0] != keys[1]]
     accepted = {keys for keys in usable if settled.verdicts[keys].accepted}
     if not 1 <= len(accepted) <= MOST_PAIRS:
         return None

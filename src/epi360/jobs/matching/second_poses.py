@@ -65,10 +65,10 @@ def find_second(
     ``accepted`` are those whose own pose is accepted. A camera that has only turned has no second
     pose: what does not agree with the first has moved.
     """
-    folder, panoramas = settled.folder, settled.panoramas
+    folder, images = settled.folder, settled.images
     others = {
         keys
-        for keys in panoramas
+        for keys in images
         if keys not in accepted
         and keys[0] != keys[1]
         and settled.verdicts[keys].status != "pure_rotation"
@@ -78,7 +78,7 @@ def find_second(
     folder.progress(_STAGE, 0, len(others))
     candidates = _candidates(settled, others)
     found: dict[Keys, SecondPair] = {}
-    while some := {panoramas[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
+    while some := {images[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
         matched = [(pair, each.matched.some(each.left)) for pair, each in some.items()]
         results = folder.estimated(matched, PRIOR, settled.level)
         told = (some[pair].with_pose_of(result) for pair, result in results.items())

@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
+from epi360.cameras.upright import is_full_panorama
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.graph_check import believed, with_sigmas
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.verified_matches import Matched
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
+from epi360.places.same_place import can_be_compared
 from epi360.places.shared_points import PosedPair
 from epi360.progress import Progress
 
@@ -47,14 +50,14 @@ class VerifiedFolder(Protocol):
     def keys_of(self, pair: Pair) -> Keys:
         """Keys of two readable images."""
 
-    def sees_all_around(self, pair: Pair) -> bool:
-        """Whether both images are full panoramas."""
+    def camera_of(self, index: int) -> Camera:
+        """Camera of an image."""
 
     def bearings_of(self, index: int) -> NDArray[np.float64]:
         """Where the key points of an image look."""
 
     def panorama_of(self, index: int) -> Panorama:
-        """Picture of an image; OSError or ValueError where it cannot be read."""
+        """What an image shows all around; OSError or ValueError where it cannot be read."""
 
     def settled_pairs(
         self, wanted: Container[Keys], settled: Mapping[Keys, Verdict], level: Level | None
@@ -75,14 +78,14 @@ class VerifiedFolder(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SettledPairs:
-    """Pairs of full panoramas, with their verdicts that count.
+    """Pairs whose surroundings can be compared, with their verdicts that count.
 
-    ``panoramas`` has two readable images for each pair of keys; of a level folder some verdicts are
-    those with its prior.
+    ``images`` has the numbers of two readable ones for each pair of keys; of a level folder some
+    verdicts are those with its prior.
     """
 
     folder: VerifiedFolder
-    panoramas: Mapping[Keys, Pair]
+    images: Mapping[Keys, Pair]
     verdicts: Mapping[Keys, Verdict]
     level: Level | None
 
@@ -94,8 +97,8 @@ class SettledPairs:
         verdicts: Mapping[Keys, Verdict],
         level: Level | None,
     ) -> SettledPairs:
-        """Those of the pairs that are of full panoramas, and no two of them of the same ones."""
-        return cls(folder, full_panoramas(folder, pairs), verdicts, level)
+        """Those of the pairs that can be compared, and no two of them of the same images."""
+        return cls(folder, readable_pairs(folder, pairs, is_compared), verdicts, level)
 
     def with_matches(self, wanted: Container[Keys]) -> Iterator[VerifiedPair]:
         """Wanted pairs with their matches."""
@@ -105,13 +108,13 @@ class SettledPairs:
         """The matches of a pair, and where they look in both images."""
         first, second = (
             self.folder.bearings_of(image)[rows]
-            for image, rows in zip(self.panoramas[verified.keys], verified.matches.T, strict=True)
+            for image, rows in zip(self.images[verified.keys], verified.matches.T, strict=True)
         )
         return Matched(verified.matches, first, second)
 
     def posed(self, verified: VerifiedPair) -> PosedPair:
         """Pose and inliers of a pair that is accepted, or whose doubted pose is."""
-        pair, own = self.panoramas[verified.keys], verified.verdict
+        pair, own = self.images[verified.keys], verified.verdict
         verdict = with_sigmas(own) if own.accepted else believed(own)
         return PosedPair.of(
             pair,
@@ -124,7 +127,22 @@ class SettledPairs:
         )
 
 
-def full_panoramas(folder: VerifiedFolder, pairs: Sequence[Pair]) -> dict[Keys, Pair]:
-    """Pairs of two readable full panoramas, one for each pair of keys."""
-    usable = (pair for pair in pairs if folder.is_readable(pair) and folder.sees_all_around(pair))
-    return {folder.keys_of(pair): pair for pair in usable}
+def is_compared(camera: Camera) -> bool:
+    """Whether the surroundings of its images are compared: small panoramas' are in folders."""
+    return is_full_panorama(camera) or can_be_compared(camera)
+
+
+def readable_pairs(
+    folder: VerifiedFolder, pairs: Sequence[Pair], is_usable: Callable[[Camera], bool]
+) -> dict[Keys, Pair]:
+    """Pairs of two readable images with such cameras, one for each pair of keys."""
+    return {
+        folder.keys_of(pair): pair
+        for pair in pairs
+        if folder.is_readable(pair) and are_usable(folder, pair, is_usable)
+    }
+
+
+def are_usable(folder: VerifiedFolder, pair: Pair, is_usable: Callable[[Camera], bool]) -> bool:
+    """Whether both cameras of a pair are such ones."""
+    return all(is_usable(folder.camera_of(index)) for index in pair)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from os import PathLike
 from pathlib import Path
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import is_full_panorama
+from epi360.cameras.resizing import resized_camera
 from epi360.epipolar.residuals import pose_residuals
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama, remembered
@@ -27,6 +27,7 @@ from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATIO
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.check_keypoints import check_keypoints
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
+from epi360.jobs.matching.verified_folder import are_usable, is_compared
 from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
@@ -37,6 +38,7 @@ from epi360.two_view import MAX_NOISE_PX, smallest_pixel_deg
 
 GIVEN = "matched beforehand"  # how the pairs were chosen
 _STAGE_READ, _STAGE, _STAGE_AGAIN = "pictures", "verifying pairs", "level pairs"
+_ROUNDING_PX = 1  # of the height of a picture that was made smaller or larger
 _PAIRS_AT_ONCE = 256  # whose bearings are in memory
 _IMAGES_IN_MEMORY = 64  # with the bearings of all their key points
 _MOST_NOISE_PX = 3.0 * MAX_NOISE_PX  # of a pose that somebody else has found
@@ -48,12 +50,12 @@ class VerifiedGraph(JudgedPairs):
     """What `verify_pairs` found.
 
     All pairs of ``graph`` that have matches have a geometry. ``verdicts`` are those of the pairs
-    that had none; ``images`` are those of the ``kept`` pairs, too. ``num_panoramic`` pairs are of
-    two full panoramas, and ``looked_around`` says whether their surroundings were compared.
+    that had none; ``images`` are those of the ``kept`` pairs, too. The surroundings of
+    ``num_comparable`` pairs can be compared, and ``looked_around`` says whether they were.
     """
 
     graph: MatchGraph
-    num_panoramic: int
+    num_comparable: int
     looked_around: bool
 
 
@@ -87,10 +89,10 @@ def verify_pairs(
     If the poses say that the panoramas are level, see `find_level`, pairs without a pose, and those
     whose pose is tilted, are estimated again with that known. Poses that contradict each other are
     refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
-    pairs of full panoramas are compared, see `judge_places`, and some get a second pose, see
-    `find_second`, or the one that others imply, see `find_implied`. Pairs that have a geometry keep
-    it; if it is "ok" and fits its own inliers, they have a say about the others, with the errors
-    that are assumed of doubted poses.
+    pairs are compared where both cameras see enough of them, see `judge_places`, and some get a
+    second pose, see `find_second`, or the one that others imply, see `find_implied`. Pairs that
+    have a geometry keep it; if it is "ok" and fits its own inliers, they have a say about the
+    others, with the errors that are assumed of doubted poses.
 
     ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs", "places" and
     "second poses".
@@ -99,7 +101,7 @@ def verify_pairs(
     ------
     ValueError
         If an image of such a pair has no camera or key points that are no pixels of it, see
-        `check_keypoints`, or the picture of a panorama has another shape or cannot be read.
+        `check_keypoints`, or a picture has another shape than its camera or cannot be read.
     FileNotFoundError
         If it is not below ``pictures``.
     """
@@ -127,7 +129,7 @@ def verify_pairs(
         graph=dataclasses.replace(graph, pairs=pairs),
         kept=folder.kept,
         questioned=_questioned(folder, judged),
-        num_panoramic=sum(map(folder.sees_all_around, folder.pairs)),
+        num_comparable=len(folder.comparable),
         looked_around=judged.looked_around,
     )
 
@@ -187,10 +189,14 @@ class _GraphFolder:
         """Those of them whose own inliers do not fit the pose."""
         return {self.keys_of(pair) for pair in self._kept.keys() - self._given.keys()}
 
+    @cached_property
+    def comparable(self) -> list[Pair]:
+        """Pairs whose surroundings can be compared."""
+        return [pair for pair in self.pairs if are_usable(self, pair, is_compared)]
+
     def read_pictures(self) -> None:
         """Read the pictures that are compared; raises what `verify_pairs` says."""
-        panoramic = filter(self.sees_all_around, self.pairs)
-        compared = sorted({index for pair in panoramic for index in pair})
+        compared = sorted({index for pair in self.comparable for index in pair})
         for index in compared:
             self._picture(index)
         self.progress(_STAGE_READ, 0, len(compared))
@@ -247,9 +253,9 @@ class _GraphFolder:
         """Names of both images."""
         return self._names[pair[0]], self._names[pair[1]]
 
-    def sees_all_around(self, pair: Pair) -> bool:
-        """Whether both images are full panoramas."""
-        return all(is_full_panorama(self._cameras[index]) for index in pair)
+    def camera_of(self, index: int) -> Camera:
+        """Camera of an image."""
+        return self._cameras[index]
 
     def bearings_of(self, index: int) -> NDArray[np.float64]:
         """Where the key points of an image look."""
@@ -285,16 +291,17 @@ class _GraphFolder:
         return given.verdict.noise_deg <= _MOST_NOISE_PX * smallest_pixel_deg(cameras)
 
     def _read_panorama(self, index: int) -> Panorama:
-        """Picture of a panorama."""
-        path = self._picture(index)
+        """What an image shows all around; its picture may have another size than its camera."""
+        path, camera = self._picture(index), self._cameras[index]
         picture = read_image(path)
         height, width = picture.shape[:2]
-        if width != 2 * height:
+        resized = resized_camera(camera, width)
+        if abs(resized.height - height) > _ROUNDING_PX:
             raise ValueError(
-                f"{path} must be the full panorama, twice as wide as high, that its camera is; "
-                f"it is {width}x{height}"
+                f"{path} must have the shape of its camera, {camera.width}x{camera.height}; it is "
+                f"{width}x{height}"
             )
-        return Panorama.of(picture)
+        return Panorama.seen_by(resized, picture)
 
     def _picture(self, index: int) -> Path:
         """Path of a picture that is there."""

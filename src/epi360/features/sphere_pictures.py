@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The picture of any camera as a full panorama in its frame, and which part of that it shows.
+
+So panoramas, parts of them, fisheye and perspective images can be compared direction by direction.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.resizing import pixels_per_radian, resized_camera
+from epi360.features.images import shrunk
+from epi360.features.sphere_cells import even_directions
+
+Grey = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# Of the side of a picture, how large its corners are; and the brightest grey value that may be what
+# a lens does not light: 24 of black and 8 of noise, such as JPEG and glare leave.
+_CORNER, _BRIGHTEST_BLACK = 1 / 40, 40
+_RIM = np.ones((3, 3), np.uint8)  # pixels at the edge of a lens or of a mask show both sides
+_NUM_DIRECTIONS = 6000  # that the share of the sphere is counted by
+
+
+class SpherePicture(NamedTuple):
+    """Grey values (H, W) of a full panorama, and which of its pixels show something."""
+
+    grey: Grey
+    seen: Mask
+
+    @classmethod
+    def of(
+        cls, grey: Grey, camera: Camera, mask: Mask | None, panorama: Equirectangular
+    ) -> SpherePicture:
+        """Look up the grey values that a camera has in the directions of a panorama's pixels.
+
+        ``mask`` is of the picture's size, and says what may be used. What is black up to a corner
+        of the picture shows nothing. The picture is made as coarse as the panorama first.
+        """
+        coarse = round(camera.width * pixels_per_radian(panorama) / pixels_per_radian(camera))
+        grey, _ = shrunk(grey, max(1, coarse))
+        height, width = grey.shape
+        u, v, seen = _maps(resized_camera(camera, width), panorama)
+        found = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        shown = _lit(grey)
+        if mask is not None:
+            kept = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
+            shown = shown & (kept > 0)
+        seen = seen & (cv2.remap(shown.astype(np.uint8), u, v, cv2.INTER_NEAREST) > 0)
+        inner = cv2.erode(seen.astype(np.uint8), _RIM, borderValue=1)
+        return cls(np.asarray(found, np.uint8), np.asarray(inner > 0))
+
+
+def _lit(grey: Grey) -> Mask:
+    """What is not black, up to its noise, from a corner of the picture on."""
+    lit = np.ones(grey.shape, dtype=bool)
+    height, width = (max(1, round(_CORNER * side)) for side in grey.shape)
+    rows, columns = (slice(height), slice(-height, None)), (slice(width), slice(-width, None))
+    for corner in itertools.product(rows, columns):
+        black, brightest = np.percentile(grey[corner], (50, 95))
+        limit = black + max(4.0, 2.0 * (brightest - black))
+        if limit <= _BRIGHTEST_BLACK:
+            _, parts = cv2.connectedComponents((grey <= limit).astype(np.uint8))
+            dark = parts[corner]
+            lit &= ~np.isin(parts, np.unique(dark[dark > 0]))
+    return lit
+
+
+@lru_cache(maxsize=8)  # of 4.5 MB: the images of a folder share few cameras
+def _maps(
+    camera: Camera, panorama: Equirectangular
+) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
+    """Where each pixel of a panorama lies in a camera's image, for OpenCV, and whether in it."""
+    pixels = camera.pixels_from_bearings(_directions(panorama))
+    pixels -= 0.5  # OpenCV puts centres at integers
+    seen = np.isfinite(pixels[:, 0]).reshape(panorama.height, panorama.width)
+    maps = np.where(np.isfinite(pixels), pixels, -1.0).astype(np.float32)
+    to_u, to_v = (np.ascontiguousarray(each.reshape(seen.shape)) for each in maps.T)
+    return to_u, to_v, seen
+
+
+@lru_cache(maxsize=1)
+def _directions(panorama: Equirectangular) -> NDArray[np.float64]:
+    """Where the pixels of a panorama look, (H W, 3)."""
+    columns, rows = np.arange(panorama.width) + 0.5, np.arange(panorama.height) + 0.5
+    u, v = (each.ravel() for each in np.meshgrid(columns, rows))
+    return panorama.bearings_from_pixels(np.column_stack([u, v]))
+
+
+def share_seen(camera: Camera) -> float:
+    """Share of the sphere that a camera sees."""
+    pixels = camera.pixels_from_bearings(even_directions(_NUM_DIRECTIONS))
+    return float(np.mean(np.isfinite(pixels[:, 0])))
