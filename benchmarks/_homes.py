@@ -14,12 +14,13 @@ from epi360_scenes.tours import Tour, render_tour
 
 @dataclass(frozen=True)
 class OneTour:
-    """A rendered home, what it is called, and its number."""
+    """A rendered home, what it is called, and its number; the camera, if it shows no panoramas."""
 
     name: str
     kind: str
     home: int
     tour: Tour
+    camera: Path | None = None
 
 
 def rendered_homes(

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from _data import read_poses
 from _homes import OneTour
-from _trust_pairs import OURS, Plan, judged_ones, judged_result, of_tour, tours
+from _trust_pairs import OURS, Plan, images_of, judged_ones, judged_result, of_tour, tours
 from _trust_records import Judged
 
-from epi360.jobs.folder.image_set import find_images
+from epi360.cameras.calibration import load_camera
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.poses import Pose
 from epi360.two_view import relative_pose_of_images
@@ -38,6 +38,7 @@ class _Task:
     pair: str
     paths: tuple[Path, Path]
     truth: Pose
+    camera: Path | None = None  # of both, if they are no panoramas
 
 
 def pair_verdicts(plan: Plan) -> Iterator[Judged]:
@@ -85,7 +86,8 @@ def _of_home(one: OneTour) -> Iterator[_Task]:
     for first, second in itertools.combinations(one.tour.panoramas, 2):
         truth = one.tour.cam2_from_cam1(first.name, second.name)
         paths = one.tour.folder / first.name, one.tour.folder / second.name
-        yield _Task(f"pairs, {one.kind}", f"{first.name} {second.name}", paths, truth)
+        pair = f"{first.name} {second.name}"
+        yield _Task(f"pairs, {one.kind}", pair, paths, truth, one.camera)
 
 
 def _looked_at(plan: Plan, tasks: list[_Task]) -> Iterator[Judged]:
@@ -97,7 +99,8 @@ def _looked_at(plan: Plan, tasks: list[_Task]) -> Iterator[Judged]:
 
 
 def _judge(task: _Task, *, seed: int) -> tuple[Judged, Judged]:
-    result = relative_pose_of_images(*task.paths, seed=seed)
+    camera = None if task.camera is None else load_camera(task.camera)
+    result = relative_pose_of_images(*task.paths, camera1=camera, camera2=camera, seed=seed)
     is_compared = bool(np.isfinite(result.place.here))
     looked = judged_result(task.set, PAIR, task.pair, result, task.truth)
     before = replace(
@@ -143,7 +146,7 @@ def _of_folder(
     for panorama in group:
         shutil.copy(one.tour.folder / panorama.name, folder / "pictures")
     run = match_images(
-        find_images(folder / "pictures"),
+        images_of(folder / "pictures", one.camera),
         folder / "match",
         MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
     )

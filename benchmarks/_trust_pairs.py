@@ -22,7 +22,7 @@ from epi360.cameras import Equirectangular
 from epi360.estimation import RelativePoseResult
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph
-from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.folder.image_set import ImageSet, find_images
 from epi360.jobs.matching.match_folder import (
     MatchOptions,
     PairVerdict,
@@ -33,6 +33,7 @@ from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
+from epi360_scenes.lenses import CAMERA, tour_through_lens
 from epi360_scenes.tours import Tour
 
 OURS = "epi360"
@@ -54,6 +55,7 @@ class Plan:
     num_homes: int
     tour_width: int
     photographed: bool
+    lens_deg: float | None  # of what a fisheye lens shows of rendered homes
     seed: int
     jobs: int
     with_peer: bool
@@ -90,7 +92,8 @@ def tour_verdicts(plan: Plan) -> Iterator[Judged]:
     """All pairs within rendered homes, level ones and tilted ones."""
     for one in tours(plan):
         tour = one.tour
-        for run in _folder_verdicts(plan, one.name, tour.folder, tour.cam2_from_cam1):
+        truth_of = tour.cam2_from_cam1
+        for run in _folder_verdicts(plan, one.name, tour.folder, truth_of, one.camera):
             name = "photographed" if plan.photographed else "tours"
             yield of_tour(run, f"{name}, {one.kind}", one.home, tour)
 
@@ -104,7 +107,7 @@ def given_verdicts(plan: Plan) -> Iterator[Judged]:
         tour = one.tour
         output = plan.out / "match" / one.name
         match_images(
-            find_images(tour.folder),
+            images_of(tour.folder, one.camera),
             output,
             MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
             restart=True,
@@ -118,14 +121,28 @@ def given_verdicts(plan: Plan) -> Iterator[Judged]:
 
 
 def tours(plan: Plan) -> Iterator[OneTour]:
-    """Rendered homes, as they are or photographed."""
-    return rendered_homes(
+    """Rendered homes, as they are or photographed, or what a lens shows of them."""
+    homes = rendered_homes(
         plan.out / "tours",
         plan.seed,
         plan.num_homes,
         plan.tour_width,
         photographed=plan.photographed,
     )
+    return homes if plan.lens_deg is None else (_through_lens(plan, one) for one in homes)
+
+
+def _through_lens(plan: Plan, one: OneTour) -> OneTour:
+    assert plan.lens_deg is not None
+    name = f"lens_{plan.lens_deg:g}_{one.name}"
+    folder = plan.out / "tours" / name
+    tour = tour_through_lens(one.tour, folder, plan.lens_deg, plan.seed + one.home)
+    kind = f"{one.kind} at {plan.lens_deg:g}°"
+    return replace(one, name=name, kind=kind, tour=tour, camera=folder / CAMERA)
+
+
+def images_of(folder: Path, camera: Path | None) -> ImageSet:
+    return find_images(folder, camera=None if camera is None else str(camera))
 
 
 def _alone(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
@@ -178,13 +195,15 @@ def of_tour(run: Judged, kind: str, home: int, tour: Tour) -> Judged:
     )
 
 
-def _folder_verdicts(plan: Plan, name: str, folder: Path, truth_of: TruthOf) -> Iterator[Judged]:
+def _folder_verdicts(
+    plan: Plan, name: str, folder: Path, truth_of: TruthOf, camera: Path | None = None
+) -> Iterator[Judged]:
     """Verdicts of `match_images` on all pairs of a folder, and of COLMAP on the same matches."""
     output = plan.out / "match" / name
     for part in (output / "pairs", *output.glob("level-*")):  # key points may stay
         shutil.rmtree(part, ignore_errors=True)
     run = match_images(
-        find_images(folder),
+        images_of(folder, camera),
         output,
         MatchOptions(pairs="exhaustive", seed=plan.seed, num_threads=plan.jobs),
         restart=True,

@@ -93,6 +93,7 @@ def main() -> int:
         "jobs": options.jobs,
         "homes": options.homes,
         "photographed": options.photographed,
+        "lens_deg": options.lens,
         "trials": options.trials,
         "data": str(plan.data),
     }
@@ -114,6 +115,12 @@ def _parse_options() -> argparse.Namespace:
     parser.add_argument(
         "--photographed", action="store_true", help="rendered homes as cameras may take them"
     )
+    parser.add_argument(
+        "--lens",
+        type=_field_of_view,
+        metavar="DEG",
+        help="take what a fisheye lens of this field of view shows of rendered homes",
+    )
     parser.add_argument("--trials", type=_positive, default=100, help="of each synthetic kind")
     parser.add_argument("--peer", action=flag, default=True, help="run pycolmap if installed")
     parser.add_argument("--seed", type=int, default=0, help="of homes, problems and sampling (0)")
@@ -132,6 +139,12 @@ def _positive(text: str) -> int:
     return number
 
 
+def _field_of_view(text: str) -> float:
+    if not 0.0 < (degrees := float(text)) <= 360.0:
+        raise argparse.ArgumentTypeError(f"must be in (0, 360] degrees, got {text}")
+    return degrees
+
+
 def _chosen_sets(text: str) -> list[str]:
     names = text.split(",")
     unknown = [name for name in names if name not in SETS]
@@ -148,6 +161,7 @@ def _plan(options: argparse.Namespace, sets: list[str]) -> Plan:
         num_homes=options.homes,
         tour_width=options.width,
         photographed=options.photographed,
+        lens_deg=options.lens,
         seed=options.seed,
         jobs=options.jobs,
         with_peer=options.peer and _has_peer(),
