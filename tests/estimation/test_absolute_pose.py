@@ -32,7 +32,8 @@ def test_exact_bearings_give_the_exact_pose(seed):
 )
 def test_sigmas_cover_the_errors(num_points, outliers, noise_rad):
     squares, centers, noise = [], [], []
-    for seed in range(60):
+    num_trials = 60 if outliers < 0.7 else 40  # which take four times as long
+    for seed in range(num_trials):
         pose, points, bearings = scene(seed, num_points, noise_rad, outliers)
         result = estimate_absolute_pose(bearings, points)
         if not result.success:
@@ -41,15 +42,15 @@ def test_sigmas_cover_the_errors(num_points, outliers, noise_rad):
         away = pose.inverse().translation - result.cam_from_world.inverse().translation
         centers.append(away @ np.linalg.solve(result.center_covariance, away) / 3.0)
         noise.append(np.radians(result.noise_deg))
-    assert len(squares) >= 57
-    # The standard errors of these means are about 0.08 and 0.11; the median of the noise is theirs.
+    assert len(squares) >= 0.95 * num_trials
+    # The standard errors of these means are about 0.1; the median of the noise is theirs.
     assert 0.75 < np.mean(squares) < 1.4 and 0.65 < np.mean(centers) < 1.5
     assert abs(np.median(noise) / noise_rad - 1.0) < 0.15
 
 
 def test_uncertain_points_count_less_and_the_sigmas_know_it():
     squares, plain = [], []
-    for seed in range(80):
+    for seed in range(50):
         rng = np.random.default_rng(seed)
         pose, points, bearings = scene(seed, 120, 5e-4)
         # Badly known along the ray from the origin, as points of little parallax are.
@@ -75,7 +76,7 @@ def test_uncertain_points_count_less_and_the_sigmas_know_it():
 def test_shared_error_widens_the_covariance_to_what_it_does():
     """Stitching moves neighbouring bearings together, which more matches do not average out."""
     squares, naive = [], []
-    for seed in range(40):
+    for seed in range(25):
         rng = np.random.default_rng(seed)
         pose, points, bearings = scene(seed, 400, 5e-4)
         # A smooth field over the sphere, of about the same size as the noise.
