@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -102,17 +101,14 @@ def tour_through_lens(tour: Tour, folder: Path, lens_deg: float, seed: int) -> T
     """
     pictures = folder / "pictures"
     pictures.mkdir(parents=True, exist_ok=True)
-    panoramas, contents = [], hashlib.sha256()
-    sources = [tour.folder / one.name for one in tour.panoramas]
-    for source in sources:
-        contents.update(source.read_bytes())
-    key = f"{lens_deg:g} degrees, seed {seed}, of {contents.hexdigest()}"
+    key = f"{lens_deg:g} degrees, seed {seed}, of {tour.digest()}"
     record = folder / RECORD
     is_of_these = record.is_file() and record.read_text(encoding="utf-8") == key
     record.unlink(missing_ok=True)
-    for number, (one, source) in enumerate(zip(tour.panoramas, sources, strict=True)):
+    panoramas = []
+    for number, one in enumerate(tour.panoramas):
         rng = np.random.Generator(np.random.PCG64([seed, 5, number]))
-        panorama = read_image(source)
+        panorama = read_image(tour.folder / one.name)
         lens = Lens.at_random(lens_deg, panorama.shape[1], rng)
         name = _as_png(one.name)
         if not (is_of_these and (pictures / name).is_file()):

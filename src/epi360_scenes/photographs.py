@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,7 +53,7 @@ def photograph_tour(tour: Tour, folder: Path, seed: int) -> Tour:
         If the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    key = f"seed {seed} of {_digest(tour)}"
+    key = f"seed {seed} of {tour.digest()}"
     record = folder / RECORD
     is_of_these = record.is_file() and record.read_text(encoding="utf-8") == key
     for panorama in () if is_of_these else tour.panoramas:
@@ -66,14 +65,6 @@ def photograph_tour(tour: Tour, folder: Path, seed: int) -> Tour:
             rng = np.random.Generator(np.random.PCG64([seed, 4, number]))
             path.write_bytes(photographed(read_image(tour.folder / panorama.name), rng))
     return replace(tour, folder=folder)
-
-
-def _digest(tour: Tour) -> str:
-    """What the pictures of a tour are known by."""
-    digest = hashlib.sha256()
-    for panorama in tour.panoramas:
-        digest.update((tour.folder / panorama.name).read_bytes())
-    return digest.hexdigest()
 
 
 def photographed(image: Picture, rng: np.random.Generator) -> bytes:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Tours of homes with twin rooms: panoramas on a tripod, with poses and what pairs share."""
 
+import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -82,6 +83,13 @@ class Tour:
         """Metric pose of a pair."""
         world_from_cam = {one.name: one.world_from_cam for one in self.panoramas}
         return world_from_cam[name2].inverse() @ world_from_cam[name1]
+
+    def digest(self) -> str:
+        """What the pictures of the tour are known by."""
+        digest = hashlib.sha256()
+        for panorama in self.panoramas:
+            digest.update((self.folder / panorama.name).read_bytes())
+        return digest.hexdigest()
 
     def relation(self, name1: str, name2: str) -> str:
         """How the rooms of two panoramas are related: "one room", "twins", "mirrored", "other"."""

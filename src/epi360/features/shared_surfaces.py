@@ -80,6 +80,12 @@ class SeenCells:
         cosines = np.clip(np.sum(directions * rays, axis=1), -1, 1)
         return cls(points, ranges, directions, np.degrees(np.arccos(cosines)))
 
+    def chosen(self, mask: NDArray[np.bool_]) -> SeenCells:
+        """Return those of a mask (N,)."""
+        return SeenCells(
+            self.points[mask], self.ranges[mask], self.directions[mask], self.changes_deg[mask]
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class SharedSurfaces:

@@ -41,8 +41,8 @@ class SpherePicture(NamedTuple):
     ) -> SpherePicture:
         """Look up the grey values that a camera has in the directions of a panorama's pixels.
 
-        ``mask`` is of the picture's size, and says what may be used. What is black up to a corner
-        of the picture shows nothing. The picture is made as coarse as the panorama first.
+        ``mask`` is of the picture's size, and says what may be used. What is black from a
+        corner of the picture on shows nothing. The picture is made as coarse as the panorama first.
         """
         coarse = round(camera.width * pixels_per_radian(panorama) / pixels_per_radian(camera))
         grey, _ = shrunk(grey, max(1, coarse))

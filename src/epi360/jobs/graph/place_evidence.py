@@ -215,10 +215,11 @@ def _looked_for(
     planes /= np.maximum(np.linalg.norm(planes, axis=2, keepdims=True), 1e-9)
     alike, contrasts = likeness(first, second, points, pose, planes)
     cosines = np.clip(np.sum(directions * backward, axis=1), -1, 1)
-    kept = contrasts > LEAST_CONTRAST
-    kept &= second.counts_at(points @ pose.rotation.T + pose.translation)
-    sources = np.array(list(there), dtype=np.int64)
+    (kept,) = np.nonzero(contrasts > LEAST_CONTRAST)
     seen = points[kept] @ pose.rotation.T + pose.translation
+    shown = second.counts_at(seen)
+    kept, seen = kept[shown], seen[shown]
+    sources = np.array(list(there), dtype=np.int64)
     beyond = [log_beyond(seen, cloud) for cloud in there.values()]
     return Sightings(
         witnesses[kept],

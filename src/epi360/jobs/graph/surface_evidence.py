@@ -276,10 +276,11 @@ class SurfaceWitnesses:
         names = np.repeat(
             [each.pair for each in witnesses[side]], [len(each[0]) for each in placed]
         )
-        shown = second.counts_at(SeenCells.of(pose, cells, depths).points)
+        seen = SeenCells.of(pose, cells, depths)
+        shown = second.counts_at(seen.points)
+        seen = seen.chosen(shown)
         cells, depths, normals, names = (e[shown] for e in (cells, depths, normals, names))
         alike = likeness_of(first, second, pose, cells, depths, normals)
-        seen = SeenCells.of(pose, cells, depths)
         changes = np.digitize(seen.changes_deg, _VIEW_CHANGES_DEG)
         sources, hidden = self._hidden(row, 1 - side, seen, witnesses[1 - side])
         return SurfaceSightings(
