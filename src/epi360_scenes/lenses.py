@@ -6,13 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.features import read_image
 from epi360.features.picture_writing import encode_picture
+from epi360.features.resampling import Resampling, pixel_centers
 from epi360.poses import Pose
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.tours import Tour
@@ -50,18 +50,10 @@ class Lens:
     def picture(self, panorama: Picture) -> Picture:
         """What the lens shows of a panorama; black where it shows nothing."""
         height, width = panorama.shape[:2]
-        seen = self.camera.field_of_view_mask()
-        rows, columns = np.nonzero(seen)
-        bearings = self.camera.bearings_from_pixels(np.column_stack([columns, rows]) + 0.5)
-        pixels = Equirectangular(width, height).pixels_from_bearings(
-            bearings @ self.panorama_from_lens.T
-        )
-        u, v = np.zeros((2, *seen.shape), np.float32)
-        u[rows, columns], v[rows, columns] = pixels.T - 0.5  # OpenCV puts centres at integers
-        found = cv2.remap(panorama, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        picture = np.asarray(found, np.uint8)
-        picture[~seen] = 0
-        return picture
+        centers = pixel_centers(self.camera.width, self.camera.height)
+        bearings = self.camera.bearings_from_pixels(centers) @ self.panorama_from_lens.T
+        shape = (self.camera.height, self.camera.width)
+        return Resampling(Equirectangular(width, height), [bearings], shape).picture(panorama)
 
     @property
     def pose(self) -> Pose:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Equirectangular
 from epi360.features import read_image
 from epi360.features.picture_writing import encode_picture
+from epi360.features.resampling import Resampling, pixel_centers
 from epi360_scenes.tours import Tour
 
 Array = NDArray[np.float64]
@@ -103,17 +104,13 @@ def _stitched(image: Picture, rng: np.random.Generator) -> Picture:
     """The picture with everything a little out of place, what is close together alike."""
     height, width = image.shape[:2]
     camera = Equirectangular(width, height)
-    rays = camera.bearings_from_pixels(_pixel_centers(width, height).reshape(-1, 2))
+    rays = camera.bearings_from_pixels(pixel_centers(width, height))
     rms_rad = np.radians(rng.uniform(0.0, MOST_STITCHING_DEG))
     waves = rng.normal(0.0, 1.0 / np.radians(STITCHING_SCALE_DEG), (NUM_WAVES, 3))
     phases = rng.uniform(0.0, 2 * np.pi, NUM_WAVES)
     amplitudes = rng.normal(0.0, rms_rad * np.sqrt(2.0 / NUM_WAVES), (NUM_WAVES, 3))
     turns = np.sin(rays @ waves.T + phases) @ amplitudes
-    # OpenCV counts from the centre of the first pixel.
-    places = camera.pixels_from_bearings(rays + np.cross(turns, rays)) - 0.5
-    across, down = (each.reshape(height, width).astype(np.float32) for each in places.T)
-    moved = cv2.remap(image, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(moved, np.uint8)
+    return Resampling(camera, [rays + np.cross(turns, rays)], (height, width)).picture(image)
 
 
 def _cover(picture: Array, rng: np.random.Generator, width_deg: float, height_deg: float) -> None:
@@ -122,7 +119,7 @@ def _cover(picture: Array, rng: np.random.Generator, width_deg: float, height_de
     half_width, half_height = np.radians([width_deg / 2, height_deg / 2])
     longitude = rng.uniform(-np.pi, np.pi)
     below = half_height * rng.uniform(0.2, 1.5)
-    columns, rows = np.moveaxis(_pixel_centers(width, height), -1, 0)
+    columns, rows = pixel_centers(width, height).T.reshape(2, height, width)
     across = (columns / width - 0.5) * 2 * np.pi - longitude
     across = np.cos(below) * ((across + np.pi) % (2 * np.pi) - np.pi)
     down = (rows / height - 0.5) * np.pi - below
@@ -131,11 +128,6 @@ def _cover(picture: Array, rng: np.random.Generator, width_deg: float, height_de
     coarse = rng.normal(0.0, spread, (round(180 / CLOTH_DEG), round(360 / CLOTH_DEG)))
     pattern = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
     picture[covered] = color + pattern[covered][:, None]
-
-
-def _pixel_centers(width: int, height: int) -> Array:
-    """Column and row (H, W, 2) of the centre of each pixel."""
-    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
 
 
 def _blurred(picture: Array, sigma_deg: float) -> Array:

@@ -42,6 +42,7 @@ def test_directions_at_axes_seam_and_poles_have_their_pixel(bearing, pixel):
 
 
 def test_panorama_wraps_at_the_seam():
+    assert PANORAMA.wraps and not Equirectangular(1024, 512, horizontal_fov_deg=359.0).wraps
     beyond, within = [[-0.3, 100.0], [1024.3, 400.0]], [[1023.7, 100.0], [0.3, 400.0]]
     bearings = PANORAMA.bearings_from_pixels(beyond)
     np.testing.assert_allclose(bearings, PANORAMA.bearings_from_pixels(within), atol=1e-14)

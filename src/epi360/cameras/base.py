@@ -47,6 +47,11 @@ class Camera(ABC):
             converted = checked_size if field.name in ("width", "height") else _finite_number
             object.__setattr__(self, field.name, converted(value, field.name))
 
+    @property
+    def wraps(self) -> bool:
+        """Whether a pixel row goes all around, so that its right end continues at the left."""
+        return False
+
     def bearings_from_pixels(self, pixels: ArrayLike) -> Array:
         """Return the directions in which pixels look, as unit vectors (N, 3).
 

@@ -81,7 +81,8 @@ class Equirectangular(Camera):
         return camera
 
     @property
-    def _wraps(self) -> bool:
+    def wraps(self) -> bool:
+        """Whether a pixel row goes all around, so that its right end continues at the left."""
         return self.horizontal_fov_deg >= 360
 
     @property
@@ -99,7 +100,7 @@ class Equirectangular(Camera):
         latitudes = (self.height / 2 - v) * per_row
         latitudes += np.deg2rad(self.center_latitude_deg)
         outside = (v < 0) | (v > self.height)
-        if not self._wraps:
+        if not self.wraps:
             outside |= (u < 0) | (u > self.width)
         latitudes[outside] = np.nan
         longitudes[outside] = np.nan
@@ -127,7 +128,7 @@ class Equirectangular(Camera):
         pixels = np.empty((len(x), 2))
         pixels[:, 0] = longitudes / per_column + self.width / 2
         pixels[:, 1] = self.height / 2 - latitudes / per_row
-        if self._wraps:
+        if self.wraps:
             columns = pixels[:, 0]
             columns[columns < 0] += self.width
             columns[columns >= self.width] -= self.width

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.resizing import pixels_per_radian, resized_camera
 from epi360.features.images import shrunk
+from epi360.features.resampling import Resampling, pixel_centers
 from epi360.features.sphere_cells import even_directions
 
 Grey = NDArray[np.uint8]
@@ -47,15 +48,14 @@ class SpherePicture(NamedTuple):
         coarse = round(camera.width * pixels_per_radian(panorama) / pixels_per_radian(camera))
         grey, _ = shrunk(grey, max(1, coarse))
         height, width = grey.shape
-        u, v, seen = _maps(resized_camera(camera, width), panorama)
-        found = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        around = _around(resized_camera(camera, width), panorama)
         shown = _lit(grey)
         if mask is not None:
             kept = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
             shown = shown & (kept > 0)
-        seen = seen & (cv2.remap(shown.astype(np.uint8), u, v, cv2.INTER_NEAREST) > 0)
-        inner = cv2.erode(seen.astype(np.uint8), _RIM, borderValue=1)
-        return cls(np.asarray(found, np.uint8), np.asarray(inner > 0))
+        seen = around.picture(shown.astype(np.uint8), cv2.INTER_NEAREST)
+        inner = cv2.erode(seen, _RIM, borderValue=1)
+        return cls(around.picture(grey), np.asarray(inner > 0))
 
 
 def _lit(grey: Grey) -> Mask:
@@ -74,24 +74,15 @@ def _lit(grey: Grey) -> Mask:
 
 
 @lru_cache(maxsize=8)  # of 4.5 MB: the images of a folder share few cameras
-def _maps(
-    camera: Camera, panorama: Equirectangular
-) -> tuple[NDArray[np.float32], NDArray[np.float32], Mask]:
-    """Where each pixel of a panorama lies in a camera's image, for OpenCV, and whether in it."""
-    pixels = camera.pixels_from_bearings(_directions(panorama))
-    pixels -= 0.5  # OpenCV puts centres at integers
-    seen = np.isfinite(pixels[:, 0]).reshape(panorama.height, panorama.width)
-    maps = np.where(np.isfinite(pixels), pixels, -1.0).astype(np.float32)
-    to_u, to_v = (np.ascontiguousarray(each.reshape(seen.shape)) for each in maps.T)
-    return to_u, to_v, seen
+def _around(camera: Camera, panorama: Equirectangular) -> Resampling:
+    """A camera's pictures as panoramas."""
+    return Resampling(camera, [_directions(panorama)], (panorama.height, panorama.width))
 
 
 @lru_cache(maxsize=1)
 def _directions(panorama: Equirectangular) -> NDArray[np.float64]:
     """Where the pixels of a panorama look, (H W, 3)."""
-    columns, rows = np.arange(panorama.width) + 0.5, np.arange(panorama.height) + 0.5
-    u, v = (each.ravel() for each in np.meshgrid(columns, rows))
-    return panorama.bearings_from_pixels(np.column_stack([u, v]))
+    return panorama.bearings_from_pixels(pixel_centers(panorama.width, panorama.height))
 
 
 def share_seen(camera: Camera) -> float:

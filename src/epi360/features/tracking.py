@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular
+from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import ImageSource, read_image, read_mask
 from epi360.features.lucas_kanade import erode_mask, find_corners, follow_there_and_back
@@ -197,10 +197,9 @@ def _make_view(camera: Camera, mask: ImageSource | None, options: _Options) -> _
     usable = camera.field_of_view_mask()
     if mask is not None:
         usable = usable & read_mask(mask, (camera.height, camera.width))
-    wraps = isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360
     # At the coarsest level: half a window for the patch and about half a window of motion.
-    margin = min(camera.width // 2, options.window_px << options.pyramid_levels) if wraps else 0
-    return _View(camera, usable, margin)
+    reach = min(camera.width // 2, options.window_px << options.pyramid_levels)
+    return _View(camera, usable, margin=reach if camera.wraps else 0)
 
 
 def _next_frame(

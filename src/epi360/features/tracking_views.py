@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.features.resampling import Resampling, pixel_centers
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -42,7 +43,8 @@ class TrackingView:
 
     def turned_picture(self, grey: Picture, rotation: Array) -> Picture:
         """Picture as the camera would have taken it after a rotation (new from old bearings)."""
-        return self._resampled(grey, self._bearings @ rotation)
+        turned = Resampling(self.camera, [self._bearings @ rotation], self.usable.shape)
+        return turned.picture(grey)
 
     def points_from_bearings(self, bearings: Array) -> Array:
         """Points (N, 2) of bearings; NaN where the camera sees none."""
@@ -59,14 +61,8 @@ class TrackingView:
     @cached_property
     def _bearings(self) -> Array:
         height, width = self.usable.shape
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
-        points = np.stack([u.ravel(), v.ravel()], axis=1)
+        points = pixel_centers(width, height) - 0.5
         return self.bearings_from_points(points.astype(np.float32))
-
-    def _resampled(self, grey: Picture, bearings: Array) -> Picture:
-        """Picture whose pixels look along given bearings."""
-        maps = _resampling_maps(self.camera, bearings, self.usable.shape)
-        return _remap(self.camera, grey, *maps)
 
 
 class Strip(TrackingView):
@@ -124,7 +120,7 @@ class Cap(TrackingView):
         super().__init__(camera, usable)
         size = 2 * self._center + 1
         self.usable = np.empty((size, size), dtype=np.uint8)
-        self._maps = _resampling_maps(camera, self._bearings, self.usable.shape)
+        self._resampling = Resampling(camera, [self._bearings], self.usable.shape)
         self.usable = (self.picture(255 * usable.astype(np.uint8)) == 255).astype(np.uint8)
 
     def owns(self, bearings: Array) -> Mask:
@@ -134,7 +130,7 @@ class Cap(TrackingView):
 
     def picture(self, grey: Picture) -> Picture:
         """Picture of a frame."""
-        return _remap(self.camera, grey, *self._maps)
+        return self._resampling.picture(grey)
 
     def points_from_bearings(self, bearings: Array) -> Array:
         """Points (N, 2) of bearings; NaN where the camera sees none."""
@@ -155,7 +151,7 @@ class Cap(TrackingView):
 
 def tracking_views(camera: Camera, usable: Mask) -> list[TrackingView]:
     """Views that together own every bearing the camera sees, each bearing once."""
-    if not isinstance(camera, Equirectangular) or not _wraps(camera):
+    if not isinstance(camera, Equirectangular) or not camera.wraps:
         return [TrackingView(camera, usable)]
     views: list[TrackingView] = []
     if abs(camera.center_latitude_deg) - camera.vertical_fov_deg / 2 < CAP_LATITUDE_DEG:
@@ -165,24 +161,3 @@ def tracking_views(camera: Camera, usable: Mask) -> list[TrackingView]:
         if outermost > CAP_LATITUDE_DEG:
             views.append(Cap(camera, usable, sign))
     return views
-
-
-def _resampling_maps(camera: Camera, bearings: Array, shape: tuple[int, ...]) -> tuple[Points, ...]:
-    """Columns and rows of the image that look along bearings, for `_remap`."""
-    pixels = camera.pixels_from_bearings(bearings) - 0.5
-    if _wraps(camera):
-        pixels[:, 0] += 1
-        pixels[:, 1] = pixels[:, 1].clip(0, camera.height - 1)
-    pixels[np.isnan(pixels)] = -1e4  # no such pixel: black
-    u, v = np.ascontiguousarray(pixels.T, dtype=np.float32).reshape(2, *shape)
-    return u, v
-
-
-def _remap(camera: Camera, grey: Picture, u: Points, v: Points) -> Picture:
-    if _wraps(camera):
-        grey = np.asarray(cv2.copyMakeBorder(grey, 0, 0, 1, 1, cv2.BORDER_WRAP), np.uint8)
-    return np.asarray(cv2.remap(grey, u, v, cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-def _wraps(camera: Camera) -> bool:
-    return isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360

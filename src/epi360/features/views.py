@@ -107,7 +107,7 @@ def search_views(grey: NDArray[np.uint8], camera: Camera) -> Iterator[View]:
         width, height, camera.horizontal_fov_deg, camera.vertical_fov_deg,
         camera.center_longitude_deg, camera.center_latitude_deg,
     )  # fmt: skip
-    if camera.horizontal_fov_deg < 360.0:
+    if not camera.wraps:
         yield View(grey, None)
         return
     strip = _strip(grey, scaled)

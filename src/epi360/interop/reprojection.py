@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular
+from epi360.cameras import Camera
 from epi360.cameras.base import FocalCamera
 from epi360.interop.reconstruction import Reconstruction
 
@@ -52,6 +52,6 @@ def _distances_px(
 ) -> NDArray[np.float64]:
     """Distances (N,) of pixels (N, 2), across the seam of a panorama where that is shorter."""
     across, down = (found - seen).T
-    if isinstance(camera, Equirectangular) and camera.horizontal_fov_deg >= 360:
+    if camera.wraps:
         across = np.mod(across + camera.width / 2, camera.width) - camera.width / 2
     return np.asarray(np.hypot(across, down))
