@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from epi360.jobs.graph.place_check import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
+from epi360.jobs.graph.place_verdict import PLACE_AGREES, PLACE_CONFIRMED, PlaceVerdict
 from epi360.jobs.matching.pair_verdicts import PairVerdict, checked, without_copies
 from epi360.poses import Pose, rotation_from_vector
 

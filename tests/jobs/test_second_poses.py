@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from level_views import CAMERA, NAMES, judge_otherwise, truth, write_tour
 
-from epi360.jobs.graph.place_check import PlaceVerdict
+from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching import place_job
 from epi360.jobs.matching.implied_job import ImpliedPair
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images

@@ -6,11 +6,19 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from made_evidence import no_surfaces, surfaces_of
 
 from epi360.cameras import Equirectangular
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.graph.place_evidence import Surroundings
-from epi360.jobs.graph.surface_evidence import OWN, Sibling, SurfaceWitnesses, surfaces_ratio
+from epi360.jobs.graph.surface_evidence import (
+    HIDDEN,
+    OWN,
+    UNKNOWN,
+    Sibling,
+    SurfaceWitnesses,
+    surfaces_ratio,
+)
 from epi360.places.same_place import limited_in_folder
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
@@ -119,3 +127,27 @@ def test_pairs_of_a_triangle_that_is_open_do_not():
     witnesses = SurfaceWitnesses.of(pairs, views)
     evidence = known.with_surfaces(0, known.of_points(0), witnesses, grown[0][1])
     assert evidence.siblings == ()
+
+
+TRUSTED = np.ones(4, dtype=bool)
+
+
+def test_surfaces_alone_say_only_so_much():
+    for ratio, limit in ((-3.8, -1.0), (1.7, 1.0)):
+        assert surfaces_ratio((surfaces_of([1], ratio, num=6000),) * 2, TRUSTED) == limit
+
+
+@pytest.mark.parametrize("hidden", [HIDDEN, UNKNOWN])
+def test_surfaces_that_may_be_hidden_say_nothing(hidden):
+    assert surfaces_ratio((surfaces_of([1], -3.0, hidden=hidden),) * 2, TRUSTED) == 0.0
+
+
+def test_surfaces_of_pairs_that_are_not_believed_say_nothing():
+    sides = (surfaces_of([1], -3.0),) * 2
+    assert surfaces_ratio(sides, TRUSTED) == -1.0
+    assert surfaces_ratio(sides, np.array([True, False, True, True])) == 0.0
+
+
+def test_surfaces_of_one_of_both_views_say_nothing():
+    for ratio in (-3.0, 1.7):
+        assert surfaces_ratio((surfaces_of([1], ratio), no_surfaces()), TRUSTED) == 0.0

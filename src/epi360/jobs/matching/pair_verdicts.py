@@ -17,7 +17,7 @@ from epi360.jobs.graph.graph_check import (
     fitting,
     groups_by,
 )
-from epi360.jobs.graph.place_check import (
+from epi360.jobs.graph.place_verdict import (
     ANOTHER_PLACE,
     COPY,
     PLACE_AGREES,

@@ -10,8 +10,9 @@ from typing import NamedTuple, TypeVar
 
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.jobs.graph.graph_check import awaits_confirmation
-from epi360.jobs.graph.place_check import Judged, PlaceVerdict, judge_places, leave_a_doubt
+from epi360.jobs.graph.place_check import Judged, judge_places, leave_a_doubt
 from epi360.jobs.graph.place_evidence import Evidence, Surroundings
+from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.graph.surface_evidence import KnownView, SurfaceWitnesses
 from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
 from epi360.jobs.records.match_store import Keys

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.jobs.graph.graph_check import awaits_confirmation
-from epi360.jobs.graph.place_check import PlaceVerdict
+from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.place_job import Places
 from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
