@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import pixels_per_radian
 from epi360.estimation import (
     ImagePairResult,
     RansacOptions,
@@ -201,13 +203,7 @@ def _estimated(
 
 def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:
     """Angle of a pixel at the middle of the image, the smaller one of both cameras."""
-    return min(_pixel_deg(camera) for camera in cameras)
-
-
-def _pixel_deg(camera: Camera) -> float:
-    middle = np.array([[camera.width / 2.0, camera.height / 2.0]])
-    size_rad = float(np.linalg.norm(camera.bearing_jacobians(middle)[0]) / 2.0**0.5)
-    return float(np.degrees(size_rad))
+    return math.degrees(1.0 / max(map(pixels_per_radian, cameras)))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import pytest
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.frames.frame_selection import FrameChooser, parallax_rad
+from epi360.jobs.frames.frame_selection import FrameChooser
 from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 from epi360.poses import Pose, rotation_from_vector
 from epi360_scenes import furnished_room
@@ -43,21 +43,6 @@ def chosen(pictures, parallax_deg=3.0, **options):
     for index, picture in enumerate(pictures):
         frames += chooser.add(index, index / 25, picture)
     return [*frames, *chooser.finish()]
-
-
-def test_parallax_has_the_rotation_taken_out():
-    rng = np.random.default_rng(0)
-    bearings1 = rng.standard_normal((200, 3))
-    bearings1 /= np.linalg.norm(bearings1, axis=1, keepdims=True)
-    bearings2 = bearings1 @ rotation_from_vector([0.3, -0.4, 0.2]).T
-    # A fifth of the points moves by 0.2 rad: the rotation of the others is found all the same.
-    for row in range(0, 200, 5):
-        axis = np.cross(bearings2[row], rng.standard_normal(3))
-        turn = rotation_from_vector(0.2 * axis / np.linalg.norm(axis))
-        bearings2[row] = turn @ bearings2[row]
-    angles = parallax_rad(bearings1, bearings2)
-    np.testing.assert_allclose(angles[::5], 0.2, atol=0.02)
-    assert np.median(angles) < 0.01
 
 
 def test_frames_are_about_as_far_apart_as_asked_for(walk):

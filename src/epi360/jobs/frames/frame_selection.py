@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.resizing import resized_camera
 from epi360.features.tracking import track_features
+from epi360.odometry.turning import rotation_between
 
 Picture = NDArray[np.uint8]
 
@@ -131,7 +132,7 @@ class FrameChooser:
             survival[index] = seen.mean()
             if seen.sum() >= 3:
                 first, now = bearings[0, seen], bearings[index, seen]
-                parallax_deg[index] = np.degrees(np.median(parallax_rad(first, now)))
+                parallax_deg[index] = np.degrees(np.median(rotation_between(first, now)[1]))
         return parallax_deg, survival
 
     def _next(self, parallax_deg: NDArray[np.float64], survival: NDArray[np.float64]) -> int | None:
@@ -159,22 +160,6 @@ class FrameChooser:
         pairs = [rest[start : start + 2] for start in range(0, len(rest), 2)]
         self._waiting = [first, *(max(pair, key=lambda c: c.sharpness) for pair in pairs)]
         self._stride *= 2
-
-
-def parallax_rad(
-    bearings1: NDArray[np.float64], bearings2: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Angle (N,) between bearings 2 and bearings 1 after the rotation that fits most of them."""
-    weights = np.ones(len(bearings1))
-    angles = np.zeros(len(bearings1))
-    for _ in range(8):  # least absolute angles by weights: near points must not turn the rest
-        u, _, vt = np.linalg.svd((bearings2 * weights[:, None]).T @ bearings1)
-        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        turned = bearings1 @ rotation.T
-        crossed = np.linalg.norm(np.cross(turned, bearings2), axis=1)
-        angles = np.arctan2(crossed, np.einsum("ni,ni->n", turned, bearings2))
-        weights = 1.0 / np.maximum(angles, 1e-3)
-    return angles
 
 
 def _sharpness(picture: Picture) -> float:
