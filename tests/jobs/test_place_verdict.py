@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from made_evidence import (
+from made_surroundings import (
     evidence_on,
     judged,
     nothing,

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from made_evidence import no_surfaces, surfaces_of
+from made_surroundings import no_surfaces, surfaces_of
 
 from epi360.cameras import Equirectangular
 from epi360.features.warped_patches import Panorama
