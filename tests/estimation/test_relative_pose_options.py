@@ -69,6 +69,10 @@ def test_thresholds_that_are_no_angle_are_refused(threshold):
         ({"bearings2": SCENE.bearings2[:, :2]}, r"bearings2 must have shape \(N, 3\), got \(100,"),
         ({"bearings1": np.zeros(3)}, r"bearings1 must have shape \(N, 3\), got \(3,\)"),
         (
+            {"bearings2": np.column_stack([500.0 + 400.0 * SCENE.bearings2[:, :2], np.ones(100)])},
+            r"bearings2 must be directions .* like pixels \(u, v, 1\); .*bearings_from_pixels",
+        ),
+        (
             {"bearings1": with_row(SCENE.bearings1, 17, np.inf)},
             "bearings1 must be finite .* row 17 is infinite",
         ),
@@ -145,3 +149,10 @@ def test_a_printed_result_says_verdict_and_pose_and_not_a_row_a_match():
     assert f"num_inliers={result.num_inliers}, num_matches=100" in text
     assert repr(result.cam2_from_cam1) in text
     assert len(text) < 800
+
+
+def test_rays_of_a_wide_pinhole_are_no_pixels():
+    rays = SCENE.bearings1[SCENE.bearings1[:, 2] > 0.1]
+    rays = rays / rays[:, 2:]
+    rays[:, 2] = 1.0
+    assert estimate_relative_pose(rays, rays).status == "pure_rotation"

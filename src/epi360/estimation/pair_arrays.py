@@ -13,6 +13,8 @@ from epi360.epipolar.arguments import direction_array, jacobians_array, weights_
 
 Array = NDArray[np.float64]
 
+_FEWEST_PIXELS, _LARGEST_SLOPE = 5, 30.0
+
 
 def native_pair(
     bearings1: ArrayLike,
@@ -60,7 +62,19 @@ def _rows(bearings: ArrayLike, name: str) -> Array:
     array = np.ascontiguousarray(bearings, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
+    if _look_like_pixels(array):
+        raise ValueError(
+            f"{name} must be directions of rays, got what looks like pixels (u, v, 1); turn pixels "
+            "into bearings with camera.bearings_from_pixels"
+        )
     return array
+
+
+def _look_like_pixels(rows: Array) -> bool:
+    """Whether rows are (u, v, 1) with numbers that no ray of a pinhole has: 88 degrees and more."""
+    if len(rows) < _FEWEST_PIXELS or not (rows[:, 2] == 1.0).all():
+        return False
+    return float(np.median(np.abs(rows[:, :2]).max(axis=1))) > _LARGEST_SLOPE
 
 
 def _scores(scores: ArrayLike | None, num_matches: int) -> Array | None:
