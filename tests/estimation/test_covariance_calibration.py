@@ -39,3 +39,28 @@ def test_a_direction_from_little_parallax_comes_with_its_error():
     # Parallax of two to three times the noise. Measured 1.22, and 1.52 if what the noise of the
     # derivatives costs is left out.
     assert len(ratios) > 70 and 0.8 < np.mean(ratios) < 1.4
+
+
+@pytest.mark.parametrize(
+    ("options", "num_scenes", "most"),
+    [
+        # Measured 0.91 and 1.82; if all inliers are believed, 1.23 and 3.64.
+        ({"num_matches": 400, "kappa": 500.0, "outlier_ratio": 0.5}, 80, 1.1),
+        # A step of 5 cm: wrong matches among the inliers have most of the parallax.
+        (
+            {"num_matches": 6000, "noise_deg": 0.1, "baseline_m": 0.05, "outlier_ratio": 0.5},
+            16,
+            2.7,
+        ),
+    ],
+)
+def test_wrong_matches_among_the_inliers_do_not_make_a_pose_surer(options, num_scenes, most):
+    scenes = [two_view_scene(seed, **options) for seed in range(num_scenes)]
+    results = estimate_relative_poses((s.bearings1, s.bearings2) for s in scenes)
+    ratios = [
+        normalised_squared_error(result.cam2_from_cam1, result.covariance, unit_pose(scene))
+        for result, scene in zip(results, scenes, strict=True)
+        if result.success
+    ]
+    assert len(ratios) >= 0.95 * num_scenes
+    assert np.mean(ratios) < most

@@ -183,6 +183,9 @@ def test_the_core_finds_the_same_explanations_of_any_evidence():
             "has_prior": bool(rng.integers(2)),
             "rival_evidence": -rng.exponential(20.0),
             "rival_probability": rng.uniform(),
+            "only_pose": float(rng.integers(0, 60)),
+            "only_rival": float(rng.integers(0, 60)),
+            "behind": float(rng.integers(0, 15)),
             "plane_share": rng.uniform(),
             "has_twin": bool(rng.integers(2)),
         }.items():
@@ -198,7 +201,7 @@ def test_the_core_hears_the_same_of_the_regions_as_numpy(make, gravity):
     for seed in range(4):
         b1, b2 = make(seed)
         answer = core_answer(b1, b2, gravity)
-        if answer.status != "ok":
+        if answer.status not in ("ok", "planar_ambiguous"):
             continue
         said = reference_testimony(
             units(b1),

@@ -223,3 +223,16 @@ def test_a_number_is_no_direction():
         estimate_relative_poses(
             [(scene.bearings1, scene.bearings2)], gravity1=5.0, gravity2=[0.0, 1.0, 0.0]
         )
+
+
+def test_gravity_that_the_matches_contradict_is_said():
+    scene = noisy_scene(1, 0.1, 0.3)
+    right = gravity_of(scene, 1, 0.5, 0.5)
+    assert not estimate(scene, **right).warnings
+    wrong = right | {"gravity2": tilted(right["gravity2"], 60.0, np.random.default_rng(0))}
+    result = estimate(scene, **wrong)
+    assert max(errors_deg(result.cam2_from_cam1, unit_pose(scene))) < 1.0
+    (warning,) = result.warnings
+    assert "against the given gravity" in warning
+    tilt = float(warning.split("tilts the cameras by ")[1].split(" degrees")[0])
+    assert 59.0 < tilt < 61.0

@@ -77,6 +77,19 @@ def test_many_matches_with_scores_upside_down_are_searched_as_well():
     assert (right, wrong) == (1.0, 0.0)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_scores_that_favour_another_motion_do_not_hide_that_of_most_matches(seed):
+    most, other = noisy_scene(seed, 0.05, 0.4), noisy_scene(100 + seed, 0.05, 0.0)
+    b1, b2 = (
+        np.concatenate([getattr(most, name), getattr(other, name)[:50]])
+        for name in ("bearings1", "bearings2")
+    )
+    scores = np.random.default_rng(seed).normal(np.arange(len(b1)) >= len(most.bearings1))
+    result = estimate_relative_pose(b1, b2, match_scores=scores)
+    assert result.success
+    assert max(errors_deg(result.cam2_from_cam1, most.cam2_from_cam1)) < 1.0
+
+
 def test_scores_do_not_weigh_the_answer():
     scene = noisy_scene(0, 0.2, 0.3)
     plain = estimate_relative_pose(scene.bearings1, scene.bearings2)

@@ -29,6 +29,7 @@ ROTATION = {
 DEGREE = np.pi / 180.0
 CONCENTRATED = "concentrated_inliers"
 REGIONS = {"support": 50, "regional_sigma": DEGREE}
+OTHER = {"rival_evidence": -100.0, "only_rival": 30.0}
 UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
 
 
@@ -57,6 +58,9 @@ UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
         (ROTATION | {"log10_false_alarms": 5.0}, "pure_rotation"),
         (ROTATION | {"rotation_rejection": 3.9}, "pure_rotation"),
         (ROTATION | {"rotation_rejection": 4.1}, "ok"),
+        (ROTATION | {"rotation_log_ratio": 35.0}, "too_few_inliers"),
+        (ROTATION | {"rotation_log_ratio": 35.8}, "pure_rotation"),
+        (ROTATION | {"rotation_log_ratio": 15.0, "rotation_support": 100}, "pure_rotation"),
         # What the inliers determine
         (ROTATION | UNKNOWN_DIRECTION | {"rotation_sigma": 4 * DEGREE}, "pure_rotation"),
         (ROTATION | UNKNOWN_DIRECTION | {"rotation_sigma": 6 * DEGREE}, CONCENTRATED),
@@ -81,6 +85,17 @@ UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
         ({"rival_evidence": 0.0, "rival_probability": 0.4}, "planar_ambiguous"),
         ({"rival_evidence": 0.0, "rival_probability": 0.4, "has_prior": True}, "ok"),
         ({"rival_evidence": 0.0, "rival_probability": 0.6, "has_prior": True}, "planar_ambiguous"),
+        # Another motion with matches of its own: two standard deviations of their number
+        (OTHER | {"only_pose": 48.0}, "ok"),
+        (OTHER | {"only_pose": 47.0}, "planar_ambiguous"),
+        (OTHER | {"only_pose": 47.0, "rival_probability": 0.4}, "ok"),
+        (OTHER | {"only_pose": 47.0, "has_prior": True}, "planar_ambiguous"),
+        (OTHER | {"only_pose": 20.0}, "planar_ambiguous"),
+        # Behind a camera: 0.23 of 60 inliers
+        ({"behind": 13.7}, "ok"),
+        ({"behind": 13.9}, "too_few_inliers"),
+        ({"behind": 9.9, "support": 20}, "ok"),
+        ({"behind": 10.1, "support": 20}, "too_few_inliers"),
         # Both together: 0.85 beside either, and 0.74 of all
         (REGIONS | {"log_ratio": 40.6, "rival_evidence": -6.1}, "too_few_inliers"),
         (REGIONS | {"log_ratio": 60.0, "rival_evidence": -6.6}, "ok"),
@@ -132,6 +147,12 @@ def test_the_graver_status_wins(changes, status):
         ({"parallax": 0.0121}, {}),
         ({"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
         ({"coverage": 0.46}, {}),
+        (ROTATION | {"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
+        ({"behind": 20.0}, {"mirrored": (20.0, 60.0)}),
+        ({"behind": 10.0}, {}),
+        ({"tilt": 0.051, "tilt_sigma": 0.01}, {"against_gravity": (0.051, 0.01)}),
+        ({"tilt": 0.049, "tilt_sigma": 0.01}, {}),
+        ({"tilt": 0.051, "tilt_sigma": 0.01, "num_distinct": 2}, {}),
         ({"max_noise": 0.002}, {"much_noise": (0.002, 0.002)}),
         ({"max_noise": 0.0021}, {}),
         ({"max_noise": 0.001, "rival_evidence": 0.0}, {}),

@@ -41,6 +41,28 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
   return std::sqrt(variance);
 }
 
+// Leaves out so many matches: those that would tell most about the pose.
+void leave_out_most_telling(const Matches& m, long num, Linearisation& at) {
+  std::vector<std::size_t> rows;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (at.weights[i] > 0.0) rows.push_back(i);
+  }
+  if (num < 1 || static_cast<std::size_t>(num) >= rows.size()) return;
+  double upper[15], gradient[5];
+  accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
+                              upper, gradient);
+  const Matrix5 covariance = inverse(symmetric(upper));
+  std::vector<double> told(m.size, 0.0);
+  for (const std::size_t i : rows) {
+    const Vector5 J = jacobian_of(at, m.padded, i);
+    told[i] = at.weights[i] * J.dot(covariance * J);
+  }
+  std::nth_element(rows.begin(), rows.begin() + num, rows.end(), [&](std::size_t a, std::size_t b) {
+    return told[a] > told[b] || (told[a] == told[b] && a < b);
+  });
+  for (long k = 0; k < num; ++k) at.weights[rows[static_cast<std::size_t>(k)]] = 0.0;
+}
+
 }  // namespace
 
 Vector5 jacobian_of(const Linearisation& at, std::size_t padded, std::size_t i) {
@@ -54,7 +76,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
                              const std::vector<double>& residuals, const PosePrior& prior,
-                             double least_shared_error) {
+                             double least_shared_error, double num_wrong) {
   Uncertainty result;
   result.scale = inlier_scale(m, inlier, residuals, gate);
   const double variance = result.scale * result.scale;
@@ -90,6 +112,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   result.clustering = std::max(1.0, solve_symmetric(symmetric(upper), clustered).trace() / 5.0);
 
   for (std::size_t i = 0; i < m.size; ++i) at.weights[i] = inlier[i] * m.weight[i] * trusts[i];
+  leave_out_most_telling(m, std::lround(num_wrong), at);
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =

@@ -44,13 +44,16 @@ Eigen::Matrix<double, 5, 1> jacobian_of(const Linearisation& at, std::size_t pad
 // derivative psi of the negative log-likelihood, so that the wrong matches which agree by chance
 // count as the noise they are. What the errors of neighbouring matches share is added, at least
 // least_shared_error standard deviations of one match: see shared_error.h.
-// residuals: those that the inliers were marked by; dropped: matches that leverage left out.
+// residuals: those that the inliers were marked by; dropped: matches that leverage left out;
+// num_wrong: how many inliers are expected to be wrong matches. Of a pose with little parallax such
+// matches have much more of it than the right ones, and seem to tell most: so many of those that
+// tell most do not count.
 Uncertainty pose_uncertainty(const Matches& m, Residual residual,
                              const RelativePose& cam2_from_cam1, const LossModel& loss, double gate,
                              const std::vector<unsigned char>& inlier,
                              const std::vector<unsigned char>& dropped,
                              const std::vector<double>& residuals, const PosePrior& prior,
-                             double least_shared_error);
+                             double least_shared_error, double num_wrong);
 
 // The same of a rotation alone, NaN where the translation would be.
 Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned char>& inlier,

@@ -32,11 +32,13 @@ constexpr int kPolishings = 50;
 constexpr std::size_t kOtherCandidates = 8;
 // Where residuals of wrong matches are counted: as many as tell their density to a seventh.
 constexpr double kChanceRange = 2.0 * kDegree;
-// A search for rivals may draw one sample for so many of the first search. A rival is compared with
+// A search for rivals may draw one sample for so many of the first search; more where scores have
+// led that one, which ends as soon as the best scored matches agree. A rival is compared with
 // the pose if it has at least this share of the pose's support before it is refined by all matches,
 // and is no more than so much less likely after that.
-constexpr int kFirstSearch = 4;
+constexpr int kFirstSearch = 4, kMostBesideScores = 2000;
 constexpr double kCompetingSupport = 0.25, kCompetingEvidence = 30.0;
+constexpr double kMostlyOwn = 0.5;   // share of a rival's matches that the pose does not explain
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
 // A pose is worth more than a rotation, and that more than neither.
@@ -99,7 +101,7 @@ class Estimate {
   // The pose is judged by a prior that did not guide its search.
   void judge_by(const PosePrior& prior) {
     if (!has_translation(status())) return;
-    result_.evidence.log_prior = log_prior_of(prior);
+    weigh_by(prior);
     result_.probability = probability_of_pose(result_.evidence);
   }
 
@@ -145,7 +147,8 @@ class Estimate {
 
   // Whether among the matches that an accepted pose leaves there is one that may compete with it.
   bool find_rivals_left(Candidates& candidates) {
-    const int most = result_.num_iterations / kFirstSearch;
+    const int least = priors_.scores.empty() ? 0 : kMostBesideScores;
+    const int most = std::max(result_.num_iterations / kFirstSearch, least);
     const RivalSearchResult found =
         search_rivals(m_, options_, priors_, result_.inlier, result_.threshold, most, random_);
     result_.num_iterations += found.num_iterations;
@@ -223,10 +226,14 @@ class Estimate {
 
   // Logarithm of the prior of the answer, as far as it may lower the odds: a search among upright
   // poses finds upright ones, so that being one is no evidence.
-  double log_prior_of(const PosePrior& prior) const {
-    if (!prior.has_gravity) return 0.0;
-    return std::log(kGravityIsRight * std::exp(-prior.cost(result_.cam2_from_cam1)) + 1.0 -
-                    kGravityIsRight);
+  void weigh_by(const PosePrior& prior) {
+    if (!prior.has_gravity) return;
+    const RelativePose& pose = result_.cam2_from_cam1;
+    Evidence& evidence = result_.evidence;
+    evidence.log_prior =
+        std::log(kGravityIsRight * std::exp(-prior.cost(pose)) + 1.0 - kGravityIsRight);
+    evidence.tilt = direction_angle(pose.R * prior.gravity1, prior.gravity2);
+    evidence.tilt_sigma = std::sqrt(2.0) * prior.gravity_sigma;
   }
 
   // Inliers, evidence and uncertainty of the best candidate, or of a rotation in its place.
@@ -260,7 +267,7 @@ class Estimate {
     }
     const Uncertainty uncertainty = pose_uncertainty(
         m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate, result_.inlier,
-        dropped_, result_.residuals, prior_, options_.shared_error);
+        dropped_, result_.residuals, prior_, options_.shared_error, wrong_inliers());
     result_.scale = evidence.scale = uncertainty.scale;
     set_covariance(uncertainty.covariance);
     evidence.parallax = median_parallax(m_, result_.cam2_from_cam1, result_.inlier.data());
@@ -272,17 +279,27 @@ class Estimate {
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
-    evidence.log_prior = log_prior_of(prior_);
+    weigh_by(prior_);
     const Rivals rivals = find_rivals(m_, candidates, result_.cam2_from_cam1,
                                       uncertainty.covariance, result_.inlier, gate);
     evidence.plane_share = rivals.plane_share;
     evidence.has_twin = rivals.has_twin;
     span_nearby(rivals.nearby, density);
-    if (rivals.distant) evidence = evidence_beside(*rivals.distant, density);
+    if (rivals.distant) {
+      evidence = evidence_beside(*rivals.distant, density);
+      count_own(rivals.distant->cam2_from_cam1);
+    }
     result_.probability = probability_of_pose(evidence);
     if (status() == Status::kPlanarAmbiguous) {
       result_.alternatives = {rivals.distant->cam2_from_cam1};
     }
+  }
+
+  // How many wrong matches are expected among the inliers, which agree with them by chance.
+  double wrong_inliers() const {
+    const Evidence& e = result_.evidence;
+    if (!(e.chance < 1.0)) return 0.0;
+    return std::max(e.num_effective - e.support, 0) * e.chance / (1.0 - e.chance);
   }
 
   // What the inliers of a pose are wrong by together. Of the two components of a shared error that
@@ -330,6 +347,22 @@ class Estimate {
     return beside;
   }
 
+  // Matches that only the answer, and only another motion, explains, if that rests on its own ones.
+  void count_own(const RelativePose& other) {
+    std::vector<unsigned char> inlier;
+    std::vector<double> residuals;
+    const double support =
+        mark_inliers(m_, options_.residual, other, result_.threshold, true, inlier, residuals);
+    double only_pose = 0.0, only_rival = 0.0;
+    for (std::size_t i = 0; i < m_.size; ++i) {
+      if (inlier[i] == result_.inlier[i]) continue;
+      (inlier[i] ? only_rival : only_pose) += m_.weight[i];
+    }
+    if (only_rival < kMostlyOwn * support) return;
+    result_.evidence.only_pose = only_pose;
+    result_.evidence.only_rival = only_rival;
+  }
+
   // The pose of the best candidate, its gate and its inliers.
   void mark(const Candidates& candidates) {
     RobustResult& r = result_;
@@ -350,6 +383,7 @@ class Estimate {
       r.inlier[i] = r.inlier[i] && !dropped_[i];
     }
     r.evidence.support = static_cast<int>(std::lround(support));
+    r.evidence.behind = weight_behind(m_, options_.residual, r.cam2_from_cam1, r.threshold);
   }
 
   void set_rotation(RotationFit rotation) {

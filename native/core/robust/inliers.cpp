@@ -18,6 +18,7 @@ constexpr double kReleased = 2.0 * kDegree, kReleasedSupport = 0.8, kReleasedPar
 // In noise: with less parallax than that a pose is a rotation, whose direction means nothing.
 constexpr double kLeastReleased = 2.5;
 constexpr double kReleasedEvidence = 60.0;  // how much less likely the candidate behind it may be
+constexpr double kClearlyBehind = 3.0;      // gates of parallax
 
 }  // namespace
 
@@ -54,6 +55,17 @@ double mark_inliers(const Matches& m, Residual residual, const RelativePose& pos
     const bool agrees = (std::abs(residuals[i]) < gate) & (!use_depths | (margins[i] > -tolerance));
     inlier[i] = agrees;
     weight += agrees * m.weight[i];
+  }
+  return weight;
+}
+
+double weight_behind(const Matches& m, Residual residual, const RelativePose& pose, double gate) {
+  std::vector<double> margins(m.padded), residuals(m.padded);
+  compute_residuals(m, residual, plain(pose), residuals.data(), margins.data());
+  double weight = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const bool behind = (std::abs(residuals[i]) < gate) & (margins[i] < -kClearlyBehind * gate);
+    weight += behind * m.weight[i];
   }
   return weight;
 }

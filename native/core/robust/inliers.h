@@ -19,6 +19,10 @@ double mark_inliers(const Matches& m, Residual residual, const RelativePose& cam
                     double gate, bool use_depths, std::vector<unsigned char>& inlier,
                     std::vector<double>& residuals);
 
+// Weight of the matches inside the gate that lie behind a camera by more than noise explains.
+double weight_behind(const Matches& m, Residual residual, const RelativePose& cam2_from_cam1,
+                     double gate);
+
 // In a narrow view with much noise, a turn along the epipolar planes hardly changes the residuals,
 // and large false parallax puts every wrong match in front of both cameras: the count of depths
 // then pulls poses away from the residuals' own optimum, and prefers wrong ones. Where such an

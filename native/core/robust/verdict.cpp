@@ -21,6 +21,12 @@ constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
 // 700 true planes.
 constexpr double kRotationRejected = 4.0, kPlaneRejected = 3.0;
 constexpr double kRivalRejected = 6.0;  // log-likelihood that a second pose lacks
+// Standard deviations by which a motion must have more matches of its own than another one. Where a
+// train or a copy shows half as many things as the place itself, it may have more by chance.
+constexpr double kRivalOutnumbered = 2.0;
+// Share of the inliers, and how many at the least, that lie behind a camera if an image is
+// mirrored: there 0.28 to 0.97 do, and of right poses up to 0.18.
+constexpr double kMirroredShare = 0.23, kFewestMirrored = 10.0;
 // Noise over the limit that the user knows: from so many times it on a pose is not said, and its
 // log-odds fall by so much for each factor of e. Right poses of real pictures have up to 1.1 times.
 constexpr double kMostNoise = 3.0, kLogOddsPerNoise = -8.0;
@@ -50,6 +56,7 @@ constexpr double kPatchRelativeSpread = 0.2;  // of that of all matches
 // Measured on real pairs: directions are wrong under about 3 times the noise, good from 6 to 7.
 constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
+constexpr double kTiltRejected = 5.0;     // standard deviations
 
 // Log-odds from standard deviations: those of the likelihoods of a Gaussian, the odds of what is
 // accepted at the limit of a test.
@@ -89,8 +96,12 @@ bool is_chance(const Evidence& e) {
   return e.log10_false_alarms > kFalseAlarms || e.chance > kLargestChance;
 }
 
+bool is_mirrored(const Evidence& e) {
+  return e.behind >= std::max(kFewestMirrored, kMirroredShare * e.support);
+}
+
 double log_odds_of_pose(const Evidence& e) {
-  if (e.chance > kLargestChance) return -kCertain;
+  if (e.chance > kLargestChance || is_mirrored(e)) return -kCertain;
   return bounded(std::min(
       {log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms), log_odds_by_noise(e)}));
 }
@@ -102,18 +113,28 @@ double log_odds_of_rotation(const Evidence& e) {
   return bounded(std::min(by_regions, log_odds_by_chance(e.rotation_log10_false_alarms)));
 }
 
+// Of the pose over another motion, by the matches of their own, which are independent.
+double log_odds_by_number(const Evidence& e) {
+  if (!(e.only_rival > 0.0)) return kCertain;
+  const double deviations =
+      (e.only_pose - e.only_rival) / std::sqrt(e.only_pose + e.only_rival) / kRivalOutnumbered;
+  return kAcceptedLogOdds * deviations * std::abs(deviations);
+}
+
 // Of the pose that was found over a second one; two that are equally likely are equally probable.
 // On a plane both are right but for noise, whose log-likelihoods differ by about the root of the
 // number of matches.
 double log_odds_over_rival(const Evidence& e) {
+  const bool is_believed = e.rival_probability > kRivalProbability;
   if (e.has_twin) {
     const double lack = std::max(-e.rival_evidence - kRivalRejected, 0.0);
     const double deviations = lack / std::sqrt(std::max(e.support, 1));
     return bounded(kAcceptedLogOdds * std::pow(deviations / kPlaneRejected, 2.0));
   }
   // With gravity known, a pose that the regions do not believe in is no rival either.
-  if (e.has_prior && !(e.rival_probability > kRivalProbability)) return kCertain;
-  return bounded(-e.rival_evidence * kAcceptedLogOdds / kRivalRejected);
+  if (e.has_prior && !is_believed) return kCertain;
+  const double by_lead = -e.rival_evidence * kAcceptedLogOdds / kRivalRejected;
+  return bounded(is_believed ? std::min(by_lead, log_odds_by_number(e)) : by_lead);
 }
 
 // Of one surface over a general scene: standard deviations by which the inliers off it are fewer or
@@ -156,6 +177,7 @@ Status status_of(const Evidence& e) {
   if (e.num_distinct < e.min_num_inliers) return Status::kTooFewInliers;
   if (is_patch(e)) return Status::kConcentratedInliers;
   if (rotation) {
+    if (!beats(found(x) + x.rotation, x.nothing)) return Status::kTooFewInliers;
     return e.turn_sigma > kUnknownRotation ? Status::kConcentratedInliers : Status::kPureRotation;
   }
   if (is_undetermined(e)) return Status::kConcentratedInliers;
@@ -200,6 +222,10 @@ const char* name_of(WarningCode code) {
       return "partial_coverage";
     case WarningCode::kMuchNoise:
       return "much_noise";
+    case WarningCode::kMirrored:
+      return "mirrored";
+    case WarningCode::kAgainstGravity:
+      return "against_gravity";
     case WarningCode::kFixedContent:
       break;
   }
@@ -277,13 +303,19 @@ Verdict judge(const Evidence& e) {
     warn(WarningCode::kMissingMatches, missing, e.num_matches);
   }
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
+  if (verdict.status == Status::kTooFewInliers && is_mirrored(e)) {
+    warn(WarningCode::kMirrored, e.behind, e.support);
+  }
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
-  if (!has_translation(verdict.status)) return verdict;
-  if (e.parallax < kCertainParallax * e.scale) {
+  if (!has_translation(verdict.status) && verdict.status != Status::kPureRotation) return verdict;
+  if (has_translation(verdict.status) && e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
   }
   if (e.coverage < kPartialCoverage * e.match_coverage) {
     warn(WarningCode::kPartialCoverage, e.coverage, e.match_coverage);
+  }
+  if (has_translation(verdict.status) && e.tilt > kTiltRejected * e.tilt_sigma) {
+    warn(WarningCode::kAgainstGravity, e.tilt, e.tilt_sigma);
   }
   if (verdict.status == Status::kOk && is_too_noisy(e)) {
     warn(WarningCode::kMuchNoise, e.noise, e.max_noise);

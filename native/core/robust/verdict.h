@@ -21,6 +21,8 @@ enum class WarningCode {
   kLittleParallax,
   kPartialCoverage,
   kMuchNoise,
+  kMirrored,
+  kAgainstGravity,
   kFixedContent
 };
 
@@ -29,8 +31,8 @@ const char* name_of(Status status);
 const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
-// coverage by inliers and by all matches; noise and its limit; matches that are fixed to the camera
-// of all.
+// coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
+// tilt against gravity and its standard deviation; matches that are fixed to the camera of all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -58,6 +60,8 @@ struct Evidence {
   int support = 0;
   double log10_false_alarms = -kInfinity;
   double chance = 0.0;
+  // Matches that fit the epipolar curves, but lie behind a camera: those of a mirrored image do.
+  double behind = 0.0;
   double parallax = kNaN, scale = kNaN;
 
   // The best rotation alone: matches that it explains, and its false alarms. Standard deviations by
@@ -77,15 +81,19 @@ struct Evidence {
   // the prior of the pose over that of the most probable one.
   double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
   bool has_prior = false;  // gravity is known
+  // Angle by which the pose tilts the cameras against it, and its standard deviation.
+  double tilt = 0.0, tilt_sigma = kNaN;
 
   // What the matches say of the rotation alone, where it is the answer: log-likelihood ratio, as
   // above.
   double rotation_log_ratio = kInfinity;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Share of the inliers on one plane, and whether it is so large
-  // that there is such a pose by geometry.
+  // probable the regions make it. Matches that only the pose, and only that one, explains, if most
+  // of those that it explains are its own. Share of the inliers on one plane, and whether it is so
+  // large that there is such a pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0;
+  double only_pose = 0.0, only_rival = 0.0;
   double plane_share = 0.0;
   bool has_twin = false;
 

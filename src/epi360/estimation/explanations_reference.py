@@ -20,7 +20,9 @@ LARGEST_CHANCE = 0.6  # of a wrong match inside the gate
 ROTATION_MOSTLY = 0.5  # of the inliers
 ROTATION_REJECTED, PLANE_REJECTED = 4.0, 3.0  # standard deviations
 RIVAL_REJECTED = 6.0  # log-likelihood
+RIVAL_OUTNUMBERED = 2.0  # standard deviations
 RIVAL_PROBABILITY = 0.5
+MIRRORED_SHARE, FEWEST_MIRRORED = 0.23, 10.0  # of the inliers
 PLANE_SHARE = 0.9
 MOST_NOISE, LOG_ODDS_PER_NOISE = 3.0, -8.0  # over the limit that the user knows
 LOG_ODDS, LOG_ODDS_PER_RATIO, LOG_ODDS_PER_SIGMA = -2.7, 0.11, -1.2
@@ -41,6 +43,7 @@ class PairEvidence:
     support: int = 0
     log10_false_alarms: float = -math.inf
     chance: float = 0.0
+    behind: float = 0.0
     rotation_support: int = 0
     rotation_log10_false_alarms: float = math.inf
     rotation_rejection: float = math.inf
@@ -51,6 +54,8 @@ class PairEvidence:
     has_prior: bool = False
     rival_evidence: float = -math.inf
     rival_probability: float = 1.0
+    only_pose: float = 0.0
+    only_rival: float = 0.0
     plane_share: float = 0.0
     has_twin: bool = False
     noise: float = math.nan
@@ -92,7 +97,8 @@ def log_odds_by_regions(evidence: PairEvidence) -> float:
 
 
 def _log_odds_of_pose(e: PairEvidence) -> float:
-    if e.chance > LARGEST_CHANCE:
+    is_mirrored = e.behind >= max(FEWEST_MIRRORED, MIRRORED_SHARE * e.support)
+    if e.chance > LARGEST_CHANCE or is_mirrored:
         return -CERTAIN
     chance = _by_chance(e.log10_false_alarms)
     return _bounded(min(log_odds_by_regions(e), chance, _by_noise(e)))
@@ -109,9 +115,20 @@ def _log_odds_over_rival(e: PairEvidence) -> float:
         lack = max(-e.rival_evidence - RIVAL_REJECTED, 0.0)
         deviations = lack / math.sqrt(max(e.support, 1))
         return _bounded(ACCEPTED_LOG_ODDS * (deviations / PLANE_REJECTED) ** 2)
-    if e.has_prior and not e.rival_probability > RIVAL_PROBABILITY:
+    is_believed = e.rival_probability > RIVAL_PROBABILITY
+    if e.has_prior and not is_believed:
         return CERTAIN
-    return _bounded(-e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED)
+    by_lead = -e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED
+    return _bounded(min(by_lead, _by_number(e)) if is_believed else by_lead)
+
+
+def _by_number(e: PairEvidence) -> float:
+    """Log-odds of the pose over another motion, by the matches that each explains alone."""
+    if not e.only_rival > 0.0:
+        return CERTAIN
+    deviations = (e.only_pose - e.only_rival) / math.sqrt(e.only_pose + e.only_rival)
+    deviations /= RIVAL_OUTNUMBERED
+    return ACCEPTED_LOG_ODDS * deviations * abs(deviations)
 
 
 def _log_odds_of_surface(e: PairEvidence) -> float:

@@ -69,6 +69,16 @@ def _sentence(warning: _core.Warning) -> str:
             f"the median parallax is only {value / reference:.1f} times the noise: "
             "the direction of the translation is uncertain, the rotation is not"
         )
+    if warning.code == "mirrored":
+        return (
+            f"{value:.0f} more matches than the {reference:.0f} inliers fit the epipolar geometry, "
+            "but lie behind a camera: one of the images may be mirrored"
+        )
+    if warning.code == "against_gravity":
+        return (
+            f"the pose tilts the cameras by {np.degrees(value):.1f} degrees against the given "
+            f"gravity, which is good to {np.degrees(reference):.2g}: one of both is wrong"
+        )
     if warning.code == "partial_coverage":
         return (
             f"inliers cover {value:.0%} of the sphere, all matches {reference:.0%}: "
