@@ -82,6 +82,22 @@ def _followed(rng: np.random.Generator, *, num: int) -> CameraMatches:
     return _disturbed(rng, np.concatenate([first, ahead]), np.concatenate([second, swayed]), pose)
 
 
+def _copied(rng: np.random.Generator, *, share: float) -> CameraMatches:
+    """Matches of which a share takes the room for its copy, and the others are right or wrong."""
+    num_copied = round(share * NUM_MATCHES)
+    pose, of_copy = _pose(rng, moved=True), _pose(rng, moved=True)
+    first, second = _room(rng, pose, NUM_MATCHES - num_copied, wrong_share=0.0)
+    again, copied = _room(rng, of_copy, num_copied, wrong_share=0.0)
+    return _disturbed(rng, np.concatenate([first, again]), np.concatenate([second, copied]), pose)
+
+
+def _mirrored(rng: np.random.Generator) -> CameraMatches:
+    """A room whose second view is mirrored left to right: no pose is right."""
+    first, second = _room(rng, _pose(rng, moved=True), NUM_MATCHES)
+    nothing = Pose(np.eye(3), np.full(3, np.nan))
+    return _disturbed(rng, first, second * [-1.0, 1.0, 1.0], nothing)
+
+
 def _pose(rng: np.random.Generator, *, moved: bool) -> Pose:
     """Pose of a camera that stands upright to a degree and has turned by 30 degrees or more."""
     turn = rotation_from_vector(np.radians([rng.normal(), rng.uniform(30.0, 330.0), rng.normal()]))
@@ -89,11 +105,13 @@ def _pose(rng: np.random.Generator, *, moved: bool) -> Pose:
     return Pose(turn, -turn @ step if moved else np.full(3, np.nan))
 
 
-def _room(rng: np.random.Generator, pose: Pose, num: int) -> tuple[Array, Array]:
+def _room(
+    rng: np.random.Generator, pose: Pose, num: int, wrong_share: float = WRONG_SHARE
+) -> tuple[Array, Array]:
     """Bearings of landmarks in a room, some of them matched with anything."""
     landmarks = rng.uniform(-1.0, 1.0, (num, 3)) * ROOM_M
     second = _unit(landmarks @ pose.rotation.T + np.nan_to_num(pose.translation))
-    wrong = rng.random(num) < WRONG_SHARE
+    wrong = rng.random(num) < wrong_share
     second[wrong] = _unit(rng.normal(size=(wrong.sum(), 3)))
     return _unit(landmarks), second
 
@@ -138,4 +156,6 @@ CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
     **{f"turn, {n} carried": partial(_carried, num=n, moved=False) for n in (50, 150, 400)},
     **{f"still, {n} passing": partial(_passed, num=n) for n in (50, 100, 200)},
     **{f"step, {n} walk ahead": partial(_followed, num=n) for n in (100, 200, 300)},
+    **{f"step, {p} % of a copy": partial(_copied, share=p / 100) for p in (30, 40, 47, 53)},
+    "step, mirrored": _mirrored,
 }

@@ -61,7 +61,7 @@ def errors_deg(result, pose):
     )
 
 
-@pytest.mark.parametrize("num_fixed", [150, 400])
+@pytest.mark.parametrize("num_fixed", [80, 150, 400])
 @pytest.mark.parametrize("num_wrong", [0, 30])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_car_that_has_more_matches_than_the_scene_is_left_out(seed, num_fixed, num_wrong):

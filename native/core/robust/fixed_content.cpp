@@ -15,6 +15,9 @@ namespace {
 
 constexpr double kFixed = 1.0 * kDegree;  // of what stands still, if stitched or bent
 constexpr double kSurrounds = 1.5;
+// Of two poses that explain the matches about equally well, one may be that of matches that stand
+// still: so many times these are at least as many as the inliers of the other.
+constexpr double kCompeting = 4.0;
 
 // Whether some matches lie around the camera, and others in a smaller part of what it sees. A pole
 // is a corner of many cells, and two poles have no mean bearing: either measure will do.
@@ -53,12 +56,15 @@ std::vector<std::size_t> standing_still(const Matches& m, double gate) {
 }
 
 std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer) {
-  if (has_translation(answer.verdict.status)) return {};
+  if (answer.verdict.status == Status::kOk) return {};
   std::vector<std::size_t> still = standing_still(m, answer.threshold);
   std::size_t agreeing = 0, num_inliers = 0;
   for (const std::size_t i : still) agreeing += answer.inlier[i];
   for (const unsigned char each : answer.inlier) num_inliers += each;
-  if (agreeing == 0 || 2 * agreeing < num_inliers) return {};
+  const bool is_answer = agreeing > 0 && 2 * agreeing >= num_inliers;
+  const bool is_rival = answer.verdict.status == Status::kPlanarAmbiguous &&
+                        kCompeting * static_cast<double>(still.size()) >= num_inliers;
+  if (!is_answer && !is_rival) return {};
   const std::vector<unsigned char> fixed = mask_of(m, still);
   std::vector<unsigned char> others(m.size);
   std::transform(fixed.begin(), fixed.end(), others.begin(), [](auto each) { return !each; });
