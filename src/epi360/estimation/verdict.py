@@ -71,7 +71,7 @@ def _sentence(warning: _core.Warning) -> str:
         )
     if warning.code == "mirrored":
         return (
-            f"{value:.0f} more matches than the {reference:.0f} inliers fit the epipolar geometry, "
+            f"besides the {reference:.0f} inliers {value:.0f} matches fit the epipolar geometry, "
             "but lie behind a camera: one of the images may be mirrored"
         )
     if warning.code == "against_gravity":

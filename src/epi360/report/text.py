@@ -39,8 +39,9 @@ STATUS_SENTENCES: dict[Status, str] = {
         "the translation is not determined; take the second image from another place"
     ),
     "planar_ambiguous": (
-        "two poses explain the matches about equally well, as on a scene close to one plane; the "
-        "more likely is shown; use images that also share something off that plane"
+        "two poses explain the matches about equally well, as on a scene close to one plane, or "
+        "where half of the matches are on something that moves; the more likely is shown; use "
+        "images that share more of the scene"
     ),
     "concentrated_inliers": (
         "the matches that agree cover too small a part of the sphere for a trustworthy pose; "
