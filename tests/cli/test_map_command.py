@@ -5,9 +5,11 @@ import cv2
 import numpy as np
 import pytest
 from command_line import assert_help_names, assert_wrong_use
-from mapped_room import write_picture
+from mapped_room import CAMERA, write_picture
 
 from epi360 import cli
+from epi360.poses import Pose
+from epi360_scenes import furnished_room
 
 pytest.importorskip("pycolmap")
 
@@ -155,6 +157,29 @@ def test_fewer_than_two_registered_images_are_exit_code_1(tmp_path, capsys):
     assert cli.main(words) == 1
     assert "registered   0 of 2 images" in capsys.readouterr().out
     assert not (tmp_path / "out" / "sparse").exists()
+
+
+def test_a_camera_that_only_turned_is_said_to_be_nothing_to_map(tmp_path, capsys, monkeypatch):
+    pose = Pose(np.eye(3), np.array([-0.9, -1.5, -0.5]))
+    picture = furnished_room(0).render(CAMERA, pose, supersample=1).image
+    for number in range(2):
+        turned = np.roll(picture, 80 * number, axis=1)
+        write_picture(tmp_path / "in" / f"{number}.png", turned)
+    monkeypatch.setattr(
+        "epi360.jobs.mapping.map_attempts.run_mapper", lambda *_, **__: pytest.fail()
+    )
+    out = tmp_path / "out"
+    words = ["map", str(tmp_path / "in"), "--output", str(out)]
+    assert cli.main([*words, "--report", str(tmp_path / "map.html")]) == 1
+    printed = capsys.readouterr().out
+    assert (
+        "no map       no pair has a translation, so there is nothing to map: in 1 of 1 pair the "
+        "camera only turned (pure_rotation); take pictures from several places\n"
+    ) in printed
+    assert "not used     0.png: no accepted pair (1 pure_rotation)" in printed
+    assert (out / "pairs.csv").is_file() and not (out / "sparse").exists()
+    page = (tmp_path / "map.html").read_text(encoding="utf-8")
+    assert "No pair shows a translation, so there is nothing to map." in page
 
 
 @pytest.mark.parametrize(

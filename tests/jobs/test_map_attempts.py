@@ -144,6 +144,23 @@ def test_where_nothing_works_all_ways_are_named(monkeypatch, many, tmp_path):
     assert [a.mean_error_px for a in mapped.attempts] == [None, None, None]
 
 
+@pytest.mark.parametrize("status", ["pure_rotation", "too_few_inliers", None])
+def test_pairs_without_a_translation_start_no_mapper(monkeypatch, many, tmp_path, status):
+    graph, verdicts = many
+    pairs = [
+        replace(
+            pair, geometry=None if status is None else replace(pair.geometry, status=status)
+        )
+        for pair in graph.pairs
+    ]
+    still = replace(graph, pairs=tuple(pairs)), verdicts
+    mapped = tried(monkeypatch, still, tmp_path)
+    assert (mapped.models, mapped.attempts, mapped.unconfirmed) == ([], (), ())
+    # One pair with a translation is enough to try; here all three ways find nothing.
+    one = replace(graph, pairs=(*pairs[1:], graph.pairs[0])), verdicts
+    assert len(tried(monkeypatch, one, tmp_path, None, None, None).attempts) >= 1
+
+
 def test_a_clip_too_slow_for_the_incremental_mapper_is_mapped_all_the_same(tmp_path):
     truth = {
         f"{k:02d}": Pose(

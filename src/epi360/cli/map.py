@@ -238,7 +238,7 @@ def _shown_map(run: MapRun) -> MapShown:
     from epi360.report.folder_page import MapShown
 
     models = [model.reconstruction for model in run.models]
-    return MapShown(models, run.unregistered, run.branches)
+    return MapShown(models, run.unregistered, run.branches, was_tried=bool(run.attempts))
 
 
 def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOptions:
@@ -273,10 +273,17 @@ def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
 
 def _describe(run: MapRun, images: ImageSet) -> str:
     """Lines for people: what registered, what did not and why, and how long it took."""
-    from epi360.report.match_table import branch_sentence, describe_level, describe_others
+    from epi360.report.match_table import (
+        branch_sentence,
+        describe_level,
+        describe_others,
+        no_translation_sentence,
+    )
 
     num_registered = len(run.models[0].reconstruction.images) if run.models else 0
     lines = [f"registered   {num_registered} of {run.num_images} images"]
+    if not (run.models or run.attempts):
+        lines.append(f"no map       {no_translation_sentence(run.matched)}")
     if run.models:
         model = run.models[0]
         lines += [

@@ -49,6 +49,7 @@ class MapShown:
     models: Sequence[Reconstruction]  # the largest first, which is drawn
     left_out: Mapping[str, str]  # image without a pose in it, and the reason
     branches: Sequence[Branch] = ()  # images that one pair alone joins to the rest
+    was_tried: bool = True  # False: no pair shows a translation, so there is nothing to map
 
 
 def write_match_report(
@@ -158,7 +159,10 @@ def _page(
 def _map_section(shown_map: MapShown, num_images: int, has_webgl: bool) -> str:
     models, heading = shown_map.models, "<h2>The map</h2>"
     if not models:
-        return f"{heading}<p>COLMAP could not make a map of these pairs.</p>"
+        why = "COLMAP could not make a map of these pairs"
+        if not shown_map.was_tried:
+            why = "No pair shows a translation, so there is nothing to map"
+        return f"{heading}<p>{why}.</p>"
     placed, count = len(models[0].images), len(models[0].points)
     others = ""
     if len(models) > 1:

@@ -134,6 +134,18 @@ def branch_sentence(branch: Branch) -> str:
     return f"{_first_few(branch.images)} {hang} on {pair} alone: nothing checks how far away"
 
 
+def no_translation_sentence(judged: JudgedPairs) -> str:
+    """Why there is nothing to map where no pair shows a translation."""
+    turned = sum(rejection(verdict) == "pure_rotation" for verdict in judged.verdicts)
+    why = "pairs.csv says why"
+    if turned:
+        why = (
+            f"in {turned:,} of {counted(len(judged.verdicts), 'pair')} the camera only turned "
+            "(pure_rotation); take pictures from several places"
+        )
+    return f"no pair has a translation, so there is nothing to map: {why}"
+
+
 def describe_questioned(judged: JudgedPairs) -> list[str]:
     """A line that names the pairs whose poses were kept though something speaks against them."""
     count = len(judged.questioned)

@@ -38,6 +38,7 @@ RULES = 6  # of the attempts and the check: other rules, other models
 # Another way is tried if more than this share of the images that pairs connect is left out.
 _MOST_LEFT_OUT = 0.05
 COMPOSED = "the poses of the pairs"
+_WITH_TRANSLATION = CONFIG_OF_STATUS.keys() - {"pure_rotation"}
 _FEWEST_IMAGES = 3  # that anything else could place
 
 
@@ -84,8 +85,11 @@ def map_by_attempts(
     anything but the incremental mapper with its usual angles has placed must be confirmed, see
     `confirmed_images`; so must its own panoramas, if it is known how long the translations of pairs
     are. If two ways place equally many, the one that was asked for is kept, and else the one with
-    the smaller error.
+    the smaller error. Nothing is tried if there are no poses and no pair shows a translation.
     """
+    has_poses = initial is not None and bool(initial[1])
+    if not has_poses and not _shows_translation(graph):
+        return Mapped([], (), ())
     needed = (1 - _MOST_LEFT_OUT) * _num_connected(graph)
     composed = cache(compose)
     tried: list[Mapped] = []
@@ -95,7 +99,7 @@ def map_by_attempts(
         begun = time.perf_counter()
         models = find()
         # Lengths take a while to find, and a sequence that is tracked needs none.
-        is_given = initial is not None and bool(initial[1]) and not tried
+        is_given = has_poses and not tried
         known = ComposedPoses if is_given else composed
         lost = _without_unconfirmed(models, graph, pairs, known, options, is_trusted=is_trusted)
         error = models[0].compute_mean_reprojection_error() if models else None
@@ -163,6 +167,14 @@ def _from_poses(
             return models
     color_points(model, colors)
     return [model]
+
+
+def _shows_translation(graph: MatchGraph) -> bool:
+    """Whether a pair says in which direction the camera moved; COLMAP places nothing without."""
+    return any(
+        pair.geometry is not None and pair.geometry.status in _WITH_TRANSLATION
+        for pair in graph.pairs
+    )
 
 
 def _num_connected(graph: MatchGraph) -> int:

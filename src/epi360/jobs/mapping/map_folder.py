@@ -95,7 +95,8 @@ class MapRun:
     num_images: int
     seconds: Mapping[str, float]  # wall time of the "matching" of this run and of the "mapping"
     remarks: tuple[str, ...]  # sentences about what could not be written
-    attempts: tuple[Attempt, ...] = ()  # ways of mapping that were tried, in order
+    # Ways of mapping that were tried, in order; none if no pair shows a translation.
+    attempts: tuple[Attempt, ...] = ()
     track: dict[str, Any] | None = None  # of a sequence: `SequenceStart.summary`
     was_mapped: bool = False  # an earlier run mapped the same pairs: its models and its time
     branches: tuple[Branch, ...] = ()  # of the first model, that one pair alone joins to the rest
@@ -135,8 +136,9 @@ def map_images(
     verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches.
     Ambiguous pairs join no groups of images that others do not join, as rooms may have the same
     carpet. A pair that two or more triangles contradict, or that `check_graph` refuses, stays out:
-    a few of them lead COLMAP's mapper astray. What was matched is not matched again, and what was
-    mapped from the same matches with the same options is not mapped again.
+    a few of them lead COLMAP's mapper astray. If no pair shows a translation, as of a camera that
+    only turned, there are no models, and no mapper runs. What was matched is not matched again, and
+    what was mapped from the same matches with the same options is not mapped again.
 
     Raises
     ------
@@ -431,7 +433,7 @@ def _reasons(
             reasons[name] = "too few points and pairs confirm the place that was found"
         elif number is not None:
             reasons[name] = f"is in {MODELS}/{number}, which does not connect to {MODELS}/0"
-        elif not CONFIG_OF_STATUS.keys() & statuses:
+        elif not statuses["ok"]:
             counts = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
             reasons[name] = f"no accepted pair ({counts or 'none tried'})"
         else:
