@@ -13,6 +13,7 @@ import pytest
 from browsers import errors, open_browser, requests_elsewhere, show
 from made_up_results import essential, fake_result
 
+from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph, TwoViewGeometry
 from epi360.interop.reconstruction import PosedImage, Reconstruction
@@ -32,6 +33,7 @@ from epi360.report.folder_page import (
 from epi360.report.match_table import describe_match
 from epi360.report.model_scene import model_scene
 from epi360.report.webgl import find_webgl_library
+from epi360.synthetic import two_view_scene
 
 CAMERA = Equirectangular(width=512, height=256)
 HOSTILE = "<img src=x onerror=window.broken=1>&.png"
@@ -145,6 +147,29 @@ def test_the_summary_counts_why_pairs_are_not_used(make_run):
     assert sentences[0].startswith("4 images gave 6 pairs (made up), and 3 pairs are accepted")
     assert "Of the others, 2 did not fit other pairs." in sentences
     assert "Of the others, 1 had too few matches that agree with one pose." in sentences
+
+
+def test_the_summary_counts_accepted_pairs_whose_cameras_may_be_wrong(make_run):
+    run, _ = make_run(4, 3)
+    scene = two_view_scene(3, noise_deg=0.4, noise_in_both_views=True)
+    told = estimate_relative_pose(scene.bearings1, scene.bearings2, max_noise_deg=0.2)
+    assert len(told.warnings) == 1
+    # The first pair is refused, so what its noise says does not count.
+    noisy = [dataclasses.replace(each, warnings=told.warnings) for each in run.verdicts]
+    assert [each.accepted for each in noisy].count(True) == 3 and not noisy[0].accepted
+    for verdicts, line in (
+        ((*noisy[:3], *run.verdicts[3:]), "2 of 3 accepted pairs have more noise"),
+        (noisy, "3 of 3 accepted pairs have more noise"),
+        (noisy[1:2], "1 of 1 accepted pair has more noise"),
+    ):
+        changed = dataclasses.replace(run, verdicts=tuple(verdicts))
+        line += (
+            " than key points have: do the cameras belong to these images, in this order? Their "
+            "warnings say how much."
+        )
+        assert line in describe_match(changed) and line in summary_sentences(changed)
+    quiet = dataclasses.replace(run, verdicts=(noisy[0], *run.verdicts[1:]))
+    assert "do the cameras belong" not in describe_match(quiet)
 
 
 def test_a_refused_pair_is_not_said_to_have_no_pose(make_run):

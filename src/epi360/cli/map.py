@@ -276,6 +276,7 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     from epi360.report.match_table import (
         branch_sentence,
         describe_level,
+        describe_noise,
         describe_others,
         no_translation_sentence,
     )
@@ -310,7 +311,9 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     lines += [f"not used     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
-    lines += [*describe_level(run.matched), *describe_others(run.matched), *run.remarks]
+    for describe in (describe_noise, describe_level, describe_others):
+        lines += describe(run.matched)
+    lines += run.remarks
     return "\n".join(lines)
 
 

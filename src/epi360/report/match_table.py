@@ -25,6 +25,7 @@ COLUMNS = (
     "probability_motion", "probability_rival",
 )  # fmt: skip
 CONTRADICTED = "contradicted by other pairs"
+NOISY = "do the cameras belong to these images"  # in the warning of matches with too much noise
 # What is said of so many pairs, by the words of `rejection`; other words say it by themselves.
 REJECTIONS = {
     "too_few_matches": "had too few matches",
@@ -162,10 +163,23 @@ def describe_questioned(judged: JudgedPairs) -> list[str]:
 def describe_judged(judged: JudgedPairs) -> list[str]:
     """Lines that say what all pairs together have told, and what they could not tell."""
     return [
+        *describe_noise(judged),
         *describe_level(judged),
         *describe_others(judged),
         *describe_questioned(judged),
         *describe_not_compared(judged),
+    ]
+
+
+def describe_noise(judged: JudgedPairs) -> list[str]:
+    """A line that counts accepted pairs whose noise is too large for the given cameras."""
+    accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
+    count = sum(any(NOISY in text for text in verdict.warnings) for verdict in accepted)
+    if not count:
+        return []
+    return [
+        f"{count:,} of {counted(len(accepted), 'accepted pair')} {'has' if count == 1 else 'have'} "
+        f"more noise than key points have: {NOISY}, in this order? Their warnings say how much."
     ]
 
 
