@@ -10,6 +10,8 @@ import time
 
 import numpy as np
 import pytest
+from command_line import assert_wrong_use
+from mapped_room import write_picture
 from walked_room import frames, write_frames
 
 from epi360.cli import main
@@ -266,6 +268,46 @@ def test_wrong_use_is_one_line(tmp_path, capsys, words, said):
     write_frames(tmp_path / "frames", 2)
     assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out"), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "said"),
+    [
+        ("masks/001.png", (64, 32), "each frame of frames is 512x256 but its mask masks"),
+        ("masks/001.png.png", (64, 32), "a mask must have the size of its image"),
+        ("masks/1.png", (512, 256), "mask folder masks has no mask for any of the images"),
+        ("masks.png", (64, 32), "is 512x256 but its mask masks.png is 64x32"),
+    ],
+)
+def test_masks_that_fit_no_frame_are_refused_before_the_work(
+    tmp_path, monkeypatch, capsys, name, size, said
+):
+    monkeypatch.chdir(tmp_path)
+    write_frames(tmp_path / "frames", 2)
+    write_picture(tmp_path / name, np.full((size[1], size[0], 3), 255, np.uint8))
+    mask = name.partition("/")[0]
+    assert_wrong_use(capsys, ["track", "frames", "--out", "out", "--mask", mask], said)
+    assert not (tmp_path / "out").exists()
+
+
+def test_masks_of_another_size_are_refused_for_a_video(tmp_path, capsys):
+    pytest.importorskip("av")
+    from written_videos import write_video
+
+    video = write_video(tmp_path / "walk.mp4", frames()[:2])
+    write_picture(tmp_path / "masks" / "walk_000001.png", np.full((32, 64, 3), 255, np.uint8))
+    words = ["track", video, "--out", tmp_path / "out", "--mask", tmp_path / "masks"]
+    assert_wrong_use(capsys, words, "is 512x256 but its mask")
+
+
+def test_a_mask_of_a_frame_that_is_not_there_does_not_matter(tmp_path):
+    write_frames(tmp_path / "frames", 3)
+    for name, (height, width) in (("001", (256, 512)), ("999", (32, 64))):
+        white = np.full((height, width, 3), 255, np.uint8)
+        write_picture(tmp_path / "masks" / f"{name}.png", white)
+    words = ["--out", str(tmp_path / "out"), "--mask", str(tmp_path / "masks")]
+    assert main(["track", str(tmp_path / "frames"), *words]) == 0
+    assert not any("mask" in message for message in log_of(tmp_path / "out")["messages"])
 
 
 def test_recording_is_written(tmp_path):

@@ -148,9 +148,7 @@ def test_where_nothing_works_all_ways_are_named(monkeypatch, many, tmp_path):
 def test_pairs_without_a_translation_start_no_mapper(monkeypatch, many, tmp_path, status):
     graph, verdicts = many
     pairs = [
-        replace(
-            pair, geometry=None if status is None else replace(pair.geometry, status=status)
-        )
+        replace(pair, geometry=None if status is None else replace(pair.geometry, status=status))
         for pair in graph.pairs
     ]
     still = replace(graph, pairs=tuple(pairs)), verdicts

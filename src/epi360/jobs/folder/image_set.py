@@ -190,12 +190,9 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
     size, gpano = _size_and_gpano(path)
     camera, frame = chosen.of(name, size, gpano)
     mask = masks.mask_of(name)
-    mask_size = None if mask is None else masks.size_of(mask)
-    if mask_size is not None and mask_size != size:
-        raise _Unusable(
-            f"is {size[0]}x{size[1]} but its mask {mask} is {mask_size[0]}x{mask_size[1]}; a mask "
-            "must have the size of its image"
-        )
+    wrong = "" if mask is None else masks.wrong_size(mask, size)
+    if wrong:
+        raise _Unusable(wrong)
     down = None if gpano is None else gpano.down
     return SourceImage(name, path, camera, mask, frame, down)
 

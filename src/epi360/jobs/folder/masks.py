@@ -55,6 +55,16 @@ class MaskSource:
                 self._sizes[mask] = None
         return self._sizes[mask]
 
+    def wrong_size(self, mask: Path, size: tuple[int, int]) -> str:
+        """Rest of a sentence about an image of this size whose mask has another; else empty."""
+        found = self.size_of(mask)
+        if found is None or found == size:
+            return ""
+        return (
+            f"is {size[0]}x{size[1]} but its mask {mask} is {found[0]}x{found[1]}; a mask must "
+            "have the size of its image"
+        )
+
     def check_used(self, masks: list[Path | None]) -> None:
         """Raise ``ValueError`` where a folder of masks was given and no image has one."""
         if self._masks is not None and not any(masks):

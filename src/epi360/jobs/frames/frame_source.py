@@ -50,6 +50,10 @@ class FrameSource(Protocol):
         """How many frames there are, None if a video does not say it."""
 
     @property
+    def names(self) -> list[str] | None:
+        """Names of all frames in order, None if a video must be read to know them."""
+
+    @property
     def ending(self) -> str | None:
         """After a loop: a sentence if the source ended earlier than it should."""
 
@@ -131,6 +135,8 @@ class _VideoFrames:
         end_s = min(info.duration_s, math.inf if self._end_s is None else self._end_s)
         return max(0, math.ceil((end_s - (self._start_s or 0.0)) * info.frame_rate))
 
+    names = None
+
     @property
     def ending(self) -> str | None:
         return self._video.ending
@@ -186,6 +192,10 @@ class _FolderFrames:
     @property
     def num_frames(self) -> int | None:
         return len(self._files)
+
+    @property
+    def names(self) -> list[str] | None:
+        return list(self._files)
 
     def camera(self) -> Equirectangular:
         for name, path in self._files.items():

@@ -113,8 +113,8 @@ def track_frames(
     FileNotFoundError
         If the video or folder does not exist, or a folder has no images.
     ValueError
-        If it is no video, its frames are no panoramas and no camera is given, or the output holds
-        files of something else.
+        If it is no video, its frames are no panoramas and no camera is given, a mask has another
+        size than its frame, or the output holds files of something else.
     ImportError
         If PyAV is missing for a video, or pycolmap for a refinement.
     OSError
@@ -129,8 +129,8 @@ def track_frames(
         camera = read_given_cameras(options.camera).only()
     if options.upright_deg is not None:
         gravity_of(camera, None, path.name)  # refuses what is no panorama
-    _prepare(output)
     run = _Run(source, camera, output, options, watchers)
+    _prepare(output)
     try:
         run.track(progress)
     except KeyboardInterrupt:
@@ -159,6 +159,18 @@ def _prepare(output: Path) -> None:
     write_file(output / files.LOG, json.dumps({"track": "began"}).encode())
 
 
+def _check_masks(masks: MaskSource, source: FrameSource, camera: Camera) -> None:
+    """Raise where a mask has another size than its frame, or no frame has one."""
+    found = [masks.mask_of(name) for name in source.names or ()]
+    if source.names is not None:
+        masks.check_used(found)
+    used = dict.fromkeys(masks.files() if source.names is None else found)
+    for mask in used:
+        wrong = "" if mask is None else masks.wrong_size(mask, (camera.width, camera.height))
+        if wrong:
+            raise ValueError(f"each frame of {source.path} {wrong}")
+
+
 class _Run:
     """One sequence that is being tracked."""
 
@@ -173,6 +185,7 @@ class _Run:
         self._source, self._camera, self._output = source, camera, output
         self._options, self._watchers = options, watchers
         self._masks = MaskSource(options.mask)
+        _check_masks(self._masks, source, camera)
         one_mask = options.mask if options.mask is not None and options.mask.is_file() else None
         usable = nadir_mask(camera, options.mask_nadir_deg)
         if one_mask is not None:
