@@ -256,6 +256,37 @@ def test_folder_of_something_else_is_not_touched(tmp_path, capsys):
     assert (other / "trajectory.txt").read_text() == "precious"
 
 
+def test_the_track_of_another_folder_is_not_replaced(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("walk/frames", "other/frames"):
+        write_frames(tmp_path / folder, 3)
+    assert main(["track", "walk/frames", "--out", "out"]) == 0
+    before = (tmp_path / "out" / "trajectory.txt").read_bytes()
+    capsys.readouterr()
+    refused = "out holds the track of another video or folder, ", "choose another folder"
+    assert_wrong_use(capsys, ["track", "other/frames", "--out", "out"], *refused)
+    assert (tmp_path / "out" / "trajectory.txt").read_bytes() == before
+    # The same frames, named in another way and with other options, are tracked again.
+    monkeypatch.chdir(tmp_path / "walk")
+    assert main(["track", "frames", "--out", "../out", "--seed", "1"]) == 0
+
+
+@pytest.mark.parametrize(("name", "first"), [("walk.mp4", 3), ("run.mp4", 0)])
+def test_the_track_of_another_video_is_not_replaced(tmp_path, capsys, name, first):
+    pytest.importorskip("av")
+    from written_videos import write_video
+
+    (tmp_path / "other").mkdir()
+    walk = write_video(tmp_path / "walk.mp4", frames()[:3])
+    other = write_video(tmp_path / "other" / name, frames()[first : first + 3])
+    out = ["--out", str(tmp_path / "out")]
+    assert main(["track", str(walk), *out]) == 0
+    capsys.readouterr()
+    said = "the track of another video or folder, walk.mp4; choose another folder"
+    assert_wrong_use(capsys, ["track", other, *out], said)
+    assert log_of(tmp_path / "out")["made_from"]["video"] == "walk.mp4"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

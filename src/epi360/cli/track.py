@@ -94,7 +94,8 @@ def track(
     source
         Video, or folder of images in the order of their names.
     out
-        Folder for the results; NAME-track in the current folder by default.
+        Folder for the results; NAME-track in the current folder by default. An earlier track of
+        the same frames is replaced there, that of others is not.
     view
         Show the trajectory and the map while they grow, in Rerun.
     recording

@@ -25,12 +25,13 @@ from epi360.interop.video import is_video
 from epi360.jobs.folder.given_cameras import read_given_cameras
 from epi360.jobs.folder.masks import MaskSource
 from epi360.jobs.frames.frame_source import FrameSource, SourceFrame, check_times, open_frames
+from epi360.jobs.frames.frames_job import content_key
 from epi360.jobs.tracking import track_files as files
 from epi360.jobs.tracking.refine_map import refine_with_colmap
 from epi360.odometry import Odometry, OdometryOptions
 from epi360.odometry.frame_result import FrameResult
 from epi360.progress import Progress, no_progress
-from epi360.runs.made_from import read_record
+from epi360.runs.made_from import first_difference, read_record, write_record
 from epi360.runs.whole_files import write_file
 
 STAGE = "tracking frames"
@@ -114,7 +115,8 @@ def track_frames(
         If the video or folder does not exist, or a folder has no images.
     ValueError
         If it is no video, its frames are no panoramas and no camera is given, a mask has another
-        size than its frame, or the output holds files of something else.
+        size than its frame, or the output holds files of something else or the track of another
+        source.
     ImportError
         If PyAV is missing for a video, or pycolmap for a refinement.
     OSError
@@ -130,7 +132,7 @@ def track_frames(
     if options.upright_deg is not None:
         gravity_of(camera, None, path.name)  # refuses what is no panorama
     run = _Run(source, camera, output, options, watchers)
-    _prepare(output)
+    _prepare(output, source.path)
     try:
         run.track(progress)
     except KeyboardInterrupt:
@@ -141,8 +143,8 @@ def track_frames(
     return run.finish(progress)
 
 
-def _prepare(output: Path) -> None:
-    """Make the output, or check that it is one of this function."""
+def _prepare(output: Path, source: Path) -> None:
+    """Make the output, or check that it is one of this function and of the same source."""
     if output.exists() and not output.is_dir():
         raise ValueError(f"the output must be a folder, {output} is a file")
     if output.is_dir() and any(output.iterdir()):
@@ -151,12 +153,30 @@ def _prepare(output: Path) -> None:
             raise ValueError(
                 f"{output} is not empty and holds no result of epi360 track; choose a new folder"
             )
+        _check_source(output, record, source)
     output.mkdir(parents=True, exist_ok=True)
     for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS):
         (output / name).unlink(missing_ok=True)  # of an earlier run
     for folder in (files.MODEL, files.IMAGES):
         shutil.rmtree(output / folder, ignore_errors=True)
-    write_file(output / files.LOG, json.dumps({"track": "began"}).encode())
+    write_record(output / files.LOG, {"track": "began", "made_from": _made_from(source)})
+
+
+def _made_from(source: Path) -> dict[str, str]:
+    """What a track is of: a folder by its place, a video, which may be moved, by its content."""
+    if source.is_dir():
+        return {"folder": str(source.resolve())}
+    return {"video": source.name, "content": content_key(source)}
+
+
+def _check_source(output: Path, record: dict[str, Any], source: Path) -> None:
+    """Raise where the output holds the track of something else; earlier versions did not say."""
+    before = record.get("made_from")
+    if isinstance(before, dict) and first_difference(before, _made_from(source)):
+        name = before.get("video") or before.get("folder")
+        raise ValueError(
+            f"{output} holds the track of another video or folder, {name}; choose another folder"
+        )
 
 
 def _check_masks(masks: MaskSource, source: FrameSource, camera: Camera) -> None:
@@ -269,7 +289,7 @@ class _Run:
         )
         for watcher in self._watchers:
             watcher.close(self.odometry)
-        log = json.dumps(_log(run, self._options), indent=1).encode()
+        log = json.dumps(_log(run, self._source.path, self._options), indent=1).encode()
         written.attempt(files.LOG, lambda: write_file(self._output / files.LOG, log))
         return run
 
@@ -372,13 +392,14 @@ def _write_pictures(
             return
 
 
-def _log(run: TrackRun, options: TrackOptions) -> dict[str, Any]:
+def _log(run: TrackRun, source: Path, options: TrackOptions) -> dict[str, Any]:
     """What the JSON log says."""
     tracked = [result.index for result in run.results if result.status == "tracked"]
     recorded = asdict(replace(options, mask=None))
     recorded["mask"] = None if options.mask is None else str(options.mask)
     return {
         "track": "interrupted" if run.was_interrupted else "done",
+        "made_from": _made_from(source),
         "num_frames": len(run.results),
         "statuses": dict(run.counts),
         "first_tracked": tracked[0] if tracked else None,
