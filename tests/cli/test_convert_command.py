@@ -23,6 +23,7 @@ from epi360.interop.formats import FORMATS, format_of_file
 from epi360.interop.nerfstudio import read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm
 from epi360.interop.tum import read_tum_trajectory, write_tum_trajectory
+from epi360.jobs.records.match_store import MARKER
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
 COLMAP = "colmap", "colmap-text"
@@ -260,6 +261,21 @@ def test_what_epi360_match_wrote_becomes_a_database(run, tmp_path, monkeypatch):
     without = read_colmap_database("b.db", with_descriptors=True).images["hall/b.jpg"]
     assert without.descriptors is None
     refused(run("matched", "transforms.json"), "matched holds no COLMAP model", "epi360 map")
+
+
+def test_what_epi360_map_wrote_is_a_model_where_the_target_needs_poses(run, tmp_path, monkeypatch):
+    write_colmap_model("map/sparse/0", scene())
+    (tmp_path / "map" / MARKER).write_text("{}")
+    code, out, _ = run("map", "transforms.json")
+    assert (code, out.partition(":")[0]) == (0, "wrote transforms.json (nerfstudio transforms)")
+    assert_same_poses(scene(), read_nerfstudio("transforms.json"))
+    code, out, _ = run("map", "model")
+    assert (code, out.partition(":")[0]) == (0, "wrote model (COLMAP model)")
+    assert_same_poses(scene(), read_colmap_model("model"))
+    pytest.importorskip("pycolmap")
+    monkeypatch.setattr("epi360.jobs.matching.match_folder.load_matches", lambda folder: graph())
+    code, out, _ = run("map", "matches.db", "--no-descriptors")
+    assert (code, out) == (0, "wrote matches.db (COLMAP database): 3 images, 2 pairs, 1 camera")
 
 
 @pytest.fixture

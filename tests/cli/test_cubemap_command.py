@@ -13,8 +13,11 @@ pytest.importorskip("pycolmap")
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 
 
-def test_a_model_that_is_there_is_cut_without_mapping(room_folder, room_run, tmp_path, capsys):
-    model, images = str(room_run[0] / "sparse" / "0"), str(room_folder[0])
+@pytest.mark.parametrize("model", ["sparse/0", "."])
+def test_a_model_that_is_there_is_cut_without_mapping(
+    room_folder, room_run, tmp_path, capsys, model
+):
+    model, images = str(room_run[0] / model), str(room_folder[0])
     out = tmp_path / "cube"
     assert cli.main(["cubemap", model, images, str(out), "--faces", "up", "--face-size", "32"]) == 0
     assert capsys.readouterr().out == f"wrote {out} (6 cube faces)\n"

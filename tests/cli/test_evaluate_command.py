@@ -11,6 +11,7 @@ from command_line import assert_help_names, assert_wrong_use
 from epi360.cameras import Equirectangular
 from epi360.cli import SUCCESS, main
 from epi360.interop.colmap_model import write_colmap_model
+from epi360.interop.nerfstudio import write_nerfstudio
 from epi360.interop.reconstruction import PosedImage, Reconstruction
 from epi360.interop.tum import write_tum_trajectory
 from epi360.poses import Pose, rotation_from_vector
@@ -28,13 +29,15 @@ def way(count=20, wobble=0.0):
 
 @pytest.fixture
 def files(tmp_path):
-    """A true TUM trajectory, an estimated one, and a COLMAP model of the estimate."""
+    """A true TUM trajectory, an estimated one, a COLMAP model of it, and one as a map has it."""
     for name, poses in (("truth", way()), ("estimate", way(wobble=0.01))):
         images = [PosedImage(str(k), None, p.inverse(), k / 10) for k, p in enumerate(poses)]
         write_tum_trajectory(tmp_path / f"{name}.txt", Reconstruction({}, tuple(images)))
     images = [PosedImage(f"{k}.jpg", "c", p.inverse()) for k, p in enumerate(way(wobble=0.01))]
     model = Reconstruction({"c": Equirectangular(64, 32)}, tuple(images))
     write_colmap_model(tmp_path / "model", model)
+    write_colmap_model(tmp_path / "map" / "sparse" / "0", model)
+    write_nerfstudio(tmp_path / "map" / "transforms.json", model, images="frames")
     rows = "".join(f"{k}.jpg,{k / 10}\n" for k in range(20))
     (tmp_path / "frames.csv").write_text(f"image,timestamp_s\n{rows}")
     return tmp_path
@@ -57,8 +60,9 @@ def test_errors_are_printed_written_and_drawn(files, capsys):
     assert (files / "e.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_model_without_times_takes_them_from_the_table_of_frames(files, capsys):
-    words = ["evaluate", str(files / "model"), str(files / "truth.txt")]
+@pytest.mark.parametrize("model", ["model", "map"])
+def test_a_model_without_times_takes_them_from_the_table_of_frames(files, capsys, model):
+    words = ["evaluate", str(files / model), str(files / "truth.txt")]
     assert main([*words, "--frames", str(files / "frames.csv")]) == SUCCESS
     assert "20 of 20 have a pose" in capsys.readouterr().out
 

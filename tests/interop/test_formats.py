@@ -6,7 +6,7 @@ from typing import get_args
 import pytest
 
 from epi360.cli.convert import FormatName
-from epi360.interop.formats import FORMATS, format_of_file, format_of_name
+from epi360.interop.formats import FORMATS, colmap_model_folder, format_of_file, format_of_name
 
 
 def test_the_command_line_knows_every_format():
@@ -66,6 +66,17 @@ def test_who_has_arrays_of_matches_is_told_what_to_do_with_them(tmp_path, name):
 def test_a_folder_with_a_reconstruction_is_a_project_of_opensfm(tmp_path):
     (tmp_path / "reconstruction.json").write_text("[]")
     assert format_of_file(tmp_path) == "opensfm-folder"
+
+
+def test_the_model_of_a_folder_is_itself_or_its_first_one(tmp_path):
+    assert colmap_model_folder(tmp_path) is None
+    first = tmp_path / "sparse" / "0"
+    first.mkdir(parents=True)
+    (first / "images.bin").write_bytes(b"")
+    assert colmap_model_folder(tmp_path) == colmap_model_folder(first) == first
+    assert format_of_file(tmp_path) == "colmap"
+    (tmp_path / "images.txt").write_text("")
+    assert colmap_model_folder(tmp_path) == tmp_path
 
 
 def test_a_folder_without_a_model_is_no_reconstruction(tmp_path):

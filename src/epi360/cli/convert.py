@@ -83,7 +83,8 @@ def convert(
 
     Reconstructions: COLMAP model (folder), OpenSfM project (folder) or its reconstruction.json
     alone, nerfstudio transforms.json, TUM trajectory (.txt or .tum). Matches: COLMAP database
-    (.db), hloc (.h5) and, to read, what epi360 match wrote. Nothing that is there is replaced.
+    (.db), hloc (.h5) and, to read, what epi360 match wrote. The output folder of epi360 map is the
+    one or the other, as the target needs. Nothing that is there is replaced.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def convert(
     target_name = output_format or format_of_name(target)
     folder = images if images is not None and target_name != "opensfm-folder" else "images"
     with as_file(source) as file:  # a pipe gives its content once: to find the format, or to read
-        source_name = _format_of_source(file)
+        source_name = _format_of_source(file, target_name)
         _check_kinds(source, source_name, target, target_name)
         verify = verdicts.are_wanted
         named = None if verify else images  # pictures to compare, not a part of the target
@@ -222,19 +223,27 @@ def _read(
     return _read_reconstruction(source, name, images, camera)
 
 
-def _format_of_source(source: Path) -> str:
-    from epi360.interop.formats import format_of_file, holds_colmap_model, holds_opensfm_project
+def _format_of_source(source: Path, target_name: str) -> str:
+    """Format of the source; of what `epi360 map` wrote, what the target needs: model or matches."""
+    from epi360.interop.formats import (
+        FORMATS,
+        colmap_model_folder,
+        format_of_file,
+        holds_colmap_model,
+        holds_opensfm_project,
+    )
     from epi360.jobs.records.match_store import MARKER
 
     was_matched = (source / MARKER).is_file()
     holds_project = holds_opensfm_project(source) and not was_matched
-    if source.is_dir() and not holds_colmap_model(source) and not holds_project:
-        return MATCH_FOLDER
-    return format_of_file(source)
+    if not source.is_dir() or holds_colmap_model(source) or holds_project:
+        return format_of_file(source)
+    needs_poses = FORMATS[target_name].kind == "reconstruction"
+    return "colmap" if needs_poses and colmap_model_folder(source) else MATCH_FOLDER
 
 
 def _check_kinds(source: Path, source_name: str, target: Path, target_name: str) -> None:
-    from epi360.interop.formats import FORMATS
+    from epi360.interop.formats import FIRST_MODEL, FORMATS
 
     kind = "matches" if source_name == MATCH_FOLDER else FORMATS[source_name].kind
     wanted = FORMATS[target_name]
@@ -244,8 +253,9 @@ def _check_kinds(source: Path, source_name: str, target: Path, target_name: str)
         return
     if source_name == MATCH_FOLDER:
         raise ValueError(
-            f"folder {source} holds no COLMAP model (images.bin or images.txt), so no poses for "
-            f"{target}; from what epi360 match wrote, make a model first with epi360 map"
+            f"folder {source} holds no COLMAP model (images.bin or images.txt), nor {FIRST_MODEL} "
+            f"with one, so no poses for {target}; from what epi360 match wrote, make a model first "
+            "with epi360 map"
         )
     if kind == "matches":
         raise ValueError(

@@ -27,8 +27,8 @@ def evaluate(
     Parameters
     ----------
     estimate
-        TUM trajectory (rows t tx ty tz qx qy qz qw of world_from_cam), COLMAP model, nerfstudio's
-        transforms.json or OpenSfM's reconstruction.json.
+        TUM trajectory (rows t tx ty tz qx qy qz qw of world_from_cam), COLMAP model, output folder
+        of epi360 map, nerfstudio's transforms.json or OpenSfM's reconstruction.json.
     truth
         The same; frm_ref.txt of epi360 render is a TUM trajectory.
     align

@@ -195,8 +195,8 @@ def cubemap(
     Parameters
     ----------
     model
-        COLMAP model (folder), nerfstudio's transforms.json, OpenSfM's project (folder) or its
-        reconstruction.json.
+        COLMAP model (folder), output folder of epi360 map, nerfstudio's transforms.json, OpenSfM's
+        project (folder) or its reconstruction.json.
     images
         Folder that the names of the images start from.
     output

@@ -10,7 +10,7 @@ from epi360.interop.colmap_database import read_colmap_database, write_colmap_da
 from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.colmap_model_rigs import keeps_rigs
 from epi360.interop.descriptors import DescriptorsOf
-from epi360.interop.formats import FORMATS
+from epi360.interop.formats import FORMATS, colmap_model_folder
 from epi360.interop.hloc import read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfstudio
@@ -30,9 +30,12 @@ FOLDERS = (*COLMAP_MODELS, "opensfm-folder")
 
 
 def read_reconstruction(path: PathLike, name: str, *, images: str = "images") -> Reconstruction:
-    """Return the reconstruction in a file or folder of the named format."""
+    """Return the reconstruction in a file or folder of the named format.
+
+    The model of a folder that `epi360 map` wrote is its ``sparse/0``.
+    """
     if name in COLMAP_MODELS:
-        return read_colmap_model(path)
+        return read_colmap_model(colmap_model_folder(path) or path)
     if name in ("opensfm", "opensfm-folder"):
         return read_opensfm(path)
     if name == "nerfstudio":

@@ -51,6 +51,7 @@ OWN_MATCHES = (
     "docs/existing_project.md"
 )
 MODEL_FILES = ("images.bin", "images.txt")
+FIRST_MODEL = "sparse/0"  # in the output folder of `epi360 map`, and of COLMAP's own commands
 OPENSFM_FILE = "reconstruction.json"
 # OpenSfM's file is a list of reconstructions; people take one out of it.
 ONE_RECONSTRUCTION = re.compile(rb'\{\s*"(cameras|shots|points|rig_cameras|reference_lla)"')
@@ -59,16 +60,19 @@ BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 
 def format_of_file(path: PathLike) -> str:
-    """Return the format of an existing file or folder by its content, a key of `FORMATS`."""
+    """Return the format of an existing file or folder by its content, a key of `FORMATS`.
+
+    A folder whose model is in ``sparse/0``, such as the output of `epi360 map`, is a COLMAP model.
+    """
     path = Path(path)
-    if holds_colmap_model(path):
-        return "colmap"
-    if holds_opensfm_project(path):
+    if holds_opensfm_project(path) and not holds_colmap_model(path):
         return "opensfm-folder"
+    if colmap_model_folder(path) is not None:
+        return "colmap"
     if path.is_dir():
         raise ValueError(
-            f"folder {path} must hold a COLMAP model (cameras, images and points3D) or OpenSfM's "
-            f"{OPENSFM_FILE}"
+            f"folder {path} must hold a COLMAP model (cameras, images and points3D), {FIRST_MODEL} "
+            f"with one, or OpenSfM's {OPENSFM_FILE}"
         )
     try:
         start = read_beginning(path, 4096)
@@ -96,6 +100,12 @@ def format_of_file(path: PathLike) -> str:
 def holds_colmap_model(folder: PathLike) -> bool:
     """Return whether a folder exists and has the files of a COLMAP model, text or binary."""
     return any((Path(folder) / name).is_file() for name in MODEL_FILES)
+
+
+def colmap_model_folder(path: PathLike) -> Path | None:
+    """Return where the COLMAP model of a folder is: itself or its ``sparse/0``; None without."""
+    path = Path(path)
+    return next((each for each in (path, path / FIRST_MODEL) if holds_colmap_model(each)), None)
 
 
 def holds_opensfm_project(folder: PathLike) -> bool:

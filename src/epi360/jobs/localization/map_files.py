@@ -9,7 +9,7 @@ from epi360.cameras import load_cameras
 from epi360.image_folders import existing_folder
 from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.colmap_pairs import ColmapPairs
-from epi360.interop.formats import holds_colmap_model
+from epi360.interop.formats import FIRST_MODEL, colmap_model_folder
 from epi360.jobs.localization.feature_sources import (
     DatabaseFile,
     ExtractionSettings,
@@ -23,7 +23,7 @@ from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.mapping.mapped_models import with_given_cameras
 from epi360.runs.whole_files import PathLike
 
-_INDEX, _CAMERAS, _FIRST, _DATABASE = "images.json", "cameras.json", "sparse/0", "database.db"
+_INDEX, _CAMERAS, _DATABASE = "images.json", "cameras.json", "database.db"
 _LEVELS = 2  # folders above a model in which its database may lie: DATABASE beside sparse/0
 
 
@@ -71,11 +71,11 @@ def load_map(
     path = existing_folder(Path(path), "map")
     if sum(each is not None for each in (images, features, database)) > 1:
         raise ValueError("give one of images, features and database, got several")
-    folder = path if holds_colmap_model(path) else path / _FIRST
-    if not holds_colmap_model(folder):
+    folder = colmap_model_folder(path)
+    if folder is None:
         raise ValueError(
-            f"{path} holds no COLMAP model (images.bin or images.txt), nor {_FIRST} with one; make "
-            "a map first with epi360 map"
+            f"{path} holds no COLMAP model (images.bin or images.txt), nor {FIRST_MODEL} with one; "
+            "make a map first with epi360 map"
         )
     model = read_colmap_model(folder)
     ours = _output_of_ours(path, folder)
