@@ -60,7 +60,7 @@ def test_errors_are_printed_written_and_drawn(files, capsys):
     assert (files / "e.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("model", ["model", "map"])
+@pytest.mark.parametrize("model", ["model", "map", "map/transforms.json"])
 def test_a_model_without_times_takes_them_from_the_table_of_frames(files, capsys, model):
     words = ["evaluate", str(files / model), str(files / "truth.txt")]
     assert main([*words, "--frames", str(files / "frames.csv")]) == SUCCESS

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from epi360.image_folders import natural_order
 from epi360.interop.convert import read_reconstruction
 from epi360.interop.formats import FORMATS, format_of_file
+from epi360.interop.reconstruction import PosedImage
 from epi360.poses import Pose
 from epi360.runs.whole_files import PathLike
 
@@ -68,8 +69,9 @@ def read_trajectory(
 ) -> PosedFrames:
     """Poses of a TUM trajectory, a COLMAP model or another reconstruction, in order.
 
-    ``times_of`` gives names their times, where the file has none; it gives all of them or none.
-    Images without a pose are left out.
+    ``times_of`` gives names their times, where the file has none; it gives all of them or none. Its
+    names are compared as those of two trajectories, see `matching_frames`: those in transforms.json
+    begin with a folder. Images without a pose are left out.
 
     Raises
     ------
@@ -91,10 +93,7 @@ def read_trajectory(
     if not images:
         raise ValueError(f"{path} holds no pose")
     known = times_of or {}
-    times = [
-        image.timestamp_s if image.timestamp_s is not None else known.get(image.name)
-        for image in images
-    ]
+    times = _times(images, known)
     unknown = [image.name for image, time in zip(images, times, strict=True) if time is None]
     if known and 0 < len(unknown) < len(images):
         raise ValueError(
@@ -110,6 +109,19 @@ def read_trajectory(
     poses = [images[index].cam_from_world.inverse() for index in order]
     frames = posed_frames([images[index].name for index in order], stamps, poses)
     return replace(frames, has_names=kind != "tum")
+
+
+def _times(images: Sequence[PosedImage], known: Mapping[str, float | None]) -> list[float | None]:
+    """Times of images: their own, or those of a table by their names; None where there is none."""
+    times = [image.timestamp_s for image in images]
+    if not known or None not in times:
+        return times
+    names = list(known)
+    rows, table_rows = _matching_names([image.name for image in images], names)
+    for row, table_row in zip(rows, table_rows, strict=True):
+        if times[row] is None:
+            times[row] = known[names[table_row]]
+    return times
 
 
 def _name_order(name: str) -> list[Any]:
