@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """`epi360 map`: what is printed and written, exit codes."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -56,7 +58,9 @@ def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_
     # Other faces: said before the mapping, so that the map is still that of the faces.
     before = (out / "mapping.json").read_bytes()
     assert cli.main([*words, "--mapper", "global", "--cubemap", "--faces", "up"]) == 2
-    assert "cubemap with other options" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "cubemap with other options (--faces); " in said
+    assert f"delete the folder {out / 'cubemap'}, and it is cut anew" in said
     assert (out / "mapping.json").read_bytes() == before
     assert cli.main(words) == 0
     assert "earlier map" not in capsys.readouterr().out
@@ -65,6 +69,9 @@ def test_an_older_cubemap_is_not_taken_for_that_of_the_new_map(room_folder, tmp_
     assert f"{out / 'cubemap'} is of an earlier map: --cubemap cuts it again" in (
         capsys.readouterr().out
     )
+    shutil.rmtree(out / "cubemap")  # what the message about other faces tells to do
+    assert cli.main([*words, "--cubemap", "--faces", "up"]) == 0
+    assert len(read_colmap_model(out / "cubemap" / "sparse" / "0").images) == 3
 
 
 def nothing_matched(folder):

@@ -146,7 +146,12 @@ def map_folder(
     options = _map_options(given, work, mapping)
     cutting = _cubemap_options(cube_faces)
     if cubemap:
-        check_cubemap_folder(output / "cubemap", cutting, given.mask_nadir_deg)
+        check_cubemap_folder(
+            output / "cubemap",
+            cutting,
+            given.mask_nadir_deg,
+            remedy=f"delete the folder {output / 'cubemap'}, and it is cut anew; the map is kept",
+        )
     source, folder = folder, images_of(folder, output, given, restart=restart)
     images = find_images(folder, camera=given.camera, mask=given.mask)
     with show_bars() as progress:

@@ -133,21 +133,28 @@ def export_cubemap(
 
 
 def check_cubemap_folder(
-    output: Path, options: CubemapOptions, mask_nadir_deg: float
+    output: Path,
+    options: CubemapOptions,
+    mask_nadir_deg: float,
+    *,
+    remedy: str = "delete it or name another",
 ) -> dict[str, Any]:
     """Record of the cubemap in a folder; ValueError where none could be written there.
 
-    Asked before hours of work: the folder may hold other files, or a cubemap with other options.
+    Asked before hours of work: the folder may hold other files, or a cubemap with other options,
+    and then the message says the ``remedy``.
     """
     if not output.is_dir():
         return {}
     before = _record_before(output / RECORD_FILE)
     # Records of earlier versions lack newer options.
     made_with = {**_options(CubemapOptions(), 0.0), **before.get("options", {})}
-    if before and first_difference(made_with, _options(options, mask_nadir_deg)):
-        raise ValueError(f"{output} holds a cubemap with other options; delete it or name another")
+    different = first_difference(made_with, _options(options, mask_nadir_deg))
+    if before and different:
+        option = f"--{different.name.replace('_', '-')}"
+        raise ValueError(f"{output} holds a cubemap with other options ({option}); {remedy}")
     if not before and any(output.iterdir()):
-        raise ValueError(f"{output} holds other files; name a new or empty folder")
+        raise ValueError(f"{output} holds other files; move them, or name a new or empty folder")
     return before
 
 
