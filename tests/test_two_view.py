@@ -288,6 +288,11 @@ def test_unrelated_images_give_no_pose(view, seed):
     [
         ({"camera1": Equirectangular(64, 32)}, "image1 is 512x256"),
         ({"camera2": Equirectangular(64, 32)}, "image2 is 512x256"),
+        (
+            {"camera1": "camchain.yaml:cam0"},
+            "the camera of image1 must be a camera, got 'camchain.yaml:cam0'; load_camera.FILE. ",
+        ),
+        ({"camera2": 120.0}, "the camera of image2 must be a camera, got 120.0"),
         ({"mask1": np.ones((32, 64), bool)}, "mask1 must have the size"),
         ({"mask2": np.ones((32, 64), bool)}, "mask2 must have the size"),
         ({"inlier_threshold_deg": 0.0}, "inlier_threshold_deg must be"),

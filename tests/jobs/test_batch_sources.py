@@ -129,6 +129,19 @@ def test_pixels_become_bearings_by_the_camera_of_the_top_folder(tmp_path):
         np.testing.assert_allclose(part.bearings2[k], scene.bearings2, atol=1e-12)
 
 
+def test_one_camera_of_several_is_that_of_all_images(tmp_path):
+    other = "{model: Equirectangular, width: 2000, height: 1000}"
+    (tmp_path / "cameras.yaml").write_text(f"cameras: {{one: {other}, two: {YAML}}}")
+    path = write_matches(tmp_path / "in.parquet", pixel_columns(CAMERA, CAMERA))
+    camera = str(tmp_path / "cameras.yaml")
+    (part,) = parts_in(MatchSource("parquet", str(path), f"{camera}:two"))
+    for k, scene in enumerate(scenes(3)):
+        np.testing.assert_allclose(part.bearings1[k], scene.bearings1, atol=1e-12)
+        np.testing.assert_allclose(part.bearings2[k], scene.bearings2, atol=1e-12)
+    with pytest.raises(ValueError, match="has no camera 'three'; it holds one, two"):
+        parts_in(MatchSource("parquet", str(path), f"{camera}:three"))
+
+
 def test_the_middle_of_a_panorama_is_ahead_and_its_border_behind(tmp_path):
     (tmp_path / "camera.yaml").write_text(YAML)
     columns = {"image1": ["a"], "image2": ["b"]}

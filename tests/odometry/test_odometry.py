@@ -163,6 +163,11 @@ def test_a_picture_that_changes_very_slowly_is_not_frozen_for_ever():
     assert 2 < verdicts.count("good") < 40
 
 
+def test_a_calibration_file_is_no_camera():
+    with pytest.raises(ValueError, match=r"camera must be a camera, got 'a.yaml'; load_camera"):
+        Odometry("a.yaml")
+
+
 def test_frozen_picture_is_named_and_has_the_pose_of_the_one_before():
     images = list(frames()[:10])
     images[6:6] = [images[5]] * 3

@@ -24,7 +24,8 @@ class BatchInput:
     """What belongs to the matches."""
 
     camera: str | None = None
-    """Calibration file, for pixels: one camera for all images, or one a folder, called like it."""
+    """Calibration file, for pixels: one camera for all images, or one a folder, called like it;
+    FILE:NAME where it holds several and all images are of one."""
     features: str | None = None
     """With hloc's matches: the file of the key points."""
     pairs: str | None = None

@@ -2,6 +2,7 @@
 """The camera of an image: the one place where it is found."""
 
 import os
+import reprlib
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,22 @@ def find_camera(
             return panorama_camera(width, height, gpano_of(source))
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
+    check_camera(camera, f"the camera of {name}")
     if (camera.width, camera.height) != (width, height):
         raise ValueError(
             f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
             "give the camera of this image size"
         )
     return camera
+
+
+def check_camera(camera: object, name: str) -> None:
+    """Raise ``ValueError`` for what is no camera, such as the name of a calibration file."""
+    if not isinstance(camera, Camera):
+        raise ValueError(
+            f"{name} must be a camera, got {reprlib.repr(camera)}; load_camera(FILE) reads one "
+            "from a calibration file, and load_cameras(FILE)[NAME] one of several"
+        )
 
 
 def gpano_of(source: ImageSource) -> GPano | None:

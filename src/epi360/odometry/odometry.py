@@ -15,6 +15,7 @@ from epi360.cameras.resizing import resized_camera
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
+from epi360.features.image_cameras import check_camera
 from epi360.features.images import usable_at
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
@@ -64,7 +65,8 @@ class Odometry:
     Raises
     ------
     ValueError
-        If the mask cannot be used, or gravity or its standard deviation is out of range.
+        If the camera is none, the mask cannot be used, or gravity or its standard deviation is out
+        of range.
     FileNotFoundError
         If the mask does not exist.
 
@@ -85,6 +87,7 @@ class Odometry:
         gravity_sigma_deg: float = 1.0,
         seed: int = 0,
     ) -> None:
+        check_camera(camera, "camera")
         self._options = options or OdometryOptions()
         self._seed = seed
         self._gravity = GravityPrior.given(gravity, gravity_sigma_deg)

@@ -10,13 +10,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import load_cameras
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
     bearings_of,
+    cameras_of,
     named_camera,
     parts_of,
 )
@@ -48,7 +48,7 @@ def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
     """Open hloc's features and matches; an image that is no panorama needs a camera."""
     if source.features is None:
         raise ValueError(f"{source.path}: hloc's matches need the key points; give --features FILE")
-    cameras = load_cameras(source.camera) if source.camera else {}
+    cameras = cameras_of(source)
     with HlocPairs(source.features, source.path, pairs=source.pairs) as files:
 
         def bearings(image: str) -> Array:

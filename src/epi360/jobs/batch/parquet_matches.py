@@ -12,12 +12,12 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import load_cameras
 from epi360.extras import extra_library
 from epi360.jobs.batch.sources import (
     MatchSource,
     PairMatches,
     bearings_of,
+    cameras_of,
     check_rows,
     named_camera,
     parts_of,
@@ -49,7 +49,7 @@ class ParquetMatches:
         parquet = extra_library("pyarrow.parquet", extra="batch", purpose="Parquet files")
         self._source, self._path = source, source.path
         self._width = 2 if source.camera else 3
-        self._cameras = load_cameras(source.camera) if source.camera else {}
+        self._cameras = cameras_of(source)
         with _reading(self._path):
             self._file = parquet.ParquetFile(file, **_STREAMING)
         self._columns = ["pixels1", "pixels2"] if source.camera else ["bearings1", "bearings2"]

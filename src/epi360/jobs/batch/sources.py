@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.upright import gravity_of
 from epi360.interop.hloc import camera_of_image
+from epi360.jobs.folder.given_cameras import read_given_cameras
 from epi360.jobs.matching.check_keypoints import FEWEST_KEYPOINTS, check_inside
 from epi360.runs import storage
 
@@ -33,7 +34,7 @@ class MatchSource:
 
     kind: Kind  # "colmap": a database; "hloc": a pair of HDF5 files
     path: str  # the Parquet file (path, or URL that fsspec understands), database or matches
-    camera: str | None = None  # calibration file, if the file of the matches knows no camera
+    camera: str | None = None  # calibration FILE or FILE:NAME, if the matches know no camera
     features: str | None = None  # hloc's file of the key points
     pairs: str | None = None  # with hloc's matches: a text file of the pairs that are wanted
     pairs_per_part: int = 1000  # at most
@@ -143,6 +144,11 @@ def check_rows(path: str, pairs: PairMatches) -> None:
                     f"{where} must have bearings of non-zero length, match "
                     f"{np.flatnonzero(~is_set)[0]} is zero in image {view}"
                 )
+
+
+def cameras_of(source: MatchSource) -> Mapping[str, Camera]:
+    """Cameras of the file, or of the ``FILE:NAME``, that was given; none without."""
+    return read_given_cameras(source.camera).cameras if source.camera else {}
 
 
 def bearings_of(pixels: Array, camera: Camera, image: str, source: MatchSource) -> Array:
