@@ -7,6 +7,7 @@ from rendered_views import NAMES, pictures
 from written_videos import noise_frames, write_video
 
 from epi360.cli import FAILURE, SUCCESS, main
+from epi360.jobs.frames.frame_selection import FrameChooser
 
 pytest.importorskip("av")
 
@@ -41,6 +42,26 @@ def test_match_chooses_frames_again_when_it_is_told_to_restart(tmp_path, capsys,
     words = ["match", "tour.mp4", "--mask-nadir-deg", "10"]
     assert_wrong_use(capsys, words, "--mask-nadir-deg 0.0, not --mask-nadir-deg 10.0; choose anoth")
     assert main([*words, "--restart"]) == SUCCESS
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_an_interrupted_choice_of_frames_begins_again(tmp_path, capsys, monkeypatch, number):
+    video = write_video(tmp_path / "walk.mp4", noise_frames(4))
+    words = ["frames", str(video), str(tmp_path / "out")]
+    add, looked_at = FrameChooser.add, []
+
+    def interrupted(chooser, index, *frame):
+        looked_at.append(index)
+        if looked_at == list(range(number + 1)):
+            raise KeyboardInterrupt
+        return add(chooser, index, *frame)
+
+    monkeypatch.setattr(FrameChooser, "add", interrupted)
+    assert main(words) == 130
+    assert "the same command goes on from there" in capsys.readouterr().err
+    assert main(words) == SUCCESS
+    assert looked_at[number + 1] == 0
+    assert list((tmp_path / "out").glob("walk_*.jpg"))
 
 
 def test_a_still_camera_is_said_to_be_still(tmp_path, capsys, monkeypatch):

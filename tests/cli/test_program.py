@@ -4,11 +4,13 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from command_line import assert_wrong_use
 
 from epi360 import cli
 from epi360.cli.command import app, show_bars
+from epi360.features.picture_writing import encode_picture
 
 COMMANDS = (
     "pair", "frames", "match", "map", "localize", "track", "evaluate", "batch", "convert",
@@ -82,6 +84,33 @@ def test_a_folder_of_results_may_be_called_out_or_output(command):
         for name in ("--out", "--output")
     }
     assert len(places) == 1 and "place" in places.pop()
+
+
+@pytest.mark.parametrize(
+    ("words", "job", "left"),
+    [
+        (["match", "in"], "jobs.matching.match_folder.match_images", "goes on from there"),
+        (["map", "in"], "jobs.mapping.map_folder.map_images", "goes on from there"),
+        (["frames", "in.mp4", "out"], "jobs.frames.frames_job.extract_frames", "goes on"),
+        (["track", "in"], "jobs.tracking.track_job.track_frames", "begins again"),
+        (["evaluate", "a", "b"], "jobs.trajectories.read_trajectory", ""),
+    ],
+)
+def test_an_interrupted_command_says_what_it_leaves(
+    tmp_path, monkeypatch, capsys, words, job, left
+):
+    def interrupt(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    for name in ("a", "b", "in/a.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(encode_picture(np.zeros((32, 64, 3), np.uint8), ".png"))
+    monkeypatch.setattr(f"epi360.{job}", interrupt)
+    assert cli.main(words) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("epi360: interrupted") and said.count("\n") == 1
+    assert left in said and (left or said == "epi360: interrupted\n")
 
 
 def test_the_end_of_a_stage_is_said_once_and_again_where_it_is_done_again(capsys):

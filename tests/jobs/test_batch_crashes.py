@@ -14,6 +14,7 @@ import pytest
 from ray_workers import busy_workers, wait_until_gone
 
 import epi360
+from epi360.cli import GOES_ON
 from epi360.jobs import ray_tasks
 from epi360.jobs.batch import BatchJob, MatchSource, ray_engine, run_batch
 from epi360.synthetic import two_view_scene
@@ -24,6 +25,7 @@ pq = pytest.importorskip("pyarrow.parquet")
 # Ten runs that are killed at most a part after their first finish fewer than these.
 NUM_PARTS, PAIRS_PER_PART = 32, 2
 NUM_PAIRS = NUM_PARTS * PAIRS_PER_PART
+INTERRUPTED = f"epi360: interrupted; {GOES_ON}"
 NEEDS_SIGNALS = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
 
 
@@ -180,7 +182,7 @@ def test_an_interrupt_keeps_what_is_finished(matches, uninterrupted, tmp_path):
     wait_for_a_new_part(child, output)
     child.send_signal(signal.SIGINT)
     code, said = outcome(child)
-    assert (code, said.splitlines()[-1]) == (130, "epi360: interrupted")
+    assert (code, said.splitlines()[-1]) == (130, INTERRUPTED)
     names = {path.name for path in Path(f"{output}.parts").iterdir()}
     assert names == {path.name for path in part_files(output)} != set()
 
@@ -360,7 +362,7 @@ def test_killed_and_interrupted_drivers_of_ray_lose_nothing(
         last = [
             line for line in said.splitlines() if not line.startswith("epi360: checked pairs: ")
         ]
-        assert (code, last) in ((-signal.SIGKILL, []), (130, ["epi360: interrupted"]))
+        assert (code, last) in ((-signal.SIGKILL, []), (130, [INTERRUPTED]))
         wait_until_gone(workers)
         assert finished.items() < seconds_of_parts(output).items()
         finished = seconds_of_parts(output)

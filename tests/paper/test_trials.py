@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from measured import is_timing
 
+from epi360.cli import GOES_ON
 from epi360.progress import no_progress
 from epi360_paper.options import ReproduceOptions
 from epi360_paper.parts import Trials
@@ -226,7 +227,7 @@ def test_ctrl_c_ends_the_command_with_130_and_keeps_finished_chunks(tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     errors = process.communicate(timeout=30)[1]
     assert process.returncode == 130
-    assert errors == "epi360: interrupted\n"
+    assert errors == f"epi360: interrupted; {GOES_ON}\n"
     assert all(part.read_text().count("\n") == 7 for part in parts.glob("*.csv"))
     assert list(parts.glob("*.csv"))
     assert Path(parts).is_dir()

@@ -15,6 +15,12 @@ from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 
 # What OpenCV would print about a damaged picture, we say in one sentence.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+# What an interrupt leaves, by command; the others leave nothing.
+GOES_ON = "what was finished is kept, and the same command goes on from there"
+LEFT_BY = dict.fromkeys(
+    ("batch", "cubemap", "frames", "map", "match", "render", "reproduce"), GOES_ON
+)
+LEFT_BY["track"] = "what was tracked so far is written, and the same command begins again"
 LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
 try:
     from cyclopts import CycloptsError, UnknownOptionError, UnusedCliTokensError
@@ -69,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"epi360: error: not enough memory: {_one_line(error)}", file=sys.stderr)
         return WRONG_USE
     except KeyboardInterrupt:
-        print("epi360: interrupted", file=sys.stderr)
+        left = LEFT_BY.get(words[0]) if words else None
+        print("epi360: interrupted" + (f"; {left}" if left else ""), file=sys.stderr)
         return INTERRUPTED
     return code if isinstance(code, int) else SUCCESS
 

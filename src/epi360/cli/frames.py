@@ -62,7 +62,7 @@ def frames(
 
     OUT gets NAME_000123.jpg, ... with the numbers of the frames in the video from 0, and
     frames.csv: image, timestamp_s (the file's own times), index and parallax_deg to the frame
-    before. The same command goes on where it was stopped.
+    before. The same command goes on where it was stopped; while it chose frames, it begins again.
 
     Parameters
     ----------

@@ -110,8 +110,9 @@ def map_folder(
 
     Matches pairs of images, verifies them and gives them to COLMAP's mapper. A sequence starts from
     the poses of epi360 track. If few are placed, other ways are tried, and the output says so. A
-    run that was stopped goes on where it was. Exit code 0 with a model, 1 when fewer than two
-    images register, 2 for wrong use.
+    run that was stopped goes on with the pairs that are left; while it chose frames of a video,
+    tracked or mapped, it begins that again. Exit code 0 with a model, 1 when fewer than two images
+    register, 2 for wrong use.
 
     Parameters
     ----------

@@ -104,8 +104,8 @@ def match(
     """Relative poses of the images of a folder, pair by pair, each with a verdict.
 
     The output folder gets pairs.csv, a row a pair, and what `epi360 convert` and `epi360 map` read.
-    Interrupted, the command goes on from where it was; new images are added. Exit code 0 where a
-    pair has a pose, 1 where none has, 2 for wrong use.
+    Interrupted, the command goes on from where it was, but chooses frames of a video again; new
+    images are added. Exit code 0 where a pair has a pose, 1 where none has, 2 for wrong use.
 
     Parameters
     ----------
