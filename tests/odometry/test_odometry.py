@@ -179,6 +179,20 @@ def test_frozen_picture_is_named_and_has_the_pose_of_the_one_before():
     np.testing.assert_allclose(positions[6:9], positions[[5, 5, 5]], atol=1e-12)
 
 
+def test_a_picture_is_not_said_to_repeat_a_frame_that_shows_none():
+    odometry = Odometry(CAMERA)
+    for image in frames()[:6]:
+        odometry.add_frame(image)
+    odometry.skip_frame("cannot be read")
+    odometry.add_frame(np.zeros_like(frames()[0]))
+    repeated = odometry.add_frame(frames()[5])
+    assert repeated.message == "frame 8: repeats the picture of frame 5"
+    found = odometry.results()
+    assert [each.status for each in found[5:]] == ["tracked", "lost", "lost", "tracked"]
+    poses = [found[index].cam_from_world.matrix() for index in (8, 5)]
+    np.testing.assert_allclose(*poses, atol=1e-12)
+
+
 @pytest.mark.parametrize("after", [1, 2])
 def test_frozen_picture_at_the_start_is_no_key_frame_and_has_the_pose_of_the_one_before(after):
     images = list(frames()[:10])

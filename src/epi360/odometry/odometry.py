@@ -108,6 +108,7 @@ class Odometry:
         self._waiting = self._new_wait()
         self._active = 0  # the segment that is tracked
         self._first_index = -1
+        self._last_seen = -1  # the frame whose picture was the last to show something
         self._first_gray: NDArray[np.uint8] | None = None  # picture of the frame that waits first
         self._is_lost, self._num_lost = False, 0
         self._clock = FrameClock()
@@ -153,8 +154,9 @@ class Odometry:
         verdict = self._watch.verdict(gray)
         if verdict == "blank":
             return self._lost(frame, "is blank")
-        if verdict == "frozen" and self._results:
-            return self._repeated(frame)
+        before, self._last_seen = self._last_seen, frame.index
+        if verdict == "frozen":
+            return self._repeated(frame, self._results[before])
         tracked = self._tracker.track(gray, self._motion.turn)
         seen = np.ones(len(tracked.ids), np.bool_)
         if mask is not None:
@@ -376,9 +378,8 @@ class Odometry:
                 return segment, result
         return active, None
 
-    def _repeated(self, frame: FrameResult) -> FrameResult:
-        """Result of a frame that shows the picture of the one before."""
-        before = self._results[-1]
+    def _repeated(self, frame: FrameResult, before: FrameResult) -> FrameResult:
+        """Result of a frame that shows the picture of an earlier one, the last that shows any."""
         said = joined(frame.message, f"repeats the picture of frame {before.index}")
         segment = self._segment
         frame = replace(frame, message=said, num_inliers=before.num_inliers)
