@@ -153,6 +153,19 @@ def test_what_cannot_be_used_is_skipped_with_its_reason(folder):
     assert reasons["6.jpg"].startswith("is empty")
 
 
+@pytest.mark.parametrize(
+    ("suffix", "content"), [(".gif", b"GIF89a" + bytes(20)), (".HEIC", bytes(4) + b"ftypheic")]
+)
+def test_pictures_of_other_formats_are_named(folder, suffix, content):
+    add(folder, f"2{suffix}", content=content)
+    with pytest.raises(ValueError, match=f"no usable image: 2{suffix} is not a JPEG"):
+        find_images(folder)
+    add(folder, "1.jpg")
+    images = find_images(folder)
+    assert names(images) == ["1.jpg"]
+    assert dict(images.skipped) == {f"2{suffix}": "is not a JPEG, PNG, TIFF, WebP or BMP image"}
+
+
 def test_a_folder_without_images_is_an_error(folder, tmp_path):
     with pytest.raises(FileNotFoundError, match="has no JPEG"):
         find_images(folder)

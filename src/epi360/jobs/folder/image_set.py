@@ -23,6 +23,8 @@ from epi360.jobs.folder.masks import MaskSource
 from epi360.poses import Pose
 
 RAW_SUFFIXES = (".insp", ".dng")  # refused by the decoder, which says what to do with them
+# Pictures that are not read: they are named among what is not used, not passed over in silence.
+OTHER_SUFFIXES = (".avif", ".gif", ".heic", ".heif", ".jp2", ".jxl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +61,8 @@ def find_images(
     ----------
     folder : path-like
         Its JPEG, PNG, TIFF, WebP and BMP files are taken, those of sub-folders too. Hidden files
-        and folders, folders that this package wrote, and the masks are left out.
+        and folders, folders that this package wrote, and the masks are left out. Pictures of other
+        formats, such as GIF and HEIC, are among ``skipped``.
     camera : str, optional
         Calibration file, ``FILE`` or ``FILE:NAME``. Where it holds several cameras, the sub-folder
         of an image names its camera; where it says how they sit on a rig, images that have the
@@ -221,7 +224,7 @@ def _decoded_size(path: Path) -> tuple[int, int]:
 
 def _picture_files(folder: Path, mask: Path | None) -> list[tuple[str, Path]]:
     """Files that look like pictures and are no masks."""
-    suffixes = (*IMAGE_SUFFIXES, *RAW_SUFFIXES)
+    suffixes = (*IMAGE_SUFFIXES, *RAW_SUFFIXES, *OTHER_SUFFIXES)
     files = [file for file in files_below(folder) if file[1].suffix.lower() in suffixes]
     if mask is None:
         return files
