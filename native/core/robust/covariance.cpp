@@ -15,6 +15,9 @@ namespace {
 
 // Clustering above which a shared error is looked for: one in forty sets of independent errors.
 constexpr double kSuspicious = 1.3;
+// Share of the inliers that are left out as wrong ones at most: where more are expected, they are
+// not all among those that tell most.
+constexpr double kMostWrong = 0.05;
 
 // Of so many inliers, after five parameters were fitted to them.
 double degrees_of_freedom(double count) { return std::max(count - 5.0, 0.2 * count + 1e-9); }
@@ -41,13 +44,14 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
   return std::sqrt(variance);
 }
 
-// Leaves out so many matches: those that would tell most about the pose.
+// Leaves out so many matches, up to kMostWrong of them: those that would tell most about the pose.
 void leave_out_most_telling(const Matches& m, long num, Linearisation& at) {
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < m.size; ++i) {
     if (at.weights[i] > 0.0) rows.push_back(i);
   }
-  if (num < 1 || static_cast<std::size_t>(num) >= rows.size()) return;
+  num = std::min(num, std::lround(kMostWrong * static_cast<double>(rows.size())));
+  if (num < 1) return;
   double upper[15], gradient[5];
   accumulate_normal_equations(m.padded, at.jacobian.data(), at.residuals.data(), at.weights.data(),
                               upper, gradient);
