@@ -46,6 +46,7 @@ double inlier_scale(const Matches& m, const std::vector<unsigned char>& inlier,
 
 // Leaves out so many matches, up to kMostWrong of them: those that would tell most about the pose.
 void leave_out_most_telling(const Matches& m, long num, Linearisation& at) {
+  if (num < 1) return;
   std::vector<std::size_t> rows;
   for (std::size_t i = 0; i < m.size; ++i) {
     if (at.weights[i] > 0.0) rows.push_back(i);

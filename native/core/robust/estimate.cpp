@@ -224,8 +224,9 @@ class Estimate {
     evidence.num_regions = said.num_regions;
   }
 
-  // Logarithm of the prior of the answer, as far as it may lower the odds: a search among upright
-  // poses finds upright ones, so that being one is no evidence.
+  // The tilt of the answer against gravity, and the logarithm of its prior, as far as that may
+  // lower the odds: a search among upright poses finds upright ones, so that being one is no
+  // evidence.
   void weigh_by(const PosePrior& prior) {
     if (!prior.has_gravity) return;
     const RelativePose& pose = result_.cam2_from_cam1;
@@ -373,7 +374,7 @@ class Estimate {
     r.cam2_from_cam1 = candidates.best().cam2_from_cam1;
     const auto inliers = [&](bool use_depths) {
       return mark_inliers(m_, options_.residual, r.cam2_from_cam1, r.threshold, use_depths,
-                          r.inlier, r.residuals);
+                          r.inlier, r.residuals, &r.evidence.behind);
     };
     inliers(false);
     decide_cheirality(m_, r.inlier, r.cam2_from_cam1);
@@ -383,7 +384,6 @@ class Estimate {
       r.inlier[i] = r.inlier[i] && !dropped_[i];
     }
     r.evidence.support = static_cast<int>(std::lround(support));
-    r.evidence.behind = weight_behind(m_, options_.residual, r.cam2_from_cam1, r.threshold);
   }
 
   void set_rotation(RotationFit rotation) {

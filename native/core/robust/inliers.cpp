@@ -44,29 +44,21 @@ void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlie
 
 double mark_inliers(const Matches& m, Residual residual, const RelativePose& pose, double gate,
                     bool use_depths, std::vector<unsigned char>& inlier,
-                    std::vector<double>& residuals) {
+                    std::vector<double>& residuals, double* behind) {
   std::vector<double> margins(m.padded);
   residuals.resize(m.padded);
   compute_residuals(m, residual, plain(pose), residuals.data(), margins.data());
   const double tolerance = std::min(gate, kLargestWrongParallax);
   inlier.assign(m.size, 0);
-  double weight = 0.0;
+  double weight = 0.0, weight_behind = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
-    const bool agrees = (std::abs(residuals[i]) < gate) & (!use_depths | (margins[i] > -tolerance));
+    const bool fits = std::abs(residuals[i]) < gate;
+    const bool agrees = fits & (!use_depths | (margins[i] > -tolerance));
     inlier[i] = agrees;
     weight += agrees * m.weight[i];
+    weight_behind += (fits & (margins[i] < -kClearlyBehind * gate)) * m.weight[i];
   }
-  return weight;
-}
-
-double weight_behind(const Matches& m, Residual residual, const RelativePose& pose, double gate) {
-  std::vector<double> margins(m.padded), residuals(m.padded);
-  compute_residuals(m, residual, plain(pose), residuals.data(), margins.data());
-  double weight = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    const bool behind = (std::abs(residuals[i]) < gate) & (margins[i] < -kClearlyBehind * gate);
-    weight += behind * m.weight[i];
-  }
+  if (behind) *behind = weight_behind;
   return weight;
 }
 

@@ -14,14 +14,11 @@ namespace epi360 {
 void decide_cheirality(const Matches& m, const std::vector<unsigned char>& inlier,
                        RelativePose& cam2_from_cam1);
 
-// Flags matches inside the gate and in front of both cameras; returns their weight.
+// Flags matches inside the gate and in front of both cameras; returns their weight. `behind` gets
+// that of the matches inside the gate that lie behind a camera by more than noise explains.
 double mark_inliers(const Matches& m, Residual residual, const RelativePose& cam2_from_cam1,
                     double gate, bool use_depths, std::vector<unsigned char>& inlier,
-                    std::vector<double>& residuals);
-
-// Weight of the matches inside the gate that lie behind a camera by more than noise explains.
-double weight_behind(const Matches& m, Residual residual, const RelativePose& cam2_from_cam1,
-                     double gate);
+                    std::vector<double>& residuals, double* behind = nullptr);
 
 // In a narrow view with much noise, a turn along the epipolar planes hardly changes the residuals,
 // and large false parallax puts every wrong match in front of both cameras: the count of depths

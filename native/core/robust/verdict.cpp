@@ -307,14 +307,15 @@ Verdict judge(const Evidence& e) {
     warn(WarningCode::kMirrored, e.behind, e.support);
   }
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
-  if (!has_translation(verdict.status) && verdict.status != Status::kPureRotation) return verdict;
-  if (has_translation(verdict.status) && e.parallax < kCertainParallax * e.scale) {
+  const bool has_pose = has_translation(verdict.status);
+  if (!has_pose && verdict.status != Status::kPureRotation) return verdict;
+  if (has_pose && e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
   }
   if (e.coverage < kPartialCoverage * e.match_coverage) {
     warn(WarningCode::kPartialCoverage, e.coverage, e.match_coverage);
   }
-  if (has_translation(verdict.status) && e.tilt > kTiltRejected * e.tilt_sigma) {
+  if (has_pose && e.tilt > kTiltRejected * e.tilt_sigma) {
     warn(WarningCode::kAgainstGravity, e.tilt, e.tilt_sigma);
   }
   if (verdict.status == Status::kOk && is_too_noisy(e)) {
