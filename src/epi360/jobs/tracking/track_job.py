@@ -8,7 +8,7 @@ import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -131,8 +131,9 @@ def track_frames(
         camera = read_given_cameras(options.camera).only()
     if options.upright_deg is not None:
         gravity_of(camera, None, path.name)  # refuses what is no panorama
-    run = _Run(source, camera, output, options, watchers)
-    _prepare(output, source.path)
+    made_from = _made_from(source.path)
+    run = _Run(source, camera, output, options, watchers, made_from)
+    _prepare(output, made_from)
     try:
         run.track(progress)
     except KeyboardInterrupt:
@@ -143,7 +144,7 @@ def track_frames(
     return run.finish(progress)
 
 
-def _prepare(output: Path, source: Path) -> None:
+def _prepare(output: Path, made_from: Mapping[str, str]) -> None:
     """Make the output, or check that it is one of this function and of the same source."""
     if output.exists() and not output.is_dir():
         raise ValueError(f"the output must be a folder, {output} is a file")
@@ -153,13 +154,13 @@ def _prepare(output: Path, source: Path) -> None:
             raise ValueError(
                 f"{output} is not empty and holds no result of epi360 track; choose a new folder"
             )
-        _check_source(output, record, source)
+        _check_source(output, record, made_from)
     output.mkdir(parents=True, exist_ok=True)
     for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS):
         (output / name).unlink(missing_ok=True)  # of an earlier run
     for folder in (files.MODEL, files.IMAGES):
         shutil.rmtree(output / folder, ignore_errors=True)
-    write_record(output / files.LOG, {"track": "began", "made_from": _made_from(source)})
+    write_record(output / files.LOG, {"track": "began", "made_from": made_from})
 
 
 def _made_from(source: Path) -> dict[str, str]:
@@ -169,10 +170,10 @@ def _made_from(source: Path) -> dict[str, str]:
     return {"video": source.name, "content": content_key(source)}
 
 
-def _check_source(output: Path, record: dict[str, Any], source: Path) -> None:
+def _check_source(output: Path, record: Mapping[str, Any], made_from: Mapping[str, str]) -> None:
     """Raise where the output holds the track of something else; earlier versions did not say."""
     before = record.get("made_from")
-    if isinstance(before, dict) and first_difference(before, _made_from(source)):
+    if isinstance(before, dict) and first_difference(before, made_from):
         name = before.get("video") or before.get("folder")
         raise ValueError(
             f"{output} holds the track of another video or folder, {name}; choose another folder"
@@ -201,9 +202,10 @@ class _Run:
         output: Path,
         options: TrackOptions,
         watchers: Sequence[Watcher],
+        made_from: Mapping[str, str],
     ) -> None:
         self._source, self._camera, self._output = source, camera, output
-        self._options, self._watchers = options, watchers
+        self._options, self._watchers, self._made_from = options, watchers, made_from
         self._masks = MaskSource(options.mask)
         _check_masks(self._masks, source, camera)
         one_mask = options.mask if options.mask is not None and options.mask.is_file() else None
@@ -289,7 +291,7 @@ class _Run:
         )
         for watcher in self._watchers:
             watcher.close(self.odometry)
-        log = json.dumps(_log(run, self._source.path, self._options), indent=1).encode()
+        log = json.dumps(_log(run, self._made_from, self._options), indent=1).encode()
         written.attempt(files.LOG, lambda: write_file(self._output / files.LOG, log))
         return run
 
@@ -392,14 +394,14 @@ def _write_pictures(
             return
 
 
-def _log(run: TrackRun, source: Path, options: TrackOptions) -> dict[str, Any]:
+def _log(run: TrackRun, made_from: Mapping[str, str], options: TrackOptions) -> dict[str, Any]:
     """What the JSON log says."""
     tracked = [result.index for result in run.results if result.status == "tracked"]
     recorded = asdict(replace(options, mask=None))
     recorded["mask"] = None if options.mask is None else str(options.mask)
     return {
         "track": "interrupted" if run.was_interrupted else "done",
-        "made_from": _made_from(source),
+        "made_from": made_from,
         "num_frames": len(run.results),
         "statuses": dict(run.counts),
         "first_tracked": tracked[0] if tracked else None,
