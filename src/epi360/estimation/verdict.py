@@ -16,6 +16,8 @@ from epi360.estimation.result import Explanations, RelativePoseResult
 from epi360.poses import Pose
 
 _HAS_TRANSLATION = ("ok", "planar_ambiguous")
+# What the warning of too much noise asks, by which it is known.
+NOISE_QUESTION = "do the cameras belong to these images, in this order?"
 
 
 def result_of(answer: _core.PairResult) -> RelativePoseResult:
@@ -89,7 +91,4 @@ def _sentence(warning: _core.Warning) -> str:
 
 def _noise_sentence(noise: float, unit: str) -> str:
     amount = f"{noise:.1f}" if unit == "pixels" else f"{noise:.3g}"
-    return (
-        f"the matches agree only to {amount} {unit} (one sigma): do the cameras belong to "
-        "these images, in this order?"
-    )
+    return f"the matches agree only to {amount} {unit} (one sigma): {NOISE_QUESTION}"

@@ -9,6 +9,7 @@ from dataclasses import astuple
 
 import numpy as np
 
+from epi360.estimation.verdict import NOISE_QUESTION
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.lone_branches import Branch
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
@@ -25,7 +26,6 @@ COLUMNS = (
     "probability_motion", "probability_rival",
 )  # fmt: skip
 CONTRADICTED = "contradicted by other pairs"
-NOISY = "do the cameras belong to these images"  # in the warning of matches with too much noise
 # What is said of so many pairs, by the words of `rejection`; other words say it by themselves.
 REJECTIONS = {
     "too_few_matches": "had too few matches",
@@ -174,12 +174,12 @@ def describe_judged(judged: JudgedPairs) -> list[str]:
 def describe_noise(judged: JudgedPairs) -> list[str]:
     """A line that counts accepted pairs whose noise is too large for the given cameras."""
     accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
-    count = sum(any(NOISY in text for text in verdict.warnings) for verdict in accepted)
+    count = sum(any(NOISE_QUESTION in text for text in verdict.warnings) for verdict in accepted)
     if not count:
         return []
     return [
         f"{count:,} of {counted(len(accepted), 'accepted pair')} {'has' if count == 1 else 'have'} "
-        f"more noise than key points have: {NOISY}, in this order? Their warnings say how much."
+        f"more noise than key points have: {NOISE_QUESTION} Their warnings say how much."
     ]
 
 
