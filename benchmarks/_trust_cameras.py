@@ -21,6 +21,8 @@ NOISE_RAD = np.radians(0.05)
 REACH_RAD = np.radians(45.0)  # over which the error of stitching falls to 1 / e of its correlation
 ROOM_M = (4.0, 1.5, 4.0)  # half its sides
 STEP_M = 0.7  # of the camera along an axis, at most
+FAR_M = 1000.0
+CLOUDS_ABOVE, CLOUDS_DRIFT = 0.6, 0.05  # sine of their elevation; over their height
 CARRIED_DEG = 40.0  # around straight down
 CAR_DEG = 30.0  # around what passes
 AHEAD_DEG, SWAY_DEG, TURN_DEG = 60.0, 2.5, 6.0  # around who walks ahead, who sways; of the camera
@@ -82,6 +84,28 @@ def _followed(rng: np.random.Generator, *, num: int) -> CameraMatches:
     return _disturbed(rng, np.concatenate([first, ahead]), np.concatenate([second, swayed]), pose)
 
 
+def _far_away(rng: np.random.Generator, *, near_share: float) -> CameraMatches:
+    """A camera outdoors that has moved: most of what it sees is far away, the others all around."""
+    pose = _pose(rng, moved=True)
+    landmarks = _unit(rng.normal(size=(NUM_MATCHES, 3))) * FAR_M
+    near = rng.random(NUM_MATCHES) < near_share
+    landmarks[near] *= rng.uniform(2.0, 6.0, (near.sum(), 1)) / FAR_M
+    return _disturbed(rng, *_seen(rng, landmarks, pose), pose)
+
+
+def _below_clouds(rng: np.random.Generator) -> CameraMatches:
+    """A camera that has turned on its tripod, far from anything, while clouds drift by."""
+    pose = _pose(rng, moved=False)
+    scene = _unit(rng.normal(size=(NUM_MATCHES, 3)))
+    clouds = scene[:, 1] < -CLOUDS_ABOVE
+    later = scene.copy()
+    later[clouds] = _unit(scene[clouds] / -scene[clouds, 1:2] + [CLOUDS_DRIFT, 0.0, 0.0])
+    second = later @ pose.rotation.T
+    wrong = rng.random(NUM_MATCHES) < WRONG_SHARE
+    second[wrong] = _unit(rng.normal(size=(wrong.sum(), 3)))
+    return _disturbed(rng, scene, second, pose)
+
+
 def _copied(rng: np.random.Generator, *, share: float) -> CameraMatches:
     """Matches of which a share takes the room for its copy, and the others are right or wrong."""
     num_copied = round(share * NUM_MATCHES)
@@ -109,9 +133,15 @@ def _room(
     rng: np.random.Generator, pose: Pose, num: int, wrong_share: float = WRONG_SHARE
 ) -> tuple[Array, Array]:
     """Bearings of landmarks in a room, some of them matched with anything."""
-    landmarks = rng.uniform(-1.0, 1.0, (num, 3)) * ROOM_M
+    return _seen(rng, rng.uniform(-1.0, 1.0, (num, 3)) * ROOM_M, pose, wrong_share)
+
+
+def _seen(
+    rng: np.random.Generator, landmarks: Array, pose: Pose, wrong_share: float = WRONG_SHARE
+) -> tuple[Array, Array]:
+    """Bearings of landmarks, a share of them matched with anything."""
     second = _unit(landmarks @ pose.rotation.T + np.nan_to_num(pose.translation))
-    wrong = rng.random(num) < wrong_share
+    wrong = rng.random(len(landmarks)) < wrong_share
     second[wrong] = _unit(rng.normal(size=(wrong.sum(), 3)))
     return _unit(landmarks), second
 
@@ -156,6 +186,8 @@ CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
     **{f"turn, {n} carried": partial(_carried, num=n, moved=False) for n in (50, 150, 400)},
     **{f"still, {n} passing": partial(_passed, num=n) for n in (50, 100, 200)},
     **{f"step, {n} walk ahead": partial(_followed, num=n) for n in (100, 200, 300)},
+    **{f"step, {p} % near": partial(_far_away, near_share=p / 100) for p in (10, 20, 40)},
+    "turn, below clouds": _below_clouds,
     **{f"step, {p} % of a copy": partial(_copied, share=p / 100) for p in (30, 40, 47, 53)},
     "step, mirrored": _mirrored,
 }

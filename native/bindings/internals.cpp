@@ -12,6 +12,7 @@
 #include "core/robust/plane.h"
 #include "core/robust/ransac.h"
 #include "core/robust/rotation_search.h"
+#include "core/robust/rotation_test.h"
 #include "core/robust/verdict.h"
 #include "core/solvers/rotation.h"
 
@@ -22,6 +23,8 @@ namespace epi360 {
 void bind_testimony(nb::module_& m);  // testimony.cpp
 
 namespace {
+
+using Mask = nb::ndarray<const bool, nb::shape<-1>, nb::c_contig, nb::device::cpu>;
 
 void bind_verdict(nb::module_& m) {
   nb::class_<Evidence>(m, "Evidence")
@@ -39,6 +42,8 @@ void bind_verdict(nb::module_& m) {
       .def_rw("rotation_support", &Evidence::rotation_support)
       .def_rw("rotation_log10_false_alarms", &Evidence::rotation_log10_false_alarms)
       .def_rw("rotation_rejection", &Evidence::rotation_rejection)
+      .def_rw("num_displaced", &Evidence::num_displaced)
+      .def_rw("displaced_rejection", &Evidence::displaced_rejection)
       .def_rw("rotation_log_ratio", &Evidence::rotation_log_ratio)
       .def_rw("turn_sigma", &Evidence::turn_sigma)
       .def_rw("rotation_sigma", &Evidence::rotation_sigma)
@@ -221,6 +226,18 @@ void bind_internals(nb::module_& module) {
         return nb::make_tuple(matrix(fit.R), taken(std::move(fit.residuals)), fit.support);
       },
       "bearings1"_a, "bearings2"_a, "gate"_a, "seed"_a);
+  m.def(
+      "test_rotation",
+      [](Bearings b1, Bearings b2, Mask inlier, double scale, double gate, double independent,
+         double hidden) {
+        if (inlier.shape(0) != b1.shape(0)) throw nb::value_error("one flag for each match");
+        const std::vector<unsigned char> chosen(inlier.data(), inlier.data() + inlier.shape(0));
+        const RotationTest test =
+            test_rotation(to_matches(b1, b2), chosen, scale, gate, {independent, hidden});
+        return nb::make_tuple(test.by_median, test.by_displaced, test.num_displaced,
+                              test.all_around);
+      },
+      "bearings1"_a, "bearings2"_a, "inlier"_a, "scale"_a, "gate"_a, "independent"_a, "hidden"_a);
 }
 
 }  // namespace epi360

@@ -26,6 +26,7 @@ ROTATION = {
     "rotation_log10_false_alarms": -40.0,
     "rotation_rejection": 1.0,
 }
+DISPLACED = ROTATION | {"num_displaced": 21, "displaced_rejection": 4.1}
 DEGREE = np.pi / 180.0
 CONCENTRATED = "concentrated_inliers"
 REGIONS = {"support": 50, "regional_sigma": DEGREE}
@@ -148,6 +149,11 @@ def test_the_graver_status_wins(changes, status):
         ({"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
         ({"coverage": 0.46}, {}),
         (ROTATION | {"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
+        (DISPLACED, {"displaced": (21.0, 59.0)}),
+        (DISPLACED | {"displaced_rejection": 3.9}, {}),
+        (DISPLACED | {"rotation_rejection": 4.1}, {}),
+        (DISPLACED | {"num_distinct": 2}, {}),
+        (DISPLACED | UNKNOWN_DIRECTION | {"rotation_sigma": 4 * DEGREE}, {}),
         ({"behind": 20.0}, {"mirrored": (20.0, 60.0)}),
         ({"behind": 10.0}, {}),
         ({"tilt": 0.051, "tilt_sigma": 0.01}, {"against_gravity": (0.051, 0.01)}),

@@ -16,6 +16,7 @@
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
+#include "core/robust/rotation_test.h"
 #include "core/robust/search.h"
 #include "core/robust/shared_error.h"
 #include "core/robust/testimony.h"
@@ -275,8 +276,14 @@ class Estimate {
     result_.parallax = evidence.parallax;
     if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
     if (rotation_explains(evidence)) {
-      evidence.rotation_rejection =
-          rotation_rejection(m_, result_.inlier, uncertainty.scale, shared_errors(uncertainty));
+      const RotationTest test =
+          test_rotation(m_, result_.inlier, uncertainty.scale, gate, shared_errors(uncertainty));
+      evidence.rotation_rejection = test.by_median;
+      if (test.all_around) {
+        evidence.rotation_rejection = std::max(test.by_median, test.by_displaced);
+      }
+      evidence.displaced_rejection = test.by_displaced;
+      evidence.num_displaced = test.num_displaced;
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
     listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);

@@ -15,9 +15,6 @@
 namespace epi360 {
 namespace {
 
-constexpr int kAlignments = 6;         // steps of a robust fit
-constexpr double kMostSquares = 13.8;  // one in a thousand of chi^2 with two degrees of freedom
-constexpr double kRayleighMedian = 1.17741, kRayleighMedianError = 0.84932;  // of n: over sqrt n
 constexpr double kRotationNear = 0.4;  // of the inliers, near a rotation: worth a search
 
 }  // namespace
@@ -111,42 +108,6 @@ bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlie
     if (truncated_rotation_score(m, rows.data(), &wide, 1, limit) < limit) return true;
   }
   return tried < 10;  // nearly equal bearings fix no rotation
-}
-
-double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                          const NeighbourErrors& errors) {
-  const double variance = std::max(scale * scale, kSmallestScale * kSmallestScale);
-  std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
-  double count = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    weights[i] = inlier[i] ? m.weight[i] : 0.0;
-    count += weights[i];
-  }
-  if (count < 3.0) return 0.0;
-  for (int round = 0; round < kAlignments; ++round) {
-    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = align_rotations(m, weights.data());
-    compute_rotation_residuals(m, R.data(), residuals.data());
-    for (std::size_t i = 0; i < m.size; ++i) {
-      if (!inlier[i]) continue;
-      const double ratio = 1.0 + residuals[i] * residuals[i] / (kMostSquares * variance);
-      weights[i] = m.weight[i] / (ratio * ratio);  // Geman-McClure
-    }
-  }
-  std::vector<std::pair<double, double>> angles;  // and their weights
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (inlier[i]) angles.emplace_back(residuals[i], m.weight[i]);
-  }
-  std::sort(angles.begin(), angles.end());
-  auto middle = angles.begin();
-  for (double below = middle->second; 2.0 * below <= count && middle + 1 != angles.end();) {
-    below += (++middle)->second;
-  }
-  // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
-  // from the same inliers and has an error of its own.
-  const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
-  const double expected = kRayleighMedian * std::sqrt(1.0 + errors.hidden);
-  return (middle->first / std::sqrt(variance) - expected) /
-         (error / std::sqrt(errors.independent * count));
 }
 
 }  // namespace epi360

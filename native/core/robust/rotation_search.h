@@ -55,17 +55,4 @@ RotationFit best_rotation(const Matches& m, double gate, Random& random);
 bool rotation_possible(const Matches& m, const std::vector<unsigned char>& inlier, int support,
                        double gate, Random& random);
 
-// What neighbouring inliers are wrong by together: the share of them whose errors are independent,
-// and the variance that a pose has fitted away, over that of one residual.
-struct NeighbourErrors {
-  double independent = 1.0, hidden = 0.0;
-};
-
-// Standard deviations by which the inliers of a pose with translation reject that the camera only
-// turned: their median angle under the rotation that fits them best, against what noise of this
-// scale makes of it. The median does not see the near misses of real matches, nor the wrong ones
-// that passed the gate.
-double rotation_rejection(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                          const NeighbourErrors& errors);
-
 }  // namespace epi360

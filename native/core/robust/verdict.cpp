@@ -226,6 +226,8 @@ const char* name_of(WarningCode code) {
       return "mirrored";
     case WarningCode::kAgainstGravity:
       return "against_gravity";
+    case WarningCode::kDisplaced:
+      return "displaced";
     case WarningCode::kFixedContent:
       break;
   }
@@ -309,6 +311,11 @@ Verdict judge(const Evidence& e) {
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   const bool has_pose = has_translation(verdict.status);
   if (!has_pose && verdict.status != Status::kPureRotation) return verdict;
+  const bool is_on_one_side =
+      e.displaced_rejection >= kRotationRejected && e.rotation_rejection < kRotationRejected;
+  if (!has_pose && is_on_one_side) {
+    warn(WarningCode::kDisplaced, e.num_displaced, e.rotation_support);
+  }
   if (has_pose && e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
   }

@@ -23,6 +23,7 @@ enum class WarningCode {
   kMuchNoise,
   kMirrored,
   kAgainstGravity,
+  kDisplaced,
   kFixedContent
 };
 
@@ -32,7 +33,8 @@ const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
-// tilt against gravity and its standard deviation; matches that are fixed to the camera of all.
+// tilt against gravity and its standard deviation; matches that a rotation leaves displaced and those
+// that it explains; matches that are fixed to the camera of all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -65,10 +67,13 @@ struct Evidence {
   double parallax = kNaN, scale = kNaN;
 
   // The best rotation alone: matches that it explains, and its false alarms. Standard deviations by
-  // which the inliers of the pose reject that the camera only turned.
+  // which the inliers of the pose reject that the camera only turned. How many of them it leaves
+  // displaced, and how far these alone reject it, be it that they lie on one side of the camera.
   int rotation_support = 0;
   double rotation_log10_false_alarms = kInfinity;
   double rotation_rejection = kInfinity;
+  int num_displaced = 0;
+  double displaced_rejection = 0.0;
 
   // Standard deviation of the rotation alone, where it is the answer, over all its components.
   double turn_sigma = 0.0;

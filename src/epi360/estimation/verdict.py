@@ -81,6 +81,12 @@ def _sentence(warning: _core.Warning) -> str:
             f"the pose tilts the cameras by {np.degrees(value):.1f} degrees against the given "
             f"gravity, which is good to {np.degrees(reference):.2g}: one of both is wrong"
         )
+    if warning.code == "displaced":
+        return (
+            f"besides the {reference:.0f} inliers {value:.0f} matches, all on one side of the "
+            "camera, moved as if it had taken a step: the others may be far away, or something "
+            "passes by"
+        )
     if warning.code == "partial_coverage":
         return (
             f"inliers cover {value:.0%} of the sphere, all matches {reference:.0%}: "

@@ -1,0 +1,147 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/rotation_test.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "core/bearings.h"
+#include "core/constants.h"
+#include "core/residuals/residuals.h"
+#include "core/robust/neighbourhoods.h"
+#include "core/solvers/rotation.h"
+
+namespace epi360 {
+namespace {
+
+constexpr int kAlignments = 6;         // steps of a robust fit
+constexpr double kMostSquares = 13.8;  // one in a thousand of chi^2 with two degrees of freedom
+constexpr double kRayleighMedian = 1.17741, kRayleighMedianError = 0.84932;  // of n: over sqrt n
+// Matches that a rotation leaves displaced, by more gates than this. Of those that are displaced by
+// no more than the second number, where hardly any wrong match is, so many must agree with a pose.
+constexpr double kDisplaced = 2.0, kNearRotation = 10.0 * kDegree, kMostlyAlong = 0.6;
+constexpr double kDirectionUnknowns = 2.0;  // of a translation
+// Share of them that no hemisphere holds, counted on so many; some of six always lie outside of
+// none.
+constexpr double kOutsideHemisphere = 0.1;
+constexpr std::size_t kMostAround = 64, kFewestDisplaced = 6;
+
+// Residuals of all matches under the rotation that fits the inliers best, near misses left aside
+// (Geman-McClure); none if fewer than three matches are inliers.
+std::vector<double> residuals_without_translation(const Matches& m,
+                                                  const std::vector<unsigned char>& inlier,
+                                                  double sigma) {
+  std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
+  double count = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    weights[i] = inlier[i] ? m.weight[i] : 0.0;
+    count += weights[i];
+  }
+  if (count < 3.0) return {};
+  for (int round = 0; round < kAlignments; ++round) {
+    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = align_rotations(m, weights.data());
+    compute_rotation_residuals(m, R.data(), residuals.data());
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (!inlier[i]) continue;
+      const double ratio = 1.0 + residuals[i] * residuals[i] / (kMostSquares * sigma * sigma);
+      weights[i] = m.weight[i] / (ratio * ratio);
+    }
+  }
+  return residuals;
+}
+
+// Standard deviations by which the median angle of the inliers exceeds what noise makes of it.
+double rejection_by_median(const Matches& m, const std::vector<unsigned char>& inlier,
+                           const std::vector<double>& residuals, double sigma,
+                           const NeighbourErrors& errors) {
+  double count = 0.0;
+  std::vector<std::pair<double, double>> angles;  // and their weights
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!inlier[i]) continue;
+    angles.emplace_back(residuals[i], m.weight[i]);
+    count += m.weight[i];
+  }
+  std::sort(angles.begin(), angles.end());
+  auto middle = angles.begin();
+  for (double below = middle->second; 2.0 * below <= count && middle + 1 != angles.end();) {
+    below += (++middle)->second;
+  }
+  // Angles over sqrt 2 have two components of the noise: a Rayleigh distribution. The scale comes
+  // from the same inliers and has an error of its own.
+  const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
+  const double expected = kRayleighMedian * std::sqrt(1.0 + errors.hidden);
+  return (middle->first / sigma - expected) / (error / std::sqrt(errors.independent * count));
+}
+
+// Share of the bearings outside the hemisphere that holds most of them: its boundary can be moved
+// until it goes through two of them.
+double share_outside_hemisphere(const std::vector<Eigen::Vector3d>& bearings) {
+  const std::size_t n = bearings.size();
+  std::size_t most = 0;
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t j = i + 1; j < n; ++j) {
+      const Eigen::Vector3d pole = bearings[i].cross(bearings[j]);
+      std::size_t above = 0, below = 0;
+      for (std::size_t k = 0; k < n; ++k) {
+        if (k == i || k == j) continue;
+        const double height = pole.dot(bearings[k]);
+        above += height > 0.0;
+        below += height < 0.0;
+      }
+      most = std::max({most, above + 2, below + 2});
+    }
+  }
+  return 1.0 - static_cast<double>(most) / static_cast<double>(n);
+}
+
+// Whether the chosen matches lie around the camera in both views, in no hemisphere.
+bool are_all_around(const Matches& m, const std::vector<std::size_t>& chosen) {
+  const std::size_t count = std::min(chosen.size(), kMostAround);
+  for (const auto view : {view1, view2}) {
+    std::vector<Eigen::Vector3d> bearings;
+    for (std::size_t k = 0; k < count; ++k) {
+      bearings.push_back(view(m, chosen[k * chosen.size() / count]));
+    }
+    if (share_outside_hemisphere(bearings) < kOutsideHemisphere) return false;
+  }
+  return true;
+}
+
+void test_displaced(const Matches& m, const std::vector<unsigned char>& inlier,
+                    const std::vector<double>& residuals, double gate,
+                    const NeighbourErrors& errors, RotationTest& test) {
+  const double least = kDisplaced * gate * std::sqrt(1.0 + 2.0 * errors.hidden);
+  const std::vector<double> votes = region_weights(m);
+  double displaced = 0.0, agreeing = 0.0, expected = kDirectionUnknowns, variance = 0.0;
+  std::vector<std::size_t> along;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!(residuals[i] > least)) continue;
+    if (inlier[i]) along.push_back(i);
+    if (!(residuals[i] < kNearRotation)) continue;
+    const double by_chance = std::asin(std::min(gate / residuals[i], 1.0)) / kPi;
+    displaced += votes[i];
+    agreeing += votes[i] * inlier[i];
+    expected += votes[i] * by_chance;
+    variance += votes[i] * by_chance * (1.0 - by_chance);
+  }
+  if (along.size() < kFewestDisplaced || agreeing < kMostlyAlong * displaced) return;
+  test.num_displaced = static_cast<int>(along.size());
+  test.by_displaced =
+      (agreeing - expected) * std::sqrt(errors.independent / std::max(variance, 1.0));
+  test.all_around = are_all_around(m, along);
+}
+
+}  // namespace
+
+RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
+                           double gate, const NeighbourErrors& errors) {
+  const double sigma = std::max(scale, kSmallestScale);
+  const std::vector<double> residuals = residuals_without_translation(m, inlier, sigma);
+  RotationTest test;
+  if (residuals.empty()) return test;
+  test.by_median = rejection_by_median(m, inlier, residuals, sigma, errors);
+  test_displaced(m, inlier, residuals, gate, errors, test);
+  return test;
+}
+
+}  // namespace epi360

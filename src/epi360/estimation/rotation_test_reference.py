@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether matches reject that the camera only turned, in plain NumPy: the twin of the core's test.
+
+docs/estimator.md has what each part gives and costs, native/core/robust/rotation_test.cpp the other
+half of the twins.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.estimation.testimony_reference import region_votes
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ALIGNMENTS = 6
+MOST_SQUARES = 13.8  # one in a thousand of chi^2 with two degrees of freedom
+RAYLEIGH_MEDIAN, RAYLEIGH_MEDIAN_ERROR = 1.17741, 0.84932
+DISPLACED, NEAR_ROTATION_RAD, MOSTLY_ALONG = 2.0, np.radians(10.0), 0.6
+DIRECTION_UNKNOWNS = 2.0
+OUTSIDE_HEMISPHERE, FEWEST_DISPLACED = 0.1, 6
+
+
+class RotationTest(NamedTuple):
+    """Standard deviations by the median and by what is displaced, how many are, and whether around.
+
+    The names are those of the core's ``RotationTest``, whose header says what they mean.
+    """
+
+    by_median: float
+    by_displaced: float
+    num_displaced: int
+    all_around: bool
+
+
+def rotation_test_reference(
+    bearings1: Array,
+    bearings2: Array,
+    inliers: Mask,
+    *,
+    scale: float,
+    gate: float,
+    independent: float = 1.0,
+    hidden: float = 0.0,
+) -> RotationTest:
+    """Return how far matches (N, 3) reject the rotation alone, ``inliers`` (N,) being of a pose.
+
+    ``scale`` is the standard deviation of their residuals and ``gate`` the largest of these, in
+    radians. The errors of a share ``independent`` of them are independent, and the pose has fitted
+    ``hidden`` times the variance of one away.
+    """
+    residuals = _without_translation(bearings1, bearings2, inliers, scale)
+    error = np.hypot(RAYLEIGH_MEDIAN_ERROR, RAYLEIGH_MEDIAN / np.sqrt(2.0))
+    ordered = np.sort(residuals[inliers])
+    median = ordered[len(ordered) // 2]
+    by_median = median / scale - RAYLEIGH_MEDIAN * np.sqrt(1.0 + hidden)
+    by_median *= np.sqrt(independent * inliers.sum()) / error
+
+    displaced = residuals > DISPLACED * gate * np.sqrt(1.0 + 2.0 * hidden)
+    along = displaced & inliers
+    near = displaced & (residuals < NEAR_ROTATION_RAD)
+    votes = region_votes(bearings1, bearings2) * near
+    agreeing = votes @ inliers
+    if along.sum() < FEWEST_DISPLACED or agreeing < MOSTLY_ALONG * votes.sum():
+        return RotationTest(float(by_median), 0.0, 0, all_around=False)
+    by_chance = np.zeros_like(residuals)
+    by_chance[near] = np.arcsin(np.minimum(gate / residuals[near], 1.0)) / np.pi
+    more = agreeing - votes @ by_chance - DIRECTION_UNKNOWNS
+    variance = votes @ (by_chance * (1.0 - by_chance))
+    by_displaced = more * np.sqrt(independent / max(variance, 1.0))
+    outside = [share_outside_hemisphere(b[along]) for b in (bearings1, bearings2)]
+    all_around = bool(min(outside) >= OUTSIDE_HEMISPHERE)
+    return RotationTest(float(by_median), float(by_displaced), int(along.sum()), all_around)
+
+
+def share_outside_hemisphere(bearings: Array) -> float:
+    """Share of bearings (N, 3) outside the hemisphere that holds most, its edge included."""
+    most = 0
+    for i, j in combinations(range(len(bearings)), 2):
+        others = np.delete(bearings, [i, j], axis=0)
+        heights = others @ np.cross(bearings[i], bearings[j])
+        most = max(most, 2 + (heights > 0.0).sum(), 2 + (heights < 0.0).sum())
+    return 1.0 - most / len(bearings)
+
+
+def _without_translation(bearings1: Array, bearings2: Array, inliers: Mask, scale: float) -> Array:
+    """Angles over root 2 (N,) under the rotation that fits the inliers best (Geman-McClure)."""
+    weights = inliers.astype(np.float64)
+    for _ in range(ALIGNMENTS):
+        left, _, right = np.linalg.svd((bearings2 * weights[:, None]).T @ bearings1)
+        mirror = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+        moved = bearings1 @ (left @ mirror @ right).T
+        half = np.minimum(0.5 * np.linalg.norm(moved - bearings2, axis=1), 1.0)
+        residuals = np.sqrt(2.0) * np.arcsin(half)
+        weights = inliers / (1.0 + residuals**2 / (MOST_SQUARES * scale**2)) ** 2
+    return np.asarray(residuals)
