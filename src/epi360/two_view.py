@@ -21,6 +21,7 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
+from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.options import check_threshold
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
@@ -150,6 +151,7 @@ def relative_pose_of_images(
         if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
+    best = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
     if not (best.success and all(can_be_compared(view.camera) for view in views)):
         return best
     say("comparing what both cameras must see")
@@ -199,6 +201,20 @@ def _estimated(
         max_noise_deg=MAX_NOISE_PX * pixel_deg,
     )
     return _with_keypoints(noise_in_pixels(result, pixel_deg), keypoints1, keypoints2)
+
+
+def _with_calibration_doubt(
+    result: ImagePairResult,
+    cameras: tuple[Camera, Camera],
+    estimate: Callable[..., RelativePoseResult],
+) -> ImagePairResult:
+    bearings1 = cameras[0].bearings_from_pixels(result.keypoints1)
+    bearings2 = cameras[1].bearings_from_pixels(result.keypoints2)
+    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras))
+    told = with_calibration_doubt(result, (bearings1, bearings2), cameras, again)
+    if isinstance(told, ImagePairResult):
+        return told
+    return _with_keypoints(told, result.keypoints1, result.keypoints2)
 
 
 def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:

@@ -59,6 +59,44 @@ def test_a_folder_whose_camera_carries_more_than_it_sees_gets_its_poses():
         assert (pair.geometry.inliers < 200).all()
 
 
+def test_a_folder_says_that_its_panoramas_were_cropped():
+    """Panoramas of 340 degrees that are taken for whole ones."""
+    _, graph = panoramas_of_points(4)
+    images = {}
+    for name, image in graph.images.items():
+        keypoints = image.keypoints.copy()
+        keypoints[:, 0] = (keypoints[:, 0] - 1000.0) * 360.0 / 340.0 + 1000.0
+        images[name] = dataclasses.replace(image, keypoints=keypoints)
+    inside = {
+        name: (image.keypoints[:, 0] > 0.0) & (image.keypoints[:, 0] < 2000.0)
+        for name, image in images.items()
+    }
+    cropped = []
+    for pair in graph.pairs:
+        both = [
+            inside[name][rows]
+            for name, rows in zip((pair.image1, pair.image2), pair.matches.T, strict=True)
+        ]
+        cropped.append(dataclasses.replace(pair, matches=pair.matches[both[0] & both[1]]))
+    images = {
+        name: dataclasses.replace(image, keypoints=np.clip(image.keypoints, 0.0, [2000.0, 1000.0]))
+        for name, image in images.items()
+    }
+    changed = dataclasses.replace(graph, images=images, pairs=tuple(cropped))
+    found = verify_pairs(without_geometries(changed))
+    told = [text for verdict in found.verdicts for text in verdict.warnings if "around" in text]
+    assert len(told) >= 3 and all(" degrees around, not 360 " in text for text in told)
+    widths = [float(text.split("both images are ")[1].split()[0]) for text in told]
+    np.testing.assert_allclose(widths, 340.0, atol=2.0)
+    assert "would agree better with other angles of the cameras" in describe_verified(found)
+
+
+def test_a_folder_of_good_cameras_says_nothing_of_them():
+    _, graph = panoramas_of_points(4)
+    found = verify_pairs(without_geometries(graph))
+    assert "other angles" not in describe_verified(found)
+
+
 def test_a_pair_that_has_a_geometry_keeps_it():
     _, graph = panoramas_of_points(3)
     first, *others = graph.pairs

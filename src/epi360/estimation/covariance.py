@@ -19,13 +19,13 @@ def inverse_information(information: Array) -> Array:
 
     Parameters
     ----------
-    information : ndarray, shape (5, 5)
-        J^T W J.
+    information : ndarray, shape (K, K)
+        J^T W J of K parameters, which are the five of a pose but where something else is said.
     """
     try:
         return np.asarray(np.linalg.inv(information), dtype=np.float64)
     except np.linalg.LinAlgError:
-        return np.full((5, 5), np.nan)
+        return np.full_like(information, np.nan)
 
 
 def sandwich_covariance(J: Array, weights: Array, influence: tuple[Array, Array]) -> Array:
@@ -175,7 +175,7 @@ def shared_error_covariance(
     scale: float,
     least: float,
 ) -> Array:
-    """Return what a pose may be off by an error that neighbouring matches share.
+    """Return what a pose may be off by an error that neighbouring matches share, shape (K, K).
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def shared_error_covariance(
         Unit bearings of both views, and the derivatives of the residuals by them.
     residuals : ndarray, shape (N,)
         What the fit has left of the residuals, in radians.
-    J : ndarray, shape (N, 5)
-        Derivatives of the residuals by the pose.
+    J : ndarray, shape (N, K)
+        Derivatives of the residuals by the five numbers of a pose, or by more.
     scale : float
         Standard deviation of the residuals, in radians.
     least : float

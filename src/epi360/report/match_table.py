@@ -9,6 +9,7 @@ from dataclasses import astuple
 
 import numpy as np
 
+from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
 from epi360.estimation.verdict import NOISE_QUESTION
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.lone_branches import Branch
@@ -41,6 +42,7 @@ Row = tuple[str, str]  # label and text
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
 _FEW_NAMED = 4
+_DOUBTED_BY_CHANCE = 0.1  # of accepted pairs whose cameras are right; 0.02 of real ones are
 
 
 def pairs_csv(judged: JudgedPairs) -> bytes:
@@ -164,6 +166,7 @@ def describe_judged(judged: JudgedPairs) -> list[str]:
     """Lines that say what all pairs together have told, and what they could not tell."""
     return [
         *describe_noise(judged),
+        *describe_calibration(judged),
         *describe_level(judged),
         *describe_others(judged),
         *describe_questioned(judged),
@@ -174,13 +177,29 @@ def describe_judged(judged: JudgedPairs) -> list[str]:
 def describe_noise(judged: JudgedPairs) -> list[str]:
     """A line that counts accepted pairs whose noise is too large for the given cameras."""
     accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
-    count = sum(any(NOISE_QUESTION in text for text in verdict.warnings) for verdict in accepted)
+    count = sum(_asks(verdict, NOISE_QUESTION) for verdict in accepted)
     if not count:
         return []
     return [
         f"{count:,} of {counted(len(accepted), 'accepted pair')} {'has' if count == 1 else 'have'} "
         f"more noise than key points have: {NOISE_QUESTION} Their warnings say how much."
     ]
+
+
+def describe_calibration(judged: JudgedPairs) -> list[str]:
+    """A line that counts accepted pairs which other angles of the cameras suit better."""
+    accepted = [verdict for verdict in judged.verdicts if verdict.accepted]
+    count = sum(_asks(verdict, CALIBRATION_QUESTION) for verdict in accepted)
+    if count <= _DOUBTED_BY_CHANCE * len(accepted):
+        return []
+    return [
+        f"{count:,} of {counted(len(accepted), 'accepted pair')} would agree better with other "
+        f"angles of the cameras: {CALIBRATION_QUESTION} Their warnings say by how much."
+    ]
+
+
+def _asks(verdict: PairVerdict, question: str) -> bool:
+    return any(question in text for text in verdict.warnings)
 
 
 def describe_not_compared(judged: JudgedPairs) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,12 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.cameras.upright import is_full_panorama
-from epi360.estimation import RelativePoseResult, estimate_relative_poses
+from epi360.estimation import (
+    RelativePoseResult,
+    estimate_relative_pose,
+    estimate_relative_poses,
+)
+from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
@@ -76,7 +82,9 @@ def verified_matches(
         seed=seed,
         **known,
     )
-    return [_verified(pair, result, prior) for pair, result in zip(pairs, results, strict=True)]
+    return [
+        _verified(pair, result, prior, seed) for pair, result in zip(pairs, results, strict=True)
+    ]
 
 
 def with_pose_of_some(
@@ -98,7 +106,16 @@ def with_pose_of_some(
     return VerifiedPair(verified.keys, told, verified.matches, inlier_mask)
 
 
-def _verified(pair: MatchedViews, result: RelativePoseResult, prior: str) -> VerifiedPair:
+def _verified(
+    pair: MatchedViews, result: RelativePoseResult, prior: str, seed: int
+) -> VerifiedPair:
+    again = partial(
+        estimate_relative_pose,
+        max_noise_deg=MAX_NOISE_PX * pair.pixel_deg,
+        options=IMAGE_OPTIONS,
+        seed=seed,
+    )
+    result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again)
     result = noise_in_pixels(result, pair.pixel_deg)
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     floor = pair.matched.floor_share(result.inlier_mask) if pair.sees_all_around else np.nan

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What becomes of bearings if a camera's angles are larger or smaller than they should be.
+
+Of a lens these are the angles from its optical axis, of a panorama its longitudes and latitudes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from epi360.cameras.base import Array, Camera
+from epi360.cameras.equirectangular import Equirectangular
+
+_NEAR_POLE = 1e-6  # cosine of a latitude
+
+
+class ChangedBearings(NamedTuple):
+    """Bearings (N, 3) with changed angles, and their derivatives.
+
+    By the measured bearings, along two unit tangents, and by the changes: (N, 3, 2) and (N, 3, k).
+    """
+
+    bearings: Array
+    by_measured: Array
+    by_changes: Array
+
+
+class _Radial:
+    """Bearings by their angles from the optical axis."""
+
+    directions = ("radial",)
+
+    def __init__(self, bearings: Array) -> None:
+        x, y, z = bearings.T
+        self._angle = np.arctan2(np.hypot(x, y), z)
+        around = np.arctan2(y, x)
+        self._out = np.stack([np.cos(around), np.sin(around), np.zeros_like(x)], axis=1)
+        self._across = np.stack([-np.sin(around), np.cos(around), np.zeros_like(x)], axis=1)
+
+    def changed(self, changes: Array) -> ChangedBearings:
+        """Bearings whose angles are multiplied by 1 + change."""
+        larger = self._angle * (1.0 + changes[0])
+        sine, cosine = np.sin(larger)[:, None], np.cos(larger)[:, None]
+        axis = np.array([0.0, 0.0, 1.0])
+        away = cosine * self._out - sine * axis
+        stretch = (1.0 + changes[0]) * np.sinc(larger / np.pi) / np.sinc(self._angle / np.pi)
+        along, across = (1.0 + changes[0]) * away, stretch[:, None] * self._across
+        return ChangedBearings(
+            sine * self._out + cosine * axis,
+            np.stack([along, across], axis=2),
+            (self._angle[:, None] * away)[:, :, None],
+        )
+
+
+class _LongitudesAndLatitudes:
+    """Bearings by their longitudes and latitudes from the middle of a panorama."""
+
+    directions = ("horizontal", "vertical")
+
+    def __init__(self, bearings: Array, camera: Equirectangular) -> None:
+        x, y, z = bearings.T
+        self._middle = np.radians([camera.center_longitude_deg, -camera.center_latitude_deg])
+        longitudes = np.arctan2(x, z) - self._middle[0]
+        self._longitudes = longitudes - 2.0 * np.pi * np.round(longitudes / (2.0 * np.pi))
+        self._downwards = np.arctan2(y, np.hypot(x, z))
+        self._latitudes = self._downwards - self._middle[1]
+
+    def changed(self, changes: Array) -> ChangedBearings:
+        """Bearings whose longitudes and latitudes are multiplied by 1 + change."""
+        wider, higher = 1.0 + changes
+        longitudes = self._middle[0] + wider * self._longitudes
+        latitudes = self._middle[1] + higher * self._latitudes
+        sines, cosines = np.sin([longitudes, latitudes]), np.cos([longitudes, latitudes])
+        zero = np.zeros_like(longitudes)
+        east = np.stack([cosines[0], zero, -sines[0]], axis=1)
+        down = np.stack([-sines[1] * sines[0], cosines[1], -sines[1] * cosines[0]], axis=1)
+        parallel = cosines[1][:, None] * east
+        before = np.maximum(np.cos(self._downwards), _NEAR_POLE)[:, None]
+        return ChangedBearings(
+            np.stack([cosines[1] * sines[0], sines[1], cosines[1] * cosines[0]], axis=1),
+            np.stack([wider * parallel / before, higher * down], axis=2),
+            np.stack(
+                [self._longitudes[:, None] * parallel, self._latitudes[:, None] * down], axis=2
+            ),
+        )
+
+
+def angles_of(camera: Camera, bearings: Array) -> _Radial | _LongitudesAndLatitudes:
+    """Bearings (N, 3) that a camera gave, as what changes with its calibration."""
+    if isinstance(camera, Equirectangular):
+        return _LongitudesAndLatitudes(bearings, camera)
+    return _Radial(bearings)
+
+
+@dataclass(frozen=True)
+class PairOfAngles:
+    """The bearings of two views as angles, and which of all changes are whose.
+
+    Equal cameras share theirs. ``names`` has the view of each change (0: both) and its direction.
+    """
+
+    names: tuple[tuple[int, str], ...]
+    _views: Sequence[_Radial | _LongitudesAndLatitudes]
+    columns: tuple[slice, slice]
+
+    @classmethod
+    def of(cls, cameras: tuple[Camera, Camera], bearings: tuple[Array, Array]) -> PairOfAngles:
+        """Angles of bearings (N, 3) each."""
+        views = [angles_of(camera, b) for camera, b in zip(cameras, bearings, strict=True)]
+        first, second = (view.directions for view in views)
+        if cameras[0] == cameras[1]:
+            own = slice(0, len(first))
+            return cls(tuple((0, name) for name in first), views, (own, own))
+        names = [*((1, name) for name in first), *((2, name) for name in second)]
+        return cls(tuple(names), views, (slice(0, len(first)), slice(len(first), len(names))))
+
+    def changed(self, changes: Array) -> tuple[ChangedBearings, ChangedBearings]:
+        """Both views with their angles multiplied by 1 + change."""
+        first, second = (
+            view.changed(changes[own]) for view, own in zip(self._views, self.columns, strict=True)
+        )
+        return first, second

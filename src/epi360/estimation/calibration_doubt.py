@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a pose says if its matches would agree better with other angles of the cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.changed_angles import PairOfAngles
+from epi360.estimation.angle_changes import (
+    LARGEST_CHANGE,
+    AngleChange,
+    ChangedAngles,
+    fit_angle_changes,
+)
+from epi360.estimation.changed_turn import changed_by_a_turn
+from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
+from epi360.poses import rotation_error_deg, translation_error_deg, vector_from_rotation
+
+Array = NDArray[np.float64]
+
+# What the warning asks, by which it is known.
+CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
+# A change that is worth a word: so large, so many of its standard deviations, so much likelier, and
+# it moves the pose by so many of those that the pose states. Of 98 real pairs with good cameras two
+# are so.
+_LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.015, 4.0, 12.0, 2.0
+_FEWEST_INLIERS = 20
+# A turn with angles that are wrong by a sixth shows less parallax than this. With the right ones it
+# leaves the inliers of the step a median residual, over their noise, of 0.4 to 1.2 (of two Gaussian
+# components: 1.18); what was a step of some centimetres in a room leaves 1.6 and more.
+_MOST_PARALLAX_DEG, _MOST_LEFT = 12.0, 1.35
+
+
+def with_calibration_doubt(
+    result: RelativePoseResult,
+    bearings: tuple[Array, Array],
+    cameras: tuple[Camera, Camera],
+    estimate: Callable[[Array, Array], RelativePoseResult],
+) -> RelativePoseResult:
+    """Return the result with a warning, and a larger covariance, if the cameras may be wrong.
+
+    ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
+    What a change of the cameras' angles would move the pose by is added to its covariance. If with
+    such a change a rotation explains as many matches, by ``estimate``, that is the result.
+    """
+    if not result.success or result.num_inliers < _FEWEST_INLIERS:
+        return result
+    turned = _turned(result, bearings, cameras, estimate)
+    if turned is not None:
+        return turned
+    found = fit_angle_changes(result.cam2_from_cam1, bearings, cameras, result.noise_deg)
+    doubts = [each for each in found.changes if _is_clear(each)]
+    if not doubts or found.gain < _LEAST_GAIN or not _moves(result, found):
+        return result
+    sentences = tuple(
+        f"the matches agree better if {_in_words(each, cameras[max(each.view, 1) - 1])}: "
+        f"{CALIBRATION_QUESTION}"
+        for each in doubts
+    )
+    return replace(
+        result,
+        warnings=(*result.warnings, *sentences),
+        covariance=result.covariance + _second_moment(result, found),
+    )
+
+
+def _turned(
+    result: RelativePoseResult,
+    bearings: tuple[Array, Array],
+    cameras: tuple[Camera, Camera],
+    estimate: Callable[[Array, Array], RelativePoseResult],
+) -> RelativePoseResult | None:
+    """The answer with other angles, if these show that the camera has only turned."""
+    if result.parallax_deg > _MOST_PARALLAX_DEG:
+        return None
+    inliers = result.inlier_mask
+    agreeing = bearings[0][inliers], bearings[1][inliers]
+    rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
+    changes = changed_by_a_turn(rotation, agreeing, cameras, noise_deg)
+    if changes is None or not (np.abs(changes) > _LEAST_CHANGE).any():
+        return None
+    angles = PairOfAngles.of(cameras, bearings)
+    answer = estimate(*(view.bearings for view in angles.changed(changes)))
+    if answer.status != "pure_rotation":
+        return None
+    left = np.median(answer.residuals_rad[inliers])
+    if left > _MOST_LEFT * np.radians(noise_deg):
+        return None
+    found = zip(angles.names, changes.tolist(), strict=True)
+    words = " and ".join(
+        _in_words(AngleChange(*name, change, np.nan), cameras[max(name[0], 1) - 1])
+        for name, change in found
+        if abs(change) > _LEAST_CHANGE
+    )
+    sentence = (
+        f"the camera has only turned if {words}; with the angles as they were given, the matches "
+        f"agree with a step: {CALIBRATION_QUESTION}"
+    )
+    return replace(answer, warnings=(*answer.warnings, sentence))
+
+
+def _is_clear(each: AngleChange) -> bool:
+    size = abs(each.change)
+    return _LEAST_CHANGE < size < LARGEST_CHANGE and size > _LEAST_DEVIATIONS * each.sigma
+
+
+def _moves(result: RelativePoseResult, found: ChangedAngles) -> bool:
+    """Whether the pose with other angles is another one."""
+    rotation_deg, direction_deg = pose_sigmas_deg(result)
+    poses = result.cam2_from_cam1, found.cam2_from_cam1
+    return bool(
+        rotation_error_deg(*poses) > _LEAST_MOVE * rotation_deg
+        or translation_error_deg(*poses) > _LEAST_MOVE * direction_deg
+    )
+
+
+def _second_moment(result: RelativePoseResult, found: ChangedAngles) -> Array:
+    """Outer product of the five numbers by which the pose with other angles differs."""
+    pose, other = result.cam2_from_cam1, found.cam2_from_cam1
+    turn = vector_from_rotation(other.rotation @ pose.rotation.T)
+    moved = np.concatenate([turn, result.translation_basis.T @ other.translation])
+    return np.outer(moved, moved)
+
+
+def _in_words(each: AngleChange, camera: Camera) -> str:
+    """What is changed, and by how much, of one or both images."""
+    images = {0: "both images", 1: "image 1", 2: "image 2"}[each.view]
+    if not isinstance(camera, Equirectangular):
+        what = "larger" if each.change > 0.0 else "smaller"
+        sigma = f" (1 sigma {each.sigma:.1%})" if np.isfinite(each.sigma) else ""
+        return f"angles from the axis of {images} are {abs(each.change):.1%} {what}{sigma}"
+    is_wide = each.direction == "horizontal"
+    degrees = camera.horizontal_fov_deg if is_wide else camera.vertical_fov_deg
+    sigma = f" (1 sigma {degrees * each.sigma:.1f})" if np.isfinite(each.sigma) else ""
+    spans = f"{degrees * (1.0 + each.change):.1f} degrees {'around' if is_wide else 'high'}"
+    return f"{images} are {spans}, not {degrees:.6g}{sigma}"

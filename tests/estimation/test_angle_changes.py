@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cameras whose angles are wrong by some percent: found from the matches, said, and in sigma."""
+
+import re
+from functools import partial
+
+import numpy as np
+import pytest
+
+import epi360
+from epi360 import estimate_relative_pose
+from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.cameras.changed_angles import PairOfAngles, angles_of
+from epi360.estimation.angle_changes import AngleChange, _Fit, fit_angle_changes
+from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION, with_calibration_doubt
+from epi360.estimation.changed_turn import changed_by_a_turn
+from epi360.estimation.result import pose_sigmas_deg
+from epi360.poses import Pose, rotation_from_vector
+from epi360.two_view import IMAGE_OPTIONS
+
+NOISE_RAD = np.radians(0.05)
+PANORAMA = Equirectangular(2048, 1024)
+LENS = KannalaBrandt(1000, 1000, 300.0, 300.0, 500.0, 500.0)
+OTHER_LENS = KannalaBrandt(1000, 1000, 310.0, 310.0, 500.0, 500.0)
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def by_longitude_and_latitude(longitudes, down):
+    cosines = np.cos(down)
+    return np.stack(
+        [cosines * np.sin(longitudes), np.sin(down), cosines * np.cos(longitudes)], axis=1
+    )
+
+
+def taken_for_smaller(bearings, camera, *changes):
+    """Bearings as they are measured if the camera's angles should be larger by so much."""
+    x, y, z = bearings.T
+    if camera == PANORAMA:
+        wider, higher = 1.0 + np.array(changes)
+        longitudes, down = np.arctan2(x, z) / wider, np.arctan2(y, np.hypot(x, z)) / higher
+        return by_longitude_and_latitude(longitudes, down)
+    angle, around = np.arctan2(np.hypot(x, y), z) / (1.0 + changes[0]), np.arctan2(y, x)
+    out = np.stack([np.cos(around), np.sin(around), np.zeros_like(x)], axis=1)
+    return np.sin(angle)[:, None] * out + np.cos(angle)[:, None] * [0.0, 0.0, 1.0]
+
+
+def seen(seed, camera, changes1, changes2=None, *, num=300, wrong=80, moved=True):
+    """Bearings of a room in two views, which the cameras make smaller, and the true pose."""
+    rng = np.random.default_rng(seed)
+    most = 0.6 if camera != PANORAMA else 2.5  # radians
+    turn = rotation_from_vector([0.05, rng.uniform(0.3 * most, most), -0.1])
+    step = np.array([-0.7, 0.1, -0.3]) if moved else np.zeros(3)
+    pose = Pose(turn, turn @ step)
+    points = rng.uniform(-1.0, 1.0, (20 * num, 3)) * [4.0, 1.5, 4.0]
+    points = points[np.linalg.norm(points, axis=1) > 0.8]
+    if camera != PANORAMA:
+        in_view = (unit(points) @ [0.0, 0.0, 1.0] > 0.0) & (
+            unit(points @ turn.T + pose.translation) @ [0.0, 0.0, 1.0] > 0.0
+        )
+        points = points[in_view]
+    points = points[:num]
+    pair = unit(points), unit(points @ turn.T + pose.translation)
+    changes = changes1, changes1 if changes2 is None else changes2
+    measured = []
+    for b, own in zip(pair, changes, strict=True):
+        b = taken_for_smaller(b, camera, *own)
+        b = unit(b + rng.normal(0.0, NOISE_RAD, b.shape))
+        others = unit(rng.normal(size=(wrong, 3)))
+        others[:, 2] = np.abs(others[:, 2]) if camera != PANORAMA else others[:, 2]
+        measured.append(np.concatenate([b, others]))
+    return tuple(measured), pose
+
+
+def estimated(bearings):
+    result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
+    assert result.success
+    return result
+
+
+def errors_deg(pose, truth):
+    return np.array(
+        [epi360.rotation_error_deg(pose, truth), epi360.translation_error_deg(pose, truth)]
+    )
+
+
+@pytest.mark.parametrize(
+    ("camera", "changes"),
+    [
+        (LENS, [0.05]),
+        (LENS, [-0.08]),
+        (PANORAMA, [-0.03, 0.0]),
+        (PANORAMA, [0.0, 0.1]),
+        (PANORAMA, [-0.02, -0.04]),
+    ],
+)
+def test_what_the_angles_must_be_multiplied_by_is_found_and_mends_the_pose(camera, changes):
+    for seed in range(4):
+        bearings, truth = seen(seed, camera, changes)
+        result = estimated(bearings)
+        found = fit_angle_changes(
+            result.cam2_from_cam1, bearings, (camera, camera), result.noise_deg
+        )
+        assert [each.view for each in found.changes] == [0] * len(changes)
+        for each, change in zip(found.changes, changes, strict=True):
+            assert each.change == pytest.approx(change, abs=max(3.0 * each.sigma, 0.003))
+        before = errors_deg(result.cam2_from_cam1, truth)
+        after = errors_deg(found.cam2_from_cam1, truth)
+        assert (after < 0.3).all() and after.sum() < 0.5 * before.sum()
+        assert found.gain > 12.0
+
+
+def test_each_of_two_cameras_has_its_own_change():
+    changes = []
+    for seed in range(9):
+        bearings, _ = seen(seed, LENS, [0.06], [0.0])
+        result = estimated(bearings)
+        cameras = LENS, OTHER_LENS
+        found = fit_angle_changes(result.cam2_from_cam1, bearings, cameras, result.noise_deg)
+        first, second = found.changes
+        assert (first.view, second.view) == (1, 2)
+        assert first.direction == second.direction == "radial"
+        changes.append([first.change, second.change])
+    np.testing.assert_allclose(np.median(changes, axis=0), [0.06, 0.0], atol=0.01)
+
+
+def test_swapped_views_say_the_same():
+    bearings, _ = seen(1, LENS, [0.04])
+    result = estimated(bearings)
+    pose, noise = result.cam2_from_cam1, result.noise_deg
+    there = fit_angle_changes(pose, bearings, (LENS, LENS), noise)
+    back = fit_angle_changes(pose.inverse(), bearings[::-1], (LENS, LENS), noise)
+    assert back.changes[0].change == pytest.approx(there.changes[0].change, abs=1e-5)
+    assert back.changes[0].sigma == pytest.approx(there.changes[0].sigma, rel=0.3)
+    errors = errors_deg(back.cam2_from_cam1.inverse(), there.cam2_from_cam1)
+    np.testing.assert_allclose(errors, 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("camera", [LENS, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0)])
+def test_derivatives_are_those_of_the_residuals(camera):
+    bearings, truth = seen(0, LENS, [0.0], num=30, wrong=0)
+    angles = PairOfAngles.of((camera, camera), bearings)
+    num = len(angles.names)
+    changes = np.linspace(0.03, -0.02, num)
+    pose = Pose(truth.rotation, unit(truth.translation))
+
+    def constraints(step):
+        fit = _Fit(angles, changes, pose)
+        fit._move(step)
+        residuals, _, gradients, _ = fit._linearised()
+        return residuals, gradients
+
+    # At a pose whose residuals are about zero, the norm of the gradient need not be derived.
+    fit = _Fit(angles, changes, pose)
+    residuals, J, *_ = fit._linearised()
+    small = np.abs(residuals) < 1e-2
+    assert small.sum() > 10
+    step = 1e-6
+    for k in range(5 + num):
+        move = np.zeros(5 + num)
+        move[k] = step
+        slopes = (constraints(move)[0] - constraints(-move)[0]) / (2.0 * step)
+        np.testing.assert_allclose(J[small, k], slopes[small], atol=0.05)
+
+
+def test_the_bearings_themselves_come_back_without_a_change():
+    bearings, _ = seen(2, PANORAMA, [0.0, 0.0], num=50)
+    for camera in (LENS, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0)):
+        view = angles_of(camera, bearings[0])
+        changed = view.changed(np.zeros(len(view.directions)))
+        np.testing.assert_allclose(changed.bearings, bearings[0], atol=1e-12)
+        lengths = np.linalg.norm(changed.by_measured, axis=1)
+        np.testing.assert_allclose(lengths, 1.0, atol=1e-9)
+
+
+def doubted(result, bearings, camera):
+    estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS)
+    return with_calibration_doubt(result, bearings, (camera, camera), estimate)
+
+
+@pytest.mark.parametrize(
+    ("camera", "changes", "words"),
+    [
+        (LENS, [-0.08], r"angles from the axis of both images are [78]\.\d% smaller"),
+        (PANORAMA, [-0.0278, 0.0], r"both images are 3(49|50)\.\d degrees around, not 360 "),
+        (PANORAMA, [0.0, 0.1], r"both images are 19[789]\.\d degrees high, not 180 "),
+    ],
+)
+def test_a_doubt_is_said_and_sigma_covers_the_error(camera, changes, words):
+    inflated = []
+    for seed in range(6):
+        bearings, truth = seen(seed, camera, changes)
+        result = estimated(bearings)
+        told = doubted(result, bearings, camera)
+        np.testing.assert_array_equal(told.cam2_from_cam1.matrix(), result.cam2_from_cam1.matrix())
+        if told.warnings == result.warnings:
+            continue
+        (warning,) = set(told.warnings) - set(result.warnings)
+        assert re.search(words, warning) and CALIBRATION_QUESTION in warning
+        ratio = errors_deg(told.cam2_from_cam1, truth) / pose_sigmas_deg(told)
+        assert (ratio < 3.0).all()
+        assert (np.linalg.eigvalsh(told.covariance - result.covariance) > -1e-15).all()
+        inflated.append(errors_deg(result.cam2_from_cam1, truth) / pose_sigmas_deg(result))
+    assert len(inflated) >= 4
+    assert np.median(inflated) > 1.5  # what they had stated
+
+
+@pytest.mark.parametrize(("camera", "changes"), [(LENS, [0.0]), (PANORAMA, [0.0, 0.0])])
+def test_good_cameras_leave_no_doubt(camera, changes):
+    for seed in range(8):
+        bearings, _ = seen(seed, camera, changes)
+        result = estimated(bearings)
+        assert doubted(result, bearings, camera) is result
+
+
+def test_nothing_is_asked_without_a_pose_or_with_few_inliers():
+    rng = np.random.default_rng(0)
+    apart = unit(rng.normal(size=(60, 3))), unit(rng.normal(size=(60, 3)))
+    result = estimate_relative_pose(*apart)
+    assert not result.success and doubted(result, apart, PANORAMA) is result
+    bearings, _ = seen(0, LENS, [0.1], num=15, wrong=0)
+    few = estimate_relative_pose(*bearings)
+    assert doubted(few, bearings, LENS) is few
+
+
+def test_a_step_straight_up_says_nothing_of_heights():
+    """Latitudes do not matter to epipolar curves that are meridians."""
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-1.0, 1.0, (300, 3)) * [4.0, 1.5, 4.0]
+    points = points[np.hypot(points[:, 0], points[:, 2]) > 1.0]
+    pair = unit(points), unit(points - [0.0, 0.3, 0.0])
+    bearings = tuple(unit(b + rng.normal(0.0, NOISE_RAD, b.shape)) for b in pair)
+    result = estimated(bearings)
+    assert doubted(result, bearings, PANORAMA) is result
+
+
+def test_matches_that_determine_no_change_have_none():
+    """All on one circle around the axis: their angle from it is one number."""
+    around = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    b = np.stack([0.5 * np.cos(around), 0.5 * np.sin(around), np.full(40, 0.75**0.5)], axis=1)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    found = fit_angle_changes(pose, (b, b), (LENS, LENS), 0.1)
+    assert isinstance(found.changes[0], AngleChange) and not found.changes[0].sigma < 0.01
+
+
+def test_a_turn_through_a_wrong_lens_is_a_turn():
+    num_steps = 0
+    for seed in range(12):
+        bearings, pose = seen(seed, LENS, [0.06], moved=False)
+        result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
+        if not result.success:
+            continue
+        num_steps += 1
+        told = doubted(result, bearings, LENS)
+        assert told.status == "pure_rotation"
+        assert epi360.rotation_error_deg(told.cam2_from_cam1, pose) < 0.2
+        assert told.num_inliers > 280 and np.isnan(told.cam2_from_cam1.translation).all()
+        assert "has only turned if angles from the axis of both images are" in told.warnings[-1]
+        assert told.warnings[-1].endswith(CALIBRATION_QUESTION)
+    assert num_steps >= 3  # which the wrong lens seems to show
+
+
+def test_a_turn_says_what_the_angles_must_be_multiplied_by():
+    for changes in ([0.06], [-0.1], [0.0]):
+        bearings, pose = seen(3, LENS, changes, moved=False, wrong=0)
+        start = rotation_from_vector([0.0, 0.02, 0.0]) @ pose.rotation
+        found = changed_by_a_turn(start, bearings, (LENS, LENS), 0.05)
+        np.testing.assert_allclose(found, changes, atol=0.003)
+
+
+def test_no_turn_explains_a_step_in_a_room():
+    bearings, pose = seen(3, LENS, [0.0], wrong=0)
+    assert changed_by_a_turn(pose.rotation, bearings, (LENS, LENS), 0.05) is None
