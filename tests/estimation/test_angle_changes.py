@@ -47,7 +47,7 @@ def taken_for_smaller(bearings, camera, *changes):
     return np.sin(angle)[:, None] * out + np.cos(angle)[:, None] * [0.0, 0.0, 1.0]
 
 
-def seen(seed, camera, changes1, changes2=None, *, num=300, wrong=80, moved=True):
+def seen(seed, camera, changes1, changes2=None, *, num=300, wrong=80, moved=True, noise=NOISE_RAD):
     """Bearings of a room in two views, which the cameras make smaller, and the true pose."""
     rng = np.random.default_rng(seed)
     most = 0.6 if camera != PANORAMA else 2.5  # radians
@@ -67,7 +67,7 @@ def seen(seed, camera, changes1, changes2=None, *, num=300, wrong=80, moved=True
     measured = []
     for b, own in zip(pair, changes, strict=True):
         b = taken_for_smaller(b, camera, *own)
-        b = unit(b + rng.normal(0.0, NOISE_RAD, b.shape))
+        b = unit(b + rng.normal(0.0, noise, b.shape))
         others = unit(rng.normal(size=(wrong, 3)))
         others[:, 2] = np.abs(others[:, 2]) if camera != PANORAMA else others[:, 2]
         measured.append(np.concatenate([b, others]))
@@ -273,3 +273,21 @@ def test_a_turn_says_what_the_angles_must_be_multiplied_by():
 def test_no_turn_explains_a_step_in_a_room():
     bearings, pose = seen(3, LENS, [0.0], wrong=0)
     assert changed_by_a_turn(pose.rotation, bearings, (LENS, LENS), 0.05) is None
+
+
+def test_exact_matches_leave_no_doubt():
+    for moved in (True, False):
+        bearings, _ = seen(3, PANORAMA, [0.0, 0.0], moved=moved, wrong=0, noise=0.0)
+        result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
+        assert doubted(result, bearings, PANORAMA) is result
+
+
+def test_rows_without_a_ray_are_left_out():
+    bearings, _ = seen(3, LENS, [0.06])
+    result = estimated(bearings)
+    missing = tuple(np.concatenate([b, np.full((3, 3), np.nan)]) for b in bearings)
+    found = [
+        fit_angle_changes(result.cam2_from_cam1, b, (LENS, LENS), result.noise_deg)
+        for b in (bearings, missing)
+    ]
+    assert found[0].changes == found[1].changes

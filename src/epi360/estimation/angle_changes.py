@@ -23,6 +23,8 @@ from epi360.poses import Pose, rotation_from_vector
 Array = NDArray[np.float64]
 
 LARGEST_CHANGE = 0.25  # no lens is so unknown
+SMALLEST_NOISE_RAD = 1e-9  # exact matches have none
+_MOST_MATCHES = 2000  # more tell nothing beside what they are wrong by together
 _NUM_STEPS, _ANNEALED = 9, 6  # all, and those of a wider loss
 _REACH, _WIDEST = 3.0, 4.0  # of the last loss, in noise, and how much wider the first one is
 _SHARED = 1.0  # least standard deviation of what neighbours share, in noise, as for image pairs
@@ -77,12 +79,15 @@ def fit_angle_changes(
     residual is the tangent Sampson error (Terekhov and Larsson, ICCV 2023) in the angles as they
     were measured, so that smaller angles do not make smaller residuals. The standard deviations are
     those of an M-estimator (Huber 1981) and of an error as large as the noise that neighbouring
-    matches share, `shared_error_covariance`. They are NaN where the matches determine no change.
+    matches share, `shared_error_covariance`. They are NaN where the matches determine no change. Of
+    many matches about a thousand are looked at, evenly spaced.
     """
     known = np.isfinite(bearings[0]).all(axis=1) & np.isfinite(bearings[1]).all(axis=1)
-    angles = PairOfAngles.of(cameras, (bearings[0][known], bearings[1][known]))
+    some = np.flatnonzero(known)
+    some = some[:: 1 + len(some) // _MOST_MATCHES]
+    angles = PairOfAngles.of(cameras, (bearings[0][some], bearings[1][some]))
     fit = _Fit(angles, np.zeros(len(angles.names)), _unit_pose(cam2_from_cam1))
-    gain = fit.run(float(np.radians(noise_deg)))
+    gain = fit.run(max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD))
     found = zip(angles.names, fit.changes.tolist(), fit.sigmas.tolist(), strict=True)
     changes = tuple(AngleChange(*name, *numbers) for name, *numbers in found)
     return ChangedAngles(changes, fit.pose, gain)

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.cameras.changed_angles import PairOfAngles
 from epi360.epipolar.essential import skew
-from epi360.estimation.angle_changes import LARGEST_CHANGE
+from epi360.estimation.angle_changes import LARGEST_CHANGE, SMALLEST_NOISE_RAD
 from epi360.poses import rotation_from_vector
 
 Array = NDArray[np.float64]
 
 _NUM_STEPS, _ANNEALED = 14, 10  # all, and those of a wider loss
 _REACH, _WIDEST = 3.0, 40.0  # of the last loss, in noise, and how much wider the first one is
-_MOST_MATCHES = 200
+_MOST_MATCHES = 300
 
 
 def changed_by_a_turn(
@@ -37,9 +37,9 @@ def changed_by_a_turn(
     Gauss-Newton steps on R b1 - b2 under a Geman-McClure loss whose scale falls from 120 to 3
     noises.
     """
-    some = slice(None, None, max(1, len(bearings[0]) // _MOST_MATCHES))
+    some = slice(None, None, 1 + len(bearings[0]) // _MOST_MATCHES)
     angles = PairOfAngles.of(cameras, (bearings[0][some], bearings[1][some]))
-    changes, noise = np.zeros(len(angles.names)), np.radians(noise_deg)
+    changes, noise = np.zeros(len(angles.names)), max(np.radians(noise_deg), SMALLEST_NOISE_RAD)
     own1, own2 = angles.columns
     for step in range(_NUM_STEPS):
         seen1, seen2 = angles.changed(changes)

@@ -217,7 +217,7 @@ def shared_error_covariance(
     np.fill_diagonal(K, (count - 1.0) * own)  # pairs of different matches of one cell, too
     A = J.T @ K @ J
     KP = K - K @ J @ H @ J.T
-    slope = float(np.trace(KP @ KP))
+    slope = float(np.sum(KP * KP.T))
     excess = observed + scale**2 * float(np.trace(H @ A))
     enough = len(J) >= FEWEST_CELLS and slope > 0.0
     shows = enough and excess > SIGNIFICANT * scale**2 * np.sqrt(2.0 * slope)
