@@ -30,11 +30,14 @@ class ChangedBearings(NamedTuple):
 
 
 class _Radial:
-    """Bearings by their angles from the optical axis."""
+    """Bearings by their angles from the optical axis.
 
-    directions = ("radial",)
+    An angle a (radians) is multiplied by 1 + the first change, plus a^2 times the second one if the
+    curve of the lens may change, too.
+    """
 
-    def __init__(self, bearings: Array) -> None:
+    def __init__(self, bearings: Array, *, is_curved: bool) -> None:
+        self.directions = ("radial", "curve") if is_curved else ("radial",)
         x, y, z = bearings.T
         self._angle = np.arctan2(np.hypot(x, y), z)
         around = np.arctan2(y, x)
@@ -42,17 +45,20 @@ class _Radial:
         self._across = np.stack([-np.sin(around), np.cos(around), np.zeros_like(x)], axis=1)
 
     def changed(self, changes: Array) -> ChangedBearings:
-        """Bearings whose angles are multiplied by 1 + change."""
-        larger = self._angle * (1.0 + changes[0])
+        """Bearings with other angles."""
+        exponents = np.array([0.0, 2.0])[: len(changes)]
+        powers = self._angle[:, None] ** exponents
+        factor = 1.0 + powers @ changes
+        larger = self._angle * factor
+        slope = 1.0 + powers @ ((exponents + 1.0) * changes)
         sine, cosine = np.sin(larger)[:, None], np.cos(larger)[:, None]
         axis = np.array([0.0, 0.0, 1.0])
         away = cosine * self._out - sine * axis
-        stretch = (1.0 + changes[0]) * np.sinc(larger / np.pi) / np.sinc(self._angle / np.pi)
-        along, across = (1.0 + changes[0]) * away, stretch[:, None] * self._across
+        stretch = factor * np.sinc(larger / np.pi) / np.sinc(self._angle / np.pi)
         return ChangedBearings(
             sine * self._out + cosine * axis,
-            np.stack([along, across], axis=2),
-            (self._angle[:, None] * away)[:, :, None],
+            np.stack([slope[:, None] * away, stretch[:, None] * self._across], axis=2),
+            (self._angle[:, None] * powers)[:, None, :] * away[:, :, None],
         )
 
 
@@ -89,11 +95,13 @@ class _LongitudesAndLatitudes:
         )
 
 
-def angles_of(camera: Camera, bearings: Array) -> _Radial | _LongitudesAndLatitudes:
+def angles_of(
+    camera: Camera, bearings: Array, *, is_curved: bool = False
+) -> _Radial | _LongitudesAndLatitudes:
     """Bearings (N, 3) that a camera gave, as what changes with its calibration."""
     if isinstance(camera, Equirectangular):
         return _LongitudesAndLatitudes(bearings, camera)
-    return _Radial(bearings)
+    return _Radial(bearings, is_curved=is_curved)
 
 
 @dataclass(frozen=True)
@@ -108,9 +116,18 @@ class PairOfAngles:
     columns: tuple[slice, slice]
 
     @classmethod
-    def of(cls, cameras: tuple[Camera, Camera], bearings: tuple[Array, Array]) -> PairOfAngles:
-        """Angles of bearings (N, 3) each."""
-        views = [angles_of(camera, b) for camera, b in zip(cameras, bearings, strict=True)]
+    def of(
+        cls,
+        cameras: tuple[Camera, Camera],
+        bearings: tuple[Array, Array],
+        *,
+        is_curved: bool = False,
+    ) -> PairOfAngles:
+        """Angles of bearings (N, 3) each; if ``is_curved``, the curve of a lens changes, too."""
+        views = [
+            angles_of(camera, b, is_curved=is_curved)
+            for camera, b in zip(cameras, bearings, strict=True)
+        ]
         first, second = (view.directions for view in views)
         if cameras[0] == cameras[1]:
             own = slice(0, len(first))

@@ -30,6 +30,7 @@ CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 # are so.
 _LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.015, 4.0, 12.0, 2.0
 _FEWEST_INLIERS = 20
+_IMAGES = ("both images", "image 1", "image 2")
 # A turn with angles that are wrong by a sixth shows less parallax than this. With the right ones it
 # leaves the inliers of the step a median residual, over their noise, of 0.4 to 1.2 (of two Gaussian
 # components: 1.18); what was a step of some centimetres in a room leaves 1.6 and more.
@@ -84,19 +85,18 @@ def _turned(
     changes = changed_by_a_turn(rotation, agreeing, cameras, noise_deg)
     if changes is None or not (np.abs(changes) > _LEAST_CHANGE).any():
         return None
-    angles = PairOfAngles.of(cameras, bearings)
+    angles = PairOfAngles.of(cameras, bearings, is_curved=True)
     answer = estimate(*(view.bearings for view in angles.changed(changes)))
     if answer.status != "pure_rotation":
         return None
     left = np.median(answer.residuals_rad[inliers])
     if left > _MOST_LEFT * np.radians(noise_deg):
         return None
-    found = zip(angles.names, changes.tolist(), strict=True)
-    words = " and ".join(
-        _in_words(AngleChange(*name, change, np.nan), cameras[max(name[0], 1) - 1])
-        for name, change in found
-        if abs(change) > _LEAST_CHANGE
-    )
+    own = [changes[each] for each in angles.columns]
+    if cameras[0] == cameras[1]:
+        words = _meant(_IMAGES[0], cameras[0], changes)
+    else:
+        words = " and ".join(map(_meant, (_IMAGES[1], _IMAGES[2]), cameras, own))
     sentence = (
         f"the camera has only turned if {words}; with the angles as they were given, the matches "
         f"agree with a step: {CALIBRATION_QUESTION}"
@@ -129,13 +129,27 @@ def _second_moment(result: RelativePoseResult, found: ChangedAngles) -> Array:
 
 def _in_words(each: AngleChange, camera: Camera) -> str:
     """What is changed, and by how much, of one or both images."""
-    images = {0: "both images", 1: "image 1", 2: "image 2"}[each.view]
+    images = _IMAGES[each.view]
     if not isinstance(camera, Equirectangular):
         what = "larger" if each.change > 0.0 else "smaller"
-        sigma = f" (1 sigma {each.sigma:.1%})" if np.isfinite(each.sigma) else ""
-        return f"angles from the axis of {images} are {abs(each.change):.1%} {what}{sigma}"
+        amount = f"{abs(each.change):.1%} {what} (1 sigma {each.sigma:.1%})"
+        return f"angles from the axis of {images} are {amount}"
     is_wide = each.direction == "horizontal"
     degrees = camera.horizontal_fov_deg if is_wide else camera.vertical_fov_deg
-    sigma = f" (1 sigma {degrees * each.sigma:.1f})" if np.isfinite(each.sigma) else ""
     spans = f"{degrees * (1.0 + each.change):.1f} degrees {'around' if is_wide else 'high'}"
-    return f"{images} are {spans}, not {degrees:.6g}{sigma}"
+    return f"{images} are {spans}, not {degrees:.6g} (1 sigma {degrees * each.sigma:.1f})"
+
+
+def _meant(images: str, camera: Camera, changes: Array) -> str:
+    """What the angles of one or both images must be for a turn."""
+    if isinstance(camera, Equirectangular):
+        given = np.array([camera.horizontal_fov_deg, camera.vertical_fov_deg])
+        around, high = given * (1.0 + changes)
+        return f"{images} are {around:.1f} degrees around and {high:.1f} high"
+    given = np.array([30.0, 60.0])
+    powers = np.radians(given)[:, None] ** np.array([0.0, 2.0])
+    first, second = given * (1.0 + powers @ changes)
+    return (
+        f"what is taken for 30 and 60 degrees from the axis of {images} is {first:.1f} and "
+        f"{second:.1f} degrees"
+    )

@@ -26,11 +26,11 @@ _MOST_MATCHES = 300
 def changed_by_a_turn(
     rotation: Array, bearings: tuple[Array, Array], cameras: tuple[Camera, Camera], noise_deg: float
 ) -> Array | None:
-    """Return what the angles must be multiplied by, 1 + change, if the camera has only turned.
+    """Return the changes of the angles with which the camera has only turned.
 
     ``rotation`` is near the true one, and ``bearings``, (N, 3) each, are the inliers of a pose with
-    residuals of ``noise_deg``. The changes are those of `PairOfAngles`; None if no rotation fits,
-    or only with a change of ``LARGEST_CHANGE``.
+    residuals of ``noise_deg``. The changes are those of `PairOfAngles`, the curves of lenses
+    included; None if no rotation fits, or only with a change of ``LARGEST_CHANGE``.
 
     Notes
     -----
@@ -38,7 +38,7 @@ def changed_by_a_turn(
     noises.
     """
     some = slice(None, None, 1 + len(bearings[0]) // _MOST_MATCHES)
-    angles = PairOfAngles.of(cameras, (bearings[0][some], bearings[1][some]))
+    angles = PairOfAngles.of(cameras, (bearings[0][some], bearings[1][some]), is_curved=True)
     changes, noise = np.zeros(len(angles.names)), max(np.radians(noise_deg), SMALLEST_NOISE_RAD)
     own1, own2 = angles.columns
     for step in range(_NUM_STEPS):
