@@ -21,8 +21,7 @@ constexpr double kRayleighMedian = 1.17741, kRayleighMedianError = 0.84932;  // 
 // no more than the second number, where hardly any wrong match is, so many must agree with a pose.
 constexpr double kDisplaced = 2.0, kNearRotation = 10.0 * kDegree, kMostlyAlong = 0.6;
 constexpr double kDirectionUnknowns = 2.0;  // of a translation
-// Share of them that no hemisphere holds, counted on so many; some of six always lie outside of
-// none.
+// Share of them outside any hemisphere, counted on so many: one always holds four of five.
 constexpr double kOutsideHemisphere = 0.1;
 constexpr std::size_t kMostAround = 64, kFewestDisplaced = 6;
 
