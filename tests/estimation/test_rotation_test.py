@@ -100,7 +100,7 @@ def test_the_core_and_its_twin_say_the_same(side, near_share, changes):
 
 
 def test_only_a_minority_that_is_near_escapes_the_median():
-    """Of a tenth the median says nothing, and what is displaced does."""
+    """The median says nothing of a tenth of the matches, and what is displaced does."""
     _, test = judged(0, 0.1)
     assert test.by_median < 4.0 < test.by_displaced and test.all_around
     _, turned = judged(0, 0.0)

@@ -92,11 +92,11 @@ def _turned(
     left = np.median(answer.residuals_rad[inliers])
     if left > _MOST_LEFT * np.radians(noise_deg):
         return None
-    own = [changes[each] for each in angles.columns]
     if cameras[0] == cameras[1]:
         words = _meant(_IMAGES[0], cameras[0], changes)
     else:
-        words = " and ".join(map(_meant, (_IMAGES[1], _IMAGES[2]), cameras, own))
+        own = (changes[each] for each in angles.columns)
+        words = " and ".join(map(_meant, _IMAGES[1:], cameras, own))
     sentence = (
         f"the camera has only turned if {words}; with the angles as they were given, the matches "
         f"agree with a step: {CALIBRATION_QUESTION}"
