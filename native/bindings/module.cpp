@@ -95,6 +95,7 @@ void bind_internals(nb::module_& m);   // internals.cpp
 void bind_adjustment(nb::module_& m);  // adjustment.cpp
 void bind_features(nb::module_& m);    // features.cpp
 void bind_surfaces(nb::module_& m);    // surfaces.cpp
+void bind_angles(nb::module_& m);      // angles.cpp
 }  // namespace epi360
 
 NB_MODULE(_core, m) {
@@ -104,6 +105,7 @@ NB_MODULE(_core, m) {
   bind_adjustment(m);
   bind_features(m);
   bind_surfaces(m);
+  bind_angles(m);
   m.def("five_point", &five_point_binding, "bearings1"_a, "bearings2"_a);
   m.def(
       "eight_point",

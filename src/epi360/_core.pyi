@@ -38,6 +38,27 @@ def two_nearest(
 ) -> (
     tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]] | None
 ): ...
+def fit_angle_changes(
+    bearings1: _Array,
+    bearings2: _Array,
+    model1: tuple[str, float, float],
+    model2: tuple[str, float, float],
+    is_one_camera: bool,
+    rotation: _Array,
+    translation: _Array,
+    noise: float,
+) -> tuple[
+    _Array, _Array, _Array, float, _Array, _Array, tuple[_Array, _Array], tuple[_Array, _Array]
+]: ...
+def changed_by_a_turn(
+    bearings1: _Array,
+    bearings2: _Array,
+    model1: tuple[str, float, float],
+    model2: tuple[str, float, float],
+    is_one_camera: bool,
+    rotation: _Array,
+    noise: float,
+) -> _Array | None: ...
 def five_point(bearings1: _Array, bearings2: _Array) -> list[_Array]: ...
 def eight_point(bearings1: _Array, bearings2: _Array, weights: _Array | None = None) -> _Array: ...
 def pose_from_essential(

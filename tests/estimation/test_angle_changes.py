@@ -10,10 +10,10 @@ import pytest
 import epi360
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular, KannalaBrandt
-from epi360.cameras.changed_angles import PairOfAngles, angles_of
-from epi360.estimation.angle_changes import AngleChange, _Fit, fit_angle_changes
+from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of
+from epi360.estimation.angle_changes import AngleChange, changed_by_a_turn, fit_angle_changes
+from epi360.estimation.angle_changes_reference import AngleFit, changed_by_a_turn_reference
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION, with_calibration_doubt
-from epi360.estimation.changed_turn import changed_by_a_turn
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.poses import Pose, rotation_from_vector
 from epi360.two_view import IMAGE_OPTIONS
@@ -147,29 +147,68 @@ def test_derivatives_are_those_of_the_residuals(camera):
     pose = Pose(truth.rotation, unit(truth.translation))
 
     def constraints(step):
-        fit = _Fit(angles, changes, pose)
-        fit._move(step)
-        residuals, _, gradients, _ = fit._linearised()
-        return residuals, gradients
+        fit = AngleFit(angles, changes, pose, NOISE_RAD)
+        fit.move(step)
+        return fit.linearised().residuals
 
     # At a pose whose residuals are about zero, the norm of the gradient need not be derived.
-    fit = _Fit(angles, changes, pose)
-    residuals, J, *_ = fit._linearised()
+    residuals, J, *_ = AngleFit(angles, changes, pose, NOISE_RAD).linearised()
     small = np.abs(residuals) < 1e-2
     assert small.sum() > 10
     step = 1e-6
     for k in range(5 + num):
         move = np.zeros(5 + num)
         move[k] = step
-        slopes = (constraints(move)[0] - constraints(-move)[0]) / (2.0 * step)
+        slopes = (constraints(move) - constraints(-move)) / (2.0 * step)
         np.testing.assert_allclose(J[small, k], slopes[small], atol=0.05)
+
+
+CAMERAS = [
+    (LENS, LENS),
+    (LENS, OTHER_LENS),
+    (PANORAMA, PANORAMA),
+    (LENS, PANORAMA),
+    (Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0), OTHER_LENS),
+]
+
+
+@pytest.mark.parametrize("cameras", CAMERAS)
+@pytest.mark.parametrize("change", [0.0, 0.05])
+def test_the_core_fits_a_pose_as_its_twin_does(cameras, change):
+    bearings, truth = seen(5, LENS, [change])
+    pose = Pose(truth.rotation, unit(truth.translation))
+    found = fit_angle_changes(pose, bearings, cameras, np.degrees(NOISE_RAD))
+    angles = PairOfAngles.of(cameras, bearings)
+    twin = AngleFit(angles, np.zeros(len(angles.names)), pose, NOISE_RAD)
+    assert found.gain == pytest.approx(twin.run(), rel=1e-6, abs=1e-6)
+    np.testing.assert_allclose(found.sizes, twin.changes, atol=1e-8)
+    np.testing.assert_allclose(found.cam2_from_cam1.matrix(), twin.pose.matrix(), atol=1e-8)
+    assert found.names == angles.names
+    sigmas = [each.sigma for each in found.changes]
+    np.testing.assert_allclose(sigmas, twin.linearised().sigmas_of_changes(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("cameras", CAMERAS)
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_core_fits_a_turn_as_its_twin_does(cameras, moved):
+    bearings, truth = seen(5, LENS, [0.04], moved=moved, wrong=0)
+    start = rotation_from_vector([0.0, 0.02, 0.0]) @ truth.rotation
+    found = changed_by_a_turn(start, bearings, cameras, np.degrees(NOISE_RAD))
+    some = tuple(b[:: 1 + len(b) // 300] for b in bearings)
+    twin = changed_by_a_turn_reference(
+        start, PairOfAngles.of(cameras, some, is_curved=True), NOISE_RAD
+    )
+    assert (found is None) == (twin is None)
+    assert found is not None or moved or cameras[0] != LENS
+    if found is not None:
+        np.testing.assert_allclose(found, twin, atol=1e-8)
 
 
 def test_the_bearings_themselves_come_back_without_a_change():
     bearings, _ = seen(2, PANORAMA, [0.0, 0.0], num=50)
     for camera in (LENS, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0)):
-        view = angles_of(camera, bearings[0], is_curved=True)
-        changed = view.changed(np.zeros(len(view.directions)))
+        model = AngleModel.of(camera, is_curved=True)
+        changed = angles_of(model, bearings[0]).changed(np.zeros(len(model.directions)))
         np.testing.assert_allclose(changed.bearings, bearings[0], atol=1e-12)
         lengths = np.linalg.norm(changed.by_measured, axis=1)
         np.testing.assert_allclose(lengths, 1.0, atol=1e-9)
@@ -306,7 +345,8 @@ def test_rows_without_a_ray_are_left_out():
 @pytest.mark.parametrize("camera", [LENS, PANORAMA])
 def test_derivatives_are_those_of_the_bearings(camera):
     bearings, _ = seen(1, camera, [0.0, 0.0], num=40, wrong=0)
-    view = angles_of(camera, bearings[0], is_curved=True)
+    model = AngleModel.of(camera, is_curved=True)
+    view = angles_of(model, bearings[0])
     changes = np.array([0.04, -0.02])
     changed = view.changed(changes)
     for k in range(2):
@@ -317,7 +357,7 @@ def test_derivatives_are_those_of_the_bearings(camera):
         np.testing.assert_allclose(changed.by_changes[:, :, k], slopes, atol=1e-7)
     # A small cap of measured bearings becomes one of this area.
     moved = [
-        angles_of(camera, unit(bearings[0] + 1e-6 * np.cross(bearings[0], axis)), is_curved=True)
+        angles_of(model, unit(bearings[0] + 1e-6 * np.cross(bearings[0], axis)))
         .changed(changes)
         .bearings
         - changed.bearings
@@ -332,7 +372,8 @@ def test_derivatives_are_those_of_the_bearings(camera):
 def test_a_turn_through_a_lens_with_another_curve_is_a_turn():
     def curved(seed):
         bearings, pose = seen(seed, LENS, [0.0], moved=False)
-        angles = angles_of(LENS, np.concatenate(bearings), is_curved=True)
+        model = AngleModel.of(LENS, is_curved=True)
+        angles = angles_of(model, np.concatenate(bearings))
         return np.split(angles.changed(np.array([0.0, 0.03])).bearings, 2), pose
 
     for told, pose in turns_that_seem_to_be_steps(curved):

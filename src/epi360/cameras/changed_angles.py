@@ -6,6 +6,7 @@ Of a lens these are the angles from its optical axis, of a panorama its longitud
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,6 +17,49 @@ from epi360.cameras.base import Array, Camera
 from epi360.cameras.equirectangular import Equirectangular
 
 _NEAR_POLE = 1e-6  # cosine of a latitude
+
+
+class AngleModel(NamedTuple):
+    """Which angles of a camera change: "radial", "curved" or "panorama".
+
+    ``longitude`` and ``down`` are those of the middle of a panorama, in radians; 0 of a lens.
+    """
+
+    angles: str
+    longitude: float = 0.0
+    down: float = 0.0
+
+    @classmethod
+    def of(cls, camera: Camera, *, is_curved: bool = False) -> AngleModel:
+        """If ``is_curved``, the curve of a lens changes, too."""
+        if isinstance(camera, Equirectangular):
+            middle = camera.center_longitude_deg, -camera.center_latitude_deg
+            return cls("panorama", *map(math.radians, middle))
+        return cls("curved" if is_curved else "radial")
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """What each change multiplies."""
+        return _DIRECTIONS[self.angles]
+
+
+_DIRECTIONS = {
+    "radial": ("radial",),
+    "curved": ("radial", "curve"),
+    "panorama": ("horizontal", "vertical"),
+}
+
+
+def changes_of(
+    models: tuple[AngleModel, AngleModel], is_one_camera: bool
+) -> tuple[tuple[tuple[int, str], ...], tuple[slice, slice]]:
+    """The view of each change (0: both) and what it multiplies; and which changes are whose."""
+    first, second = (model.directions for model in models)
+    if is_one_camera:
+        own = slice(0, len(first))
+        return tuple((0, name) for name in first), (own, own)
+    names = [*((1, name) for name in first), *((2, name) for name in second)]
+    return tuple(names), (slice(0, len(first)), slice(len(first), len(names)))
 
 
 class ChangedBearings(NamedTuple):
@@ -36,8 +80,7 @@ class _Radial:
     curve of the lens may change, too.
     """
 
-    def __init__(self, bearings: Array, *, is_curved: bool) -> None:
-        self.directions = ("radial", "curve") if is_curved else ("radial",)
+    def __init__(self, bearings: Array) -> None:
         x, y, z = bearings.T
         self._angle = np.arctan2(np.hypot(x, y), z)
         around = np.arctan2(y, x)
@@ -65,11 +108,9 @@ class _Radial:
 class _LongitudesAndLatitudes:
     """Bearings by their longitudes and latitudes from the middle of a panorama."""
 
-    directions = ("horizontal", "vertical")
-
-    def __init__(self, bearings: Array, camera: Equirectangular) -> None:
+    def __init__(self, bearings: Array, model: AngleModel) -> None:
         x, y, z = bearings.T
-        self._middle = np.radians([camera.center_longitude_deg, -camera.center_latitude_deg])
+        self._middle = model.longitude, model.down
         longitudes = np.arctan2(x, z) - self._middle[0]
         self._longitudes = longitudes - 2.0 * np.pi * np.round(longitudes / (2.0 * np.pi))
         self._downwards = np.arctan2(y, np.hypot(x, z))
@@ -95,13 +136,11 @@ class _LongitudesAndLatitudes:
         )
 
 
-def angles_of(
-    camera: Camera, bearings: Array, *, is_curved: bool = False
-) -> _Radial | _LongitudesAndLatitudes:
+def angles_of(model: AngleModel, bearings: Array) -> _Radial | _LongitudesAndLatitudes:
     """Bearings (N, 3) that a camera gave, as what changes with its calibration."""
-    if isinstance(camera, Equirectangular):
-        return _LongitudesAndLatitudes(bearings, camera)
-    return _Radial(bearings, is_curved=is_curved)
+    if model.angles == "panorama":
+        return _LongitudesAndLatitudes(bearings, model)
+    return _Radial(bearings)
 
 
 @dataclass(frozen=True)
@@ -124,16 +163,10 @@ class PairOfAngles:
         is_curved: bool = False,
     ) -> PairOfAngles:
         """Angles of bearings (N, 3) each; if ``is_curved``, the curve of a lens changes, too."""
-        views = [
-            angles_of(camera, b, is_curved=is_curved)
-            for camera, b in zip(cameras, bearings, strict=True)
-        ]
-        first, second = (view.directions for view in views)
-        if cameras[0] == cameras[1]:
-            own = slice(0, len(first))
-            return cls(tuple((0, name) for name in first), views, (own, own))
-        names = [*((1, name) for name in first), *((2, name) for name in second)]
-        return cls(tuple(names), views, (slice(0, len(first)), slice(len(first), len(names))))
+        first, second = (AngleModel.of(camera, is_curved=is_curved) for camera in cameras)
+        views = [angles_of(first, bearings[0]), angles_of(second, bearings[1])]
+        names, columns = changes_of((first, second), cameras[0] == cameras[1])
+        return cls(names, views, columns)
 
     def changed(self, changes: Array) -> tuple[ChangedBearings, ChangedBearings]:
         """Both views with their angles multiplied by 1 + change."""

@@ -1,34 +1,36 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pose and scales of the cameras' angles from the same matches.
+"""Pose, or rotation, and scales of the cameras' angles from the same matches.
 
 A lens whose field of view is not known exactly, a panorama that was cropped or stretched: then all
 bearings are wrong together, the pose is biased, and its residuals hardly show it. But beside the
 five numbers of a pose matches determine what the angles of the images must be multiplied by.
+
+And if a lens is taken for a narrower or wider one, matches of a camera that has only turned agree
+with a translation that it never made: much of what a wrong angle does looks like a step ahead.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360 import _core
 from epi360.cameras import Camera
-from epi360.cameras.changed_angles import PairOfAngles
-from epi360.epipolar.essential import essential_from_pose, skew
-from epi360.epipolar.residuals import tangent_basis
+from epi360.cameras.changed_angles import AngleModel, changes_of
 from epi360.estimation.covariance import shared_error_covariance
-from epi360.poses import Pose, rotation_from_vector
+from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
 LARGEST_CHANGE = 0.25  # no lens is so unknown
 SMALLEST_NOISE_RAD = 1e-9  # exact matches have none
-_MOST_MATCHES = 2000  # more tell nothing beside what they are wrong by together
-_NUM_STEPS, _ANNEALED = 9, 6  # all, and those of a wider loss
-_REACH, _WIDEST = 3.0, 4.0  # of the last loss, in noise, and how much wider the first one is
+MOST_MATCHES, MOST_OF_TURN = 2000, 300  # more tell nothing beside what they are wrong by together
+REACH = 3.0  # of the last loss, in noise
 _SHARED = 1.0  # least standard deviation of what neighbours share, in noise, as for image pairs
-_SMALLEST_NORM = 1e-12
 _SINGULAR = 1e12  # condition of normal equations that determine no change
 
 
@@ -45,15 +47,66 @@ class AngleChange(NamedTuple):
     sigma: float
 
 
-class ChangedAngles(NamedTuple):
+@dataclass(frozen=True)
+class ChangedAngles:
     """The changes with which the matches agree best, the pose with these, and what both gain.
 
     ``gain`` is that of the robust log-likelihood, over the pose and the angles as they were given.
     """
 
-    changes: tuple[AngleChange, ...]
+    names: tuple[tuple[int, str], ...]
+    sizes: Array
     cam2_from_cam1: Pose
     gain: float
+    _fitted: FittedMatches
+
+    @cached_property
+    def changes(self) -> tuple[AngleChange, ...]:
+        """The changes with their standard deviations, NaN where the matches determine none."""
+        sigmas = self._fitted.sigmas_of_changes()
+        found = zip(self.names, self.sizes.tolist(), sigmas.tolist(), strict=True)
+        return tuple(AngleChange(*name, *numbers) for name, *numbers in found)
+
+
+class FittedMatches(NamedTuple):
+    """Residuals (N,) at the end of a fit and their derivatives, in radians.
+
+    ``J`` (N, 5 + k) by the pose and the changes, ``gradients`` (N, 3) by the ``bearings`` (N, 3) of
+    either view. ``noise`` is the standard deviation of the residuals of inliers.
+    """
+
+    residuals: Array
+    J: Array
+    gradients: tuple[Array, Array]
+    bearings: tuple[Array, Array]
+    noise: float
+
+    def sigmas_of_changes(self) -> Array:
+        """Standard deviations (k,): those of an M-estimator, and what neighbours share."""
+        num_changes = self.J.shape[1] - 5
+        weights = 1.0 / (1.0 + (self.residuals / (REACH * self.noise)) ** 2) ** 2
+        information = (self.J.T * weights) @ self.J
+        if not np.linalg.cond(information) < _SINGULAR:
+            return np.full(num_changes, np.nan)
+        inverse = np.linalg.pinv(information, hermitian=True)
+        pulls = self.J.T * (weights * self.residuals)
+        alone = inverse @ (pulls @ pulls.T) @ inverse
+        variances = np.diag(alone + self._shared_error())[5:]
+        return np.sqrt(np.where(variances > 0.0, variances, np.nan))
+
+    def _shared_error(self) -> Array:
+        """Covariance of what neighbouring inliers are wrong by together."""
+        agree = np.abs(self.residuals) < REACH * self.noise
+        first, second = self.bearings
+        by_first, by_second = self.gradients
+        return shared_error_covariance(
+            (first[agree], second[agree]),
+            (by_first[agree], by_second[agree]),
+            self.residuals[agree],
+            self.J[agree],
+            scale=self.noise,
+            least=_SHARED,
+        )
 
 
 def fit_angle_changes(
@@ -79,101 +132,54 @@ def fit_angle_changes(
     residual is the tangent Sampson error (Terekhov and Larsson, ICCV 2023) in the angles as they
     were measured, so that smaller angles do not make smaller residuals. The standard deviations are
     those of an M-estimator (Huber 1981) and of an error as large as the noise that neighbouring
-    matches share, `shared_error_covariance`. They are NaN where the matches determine no change. Of
-    many matches about a thousand are looked at, evenly spaced.
+    matches share, `shared_error_covariance`. Of many matches about a thousand are looked at, evenly
+    spaced.
     """
     known = np.isfinite(bearings[0]).all(axis=1) & np.isfinite(bearings[1]).all(axis=1)
     some = np.flatnonzero(known)
-    some = some[:: 1 + len(some) // _MOST_MATCHES]
-    angles = PairOfAngles.of(cameras, (bearings[0][some], bearings[1][some]))
-    fit = _Fit(angles, np.zeros(len(angles.names)), _unit_pose(cam2_from_cam1))
-    gain = fit.run(max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD))
-    found = zip(angles.names, fit.changes.tolist(), fit.sigmas.tolist(), strict=True)
-    changes = tuple(AngleChange(*name, *numbers) for name, *numbers in found)
-    return ChangedAngles(changes, fit.pose, gain)
+    some = some[:: 1 + len(some) // MOST_MATCHES]
+    first, second = (AngleModel.of(camera) for camera in cameras)
+    is_one = cameras[0] == cameras[1]
+    noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+    start = cam2_from_cam1
+    R, t, sizes, gain, residuals, J, gradients, changed = _core.fit_angle_changes(
+        bearings[0][some],
+        bearings[1][some],
+        first,
+        second,
+        is_one,
+        start.rotation,
+        start.translation / np.linalg.norm(start.translation),
+        noise,
+    )
+    fitted = FittedMatches(residuals, J, gradients, changed, noise)
+    names, _ = changes_of((first, second), is_one)
+    return ChangedAngles(names, sizes, Pose(R, t), gain, fitted)
 
 
-class _Fit:
-    """Pose and changes, refined together."""
+def changed_by_a_turn(
+    rotation: Array, bearings: tuple[Array, Array], cameras: tuple[Camera, Camera], noise_deg: float
+) -> Array | None:
+    """Return the changes of the angles with which the camera has only turned.
 
-    def __init__(self, angles: PairOfAngles, changes: Array, pose: Pose) -> None:
-        self._angles = angles
-        self.changes, self.pose = changes, pose
-        self.sigmas = np.full(len(changes), np.nan)
+    ``rotation`` is near the true one, and ``bearings``, (N, 3) each, are the inliers of a pose with
+    residuals of ``noise_deg``. The changes are those of `PairOfAngles`, the curves of lenses
+    included; None if no rotation fits, or only with a change of ``LARGEST_CHANGE``.
 
-    def run(self, noise: float) -> float:
-        """Take all steps, and return what they gain."""
-        loss = self._loss(noise)
-        for step in range(_NUM_STEPS):
-            wider = max(1.0, _WIDEST - (_WIDEST - 1.0) * step / _ANNEALED)
-            residuals, J, *_ = self._linearised()
-            ratio = 1.0 + (residuals / (_REACH * wider * noise)) ** 2
-            weights = 1.0 / ratio**2
-            information = (J * weights[:, None]).T @ J
-            inverse = np.linalg.pinv(information, hermitian=True)
-            self._move(-inverse @ (J * weights[:, None]).T @ residuals)
-        if np.linalg.cond(information) < _SINGULAR:
-            pulls = (J * (weights * residuals)[:, None]).T
-            alone = inverse @ (pulls @ pulls.T) @ inverse
-            variances = np.diag(alone + self._shared_error(noise))[5:]
-            self.sigmas = np.sqrt(np.where(variances > 0.0, variances, np.nan))
-        return loss - self._loss(noise)
-
-    def _loss(self, noise: float) -> float:
-        """Geman-McClure loss of all matches in units of the noise."""
-        squares = (self._linearised()[0] / (_REACH * noise)) ** 2
-        return float(0.5 * _REACH**2 * np.sum(squares / (1.0 + squares)))
-
-    def _shared_error(self, noise: float) -> Array:
-        """Covariance of what neighbouring inliers are wrong by together."""
-        residuals, J, gradients, bearings = self._linearised()
-        agree = np.abs(residuals) < _REACH * noise
-        return shared_error_covariance(
-            (bearings[0][agree], bearings[1][agree]),
-            (gradients[0][agree], gradients[1][agree]),
-            residuals[agree],
-            J[agree],
-            scale=noise,
-            least=_SHARED,
-        )
-
-    def _linearised(self) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
-        """Residuals (N,), derivatives (N, 5 + k) by pose and changes, (N, 3) by bearings; these."""
-        seen1, seen2 = self._angles.changed(self.changes)
-        E = essential_from_pose(self.pose)
-        t, turned = self.pose.translation, seen1.bearings @ self.pose.rotation.T
-        normals1, normals2 = seen2.bearings @ E, seen1.bearings @ E.T
-        C = np.sum(seen2.bearings * normals2, axis=1)
-        measured1 = np.einsum("nij,ni->nj", seen1.by_measured, normals1)
-        measured2 = np.einsum("nij,ni->nj", seen2.by_measured, normals2)
-        norm = np.sqrt((measured1**2).sum(axis=1) + (measured2**2).sum(axis=1))
-        J = np.zeros((len(C), 5 + len(self.changes)))
-        # a x (b x t) and, along each tangent of t, (tangent x a) . b.
-        J[:, :3] = (turned @ t)[:, None] * seen2.bearings
-        J[:, :3] -= np.sum(turned * seen2.bearings, axis=1)[:, None] * t
-        for k, tangent in enumerate(tangent_basis(t).T):
-            J[:, 3 + k] = np.sum((turned @ skew(tangent).T) * seen2.bearings, axis=1)
-        own1, own2 = self._angles.columns
-        J[:, 5:][:, own1] += np.einsum("nik,ni->nk", seen1.by_changes, normals1)
-        J[:, 5:][:, own2] += np.einsum("nik,ni->nk", seen2.by_changes, normals2)
-        norm = np.maximum(norm, _SMALLEST_NORM)[:, None]
-        gradients = (
-            _across(seen1.bearings, normals1) / norm,
-            _across(seen2.bearings, normals2) / norm,
-        )
-        return C / norm[:, 0], J / norm, gradients, (seen1.bearings, seen2.bearings)
-
-    def _move(self, step: Array) -> None:
-        rotation = rotation_from_vector(step[:3]) @ self.pose.rotation
-        t = self.pose.translation
-        self.pose = _unit_pose(Pose(rotation, t + tangent_basis(t) @ step[3:5]))
-        self.changes = np.clip(self.changes + step[5:], -LARGEST_CHANGE, LARGEST_CHANGE)
-
-
-def _across(bearings: Array, vectors: Array) -> Array:
-    """The parts of vectors (N, 3) that are tangent to the sphere at bearings (N, 3)."""
-    return np.asarray(vectors - np.sum(vectors * bearings, axis=1, keepdims=True) * bearings)
-
-
-def _unit_pose(pose: Pose) -> Pose:
-    return Pose(pose.rotation, pose.translation / np.linalg.norm(pose.translation))
+    Notes
+    -----
+    Gauss-Newton steps on R b1 - b2 under a Geman-McClure loss whose scale falls from 120 to 3
+    noises.
+    """
+    some = slice(None, None, 1 + len(bearings[0]) // MOST_OF_TURN)
+    first, second = (AngleModel.of(camera, is_curved=True) for camera in cameras)
+    noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+    return _core.changed_by_a_turn(
+        np.ascontiguousarray(bearings[0][some]),
+        np.ascontiguousarray(bearings[1][some]),
+        first,
+        second,
+        cameras[0] == cameras[1],
+        rotation,
+        noise,
+    )

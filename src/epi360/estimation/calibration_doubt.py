@@ -15,9 +15,9 @@ from epi360.estimation.angle_changes import (
     LARGEST_CHANGE,
     AngleChange,
     ChangedAngles,
+    changed_by_a_turn,
     fit_angle_changes,
 )
-from epi360.estimation.changed_turn import changed_by_a_turn
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import rotation_error_deg, translation_error_deg, vector_from_rotation
 
@@ -55,8 +55,10 @@ def with_calibration_doubt(
     if turned is not None:
         return turned
     found = fit_angle_changes(result.cam2_from_cam1, bearings, cameras, result.noise_deg)
+    if found.gain < _LEAST_GAIN or not _moves(result, found):
+        return result
     doubts = [each for each in found.changes if _is_clear(each)]
-    if not doubts or found.gain < _LEAST_GAIN or not _moves(result, found):
+    if not doubts:
         return result
     sentences = tuple(
         f"the matches agree better if {_in_words(each, cameras[max(each.view, 1) - 1])}: "
