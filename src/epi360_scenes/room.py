@@ -3,6 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -211,9 +212,18 @@ def scene(name: SceneName, seed: int = 0) -> Room:
     ------
     ValueError
         If no scene has this name.
+
+    Notes
+    -----
+    It takes about a second, and the last rooms are kept: do not change them.
     """
     if name not in SCENES:
         raise ValueError(f"scene must be one of {', '.join(SCENES)}, got {name!r}")
+    return _built(name, seed)
+
+
+@lru_cache(maxsize=4)
+def _built(name: SceneName, seed: int) -> Room:
     furniture = SCENES[name](np.random.Generator(np.random.PCG64(seed)))
     centers, halves, yaws = zip(*furniture.boxes, strict=True)
     ellipsoid_centers, radii = zip(*furniture.ellipsoids, strict=True)

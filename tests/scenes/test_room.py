@@ -7,6 +7,7 @@ from epi360.poses import Pose
 from epi360.synthetic.landmarks import rotation_from_euler
 from epi360_scenes import demo_pair, furnished_room
 from epi360_scenes.raycast import Solids, nearest_hits
+from epi360_scenes.room import _built
 
 CAMERA = Equirectangular(width=128, height=64)
 
@@ -32,6 +33,8 @@ def pair():
 
 def test_a_seed_makes_the_same_room_and_another_seed_another(room):
     pose = Pose(np.eye(3), np.array([0.2, -1.5, -0.4]))
+    assert furnished_room(0) is room  # the last ones are kept
+    _built.cache_clear()
     first, again, other = (
         r.render(CAMERA, pose) for r in (room, furnished_room(0), furnished_room(1))
     )
