@@ -151,6 +151,8 @@ def relative_pose_of_images(
         if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
+    if not best.success:
+        return best
     best = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
     if not (best.success and all(can_be_compared(view.camera) for view in views)):
         return best

@@ -150,15 +150,19 @@ double median_of(std::vector<double> values) {
 
 AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start, double noise) {
   PoseFit fit(angles, start);
-  double before = 0.0, after = 0.0;
-  fit.linearise([&](const Linearised& at) { before += loss_of(at.residual, noise); });
+  std::vector<double> before;
+  fit.linearise([&](const Linearised& at) { before.push_back(at.residual); });
   for (int step = 0; step < kOfPose.num_steps; ++step) {
     const double narrowed = (kOfPose.widest - 1.0) * step / kOfPose.annealed;
     fit.step(kReach * noise * std::max(1.0, kOfPose.widest - narrowed));
   }
   AngleFit found;
+  found.gain = 0.0;
   fit.linearise([&](const Linearised& at) {
-    after += loss_of(at.residual, noise);
+    const double earlier = before[found.residuals.size()];
+    if (std::abs(earlier) < kReach * noise) {
+      found.gain += loss_of(earlier, noise) - loss_of(at.residual, noise);
+    }
     found.residuals.push_back(at.residual);
     found.jacobian.insert(found.jacobian.end(), at.row.data(), at.row.data() + at.row.size());
     append(found.gradients1, at.gradient1);
@@ -168,7 +172,6 @@ AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start, 
   });
   found.cam2_from_cam1 = fit.pose();
   found.changes = fit.changes();
-  found.gain = before - after;
   return found;
 }
 

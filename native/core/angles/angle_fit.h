@@ -30,7 +30,9 @@ using Changes = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 2 * kMostChanges, 1>
 struct AngleFit {
   RelativePose cam2_from_cam1;
   Changes changes;
-  double gain;  // of the robust log-likelihood, over the pose and the angles as they were given
+  // Of the robust log-likelihood of the matches that agreed with the pose and the angles as they
+  // were given: among wrong matches, other angles always find some that agree.
+  double gain;
   std::vector<double> residuals, jacobian;  // (N), (N, K): by the pose and by the changes
   std::vector<double> gradients1, gradients2, bearings1, bearings2;  // (N, 3) each
 };

@@ -51,7 +51,8 @@ class AngleChange(NamedTuple):
 class ChangedAngles:
     """The changes with which the matches agree best, the pose with these, and what both gain.
 
-    ``gain`` is that of the robust log-likelihood, over the pose and the angles as they were given.
+    ``gain`` is that of the robust log-likelihood of the matches that agreed with the pose and the
+    angles as they were given: among wrong matches, other angles always find some that agree.
     """
 
     names: tuple[tuple[int, str], ...]

@@ -31,8 +31,8 @@ class AngleFit:
         self.changes, self.pose = changes, pose
 
     def run(self) -> float:
-        """Take all steps, and return what they gain."""
-        loss = self._loss()
+        """Take all steps, and return what the matches gain that agreed before."""
+        before = self.linearised().residuals
         for step in range(NUM_STEPS):
             wider = max(1.0, WIDEST - (WIDEST - 1.0) * step / ANNEALED)
             at = self.linearised()
@@ -40,12 +40,13 @@ class AngleFit:
             information = (at.J.T * weights) @ at.J
             pull = (at.J.T * weights) @ at.residuals
             self.move(-np.linalg.pinv(information, hermitian=True) @ pull)
-        return loss - self._loss()
+        gained = self._losses(before) - self._losses(self.linearised().residuals)
+        return float(np.sum(gained[np.abs(before) < REACH * self._noise]))
 
-    def _loss(self) -> float:
-        """Geman-McClure loss of all matches in units of the noise."""
-        squares = (self.linearised().residuals / (REACH * self._noise)) ** 2
-        return float(0.5 * REACH**2 * np.sum(squares / (1.0 + squares)))
+    def _losses(self, residuals: Array) -> Array:
+        """Geman-McClure loss of residuals (N,) in units of the noise."""
+        squares = (residuals / (REACH * self._noise)) ** 2
+        return 0.5 * REACH**2 * squares / (1.0 + squares)
 
     def linearised(self) -> FittedMatches:
         """Residuals and derivatives at the pose and the changes as they are."""

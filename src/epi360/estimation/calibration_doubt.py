@@ -25,10 +25,10 @@ Array = NDArray[np.float64]
 
 # What the warning asks, by which it is known.
 CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
-# A change that is worth a word: so large, so many of its standard deviations, so much likelier, and
-# it moves the pose by so many of those that the pose states. Of 98 real pairs with good cameras two
-# are so.
-_LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.015, 4.0, 12.0, 2.0
+# A change that is worth a word: so large, so many of its standard deviations, so much likelier,
+# and it moves the pose by so many of those that the pose states. Of 98 real pairs with good cameras
+# none is so.
+_LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.01, 3.0, 8.0, 1.0
 _FEWEST_INLIERS = 20
 _IMAGES = ("both images", "image 1", "image 2")
 # A turn with angles that are wrong by a sixth shows less parallax than this. With the right ones it
