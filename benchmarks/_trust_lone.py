@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Verdicts on two images alone, and on folders of a few panoramas of rooms that are copies."""
+"""Verdicts on two images alone, and on small folders of homes with rooms that are copies."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ CLIPS = ("Tram", "Walking_Girl")  # cars and people move along
 STEPS = (5, 10, 15, 20, 25)  # frames
 FEWEST, MOST = 2, 4  # panoramas in a small folder
 MOST_FOLDERS = 6  # of each size and home
+SMALL_SIZES, SMALL_FOLDERS = (5, 6, 7, 8, 9, 10, 12, 14), 3  # panoramas drawn; folders of each size
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,16 @@ def few_verdicts(plan: Plan) -> Iterator[Judged]:
     """``epi360 match`` on folders of two to four panoramas of twin rooms of rendered homes."""
     for one in tours(plan):
         for number, group in enumerate(_few(one.tour, plan.seed)):
+            yield from _of_folder(plan, one, number, group)
+
+
+def small_verdicts(plan: Plan) -> Iterator[Judged]:
+    """``epi360 match`` on folders of some panoramas that are drawn from rendered homes."""
+    for one in tours(plan):
+        rng = np.random.default_rng([plan.seed, one.home])
+        for number, size in enumerate(np.repeat(SMALL_SIZES, SMALL_FOLDERS)):
+            rows = sorted(rng.permutation(len(one.tour.panoramas))[:size].tolist())
+            group = tuple(one.tour.panoramas[row] for row in rows)
             yield from _of_folder(plan, one, number, group)
 
 

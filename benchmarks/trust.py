@@ -23,7 +23,7 @@ from _machine import fact_lines, load_average, machine_facts
 from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 from _trust_coherence import coherence_rows
-from _trust_lone import PAIR, few_verdicts, pair_verdicts, tour_pair_verdicts
+from _trust_lone import PAIR, few_verdicts, pair_verdicts, small_verdicts, tour_pair_verdicts
 from _trust_pairs import (
     FOLDER,
     OURS,
@@ -64,6 +64,7 @@ PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "pairs": pair_verdicts,
     "tourpairs": tour_pair_verdicts,
     "few": few_verdicts,
+    "small": small_verdicts,
 }
 SETS = (*PAIR_SETS, "cells", "degenerate", "cameras")
 NEEDS_DATA = ("zind", "learned", "pairs")

@@ -47,7 +47,7 @@ _WITH_COPIES = ((-3.0, 8.0), (-3.0, 8.0))
 _WITHOUT_COPIES = ((-0.85, 8.0), (-1.5, 8.0))
 # What is thought before the folder is seen: so many of so many pairs are wrong.
 _PRIOR_WRONG, _PRIOR_PAIRS = 0.1, 30.0
-_FEW = 10  # pairs, which do not say how common copies are
+_FEW = 60  # pairs, which do not say how common copies are
 _DOUBTED_WRONG = 0.5  # share of the poses that their own inliers leave a doubt about
 _SPEAKS_AGAINST = -0.25  # a ratio
 _MOST_STEPS = 300

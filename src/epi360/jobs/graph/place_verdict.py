@@ -123,7 +123,10 @@ def _surest(against: NDArray[np.float64]) -> tuple[int, ...]:
 
 
 def _by_itself(verdict: PlaceVerdict, own: OwnEvidence, place: SamePlace) -> PlaceVerdict:
-    """The verdict on one of few pairs, which must be probable by what it shows itself, too."""
+    """The verdict on one of few pairs, which must be probable by what it shows itself, too.
+
+    Where the others refuse it as well, it is said which of them contradict.
+    """
     probability = min(verdict.probability, place.here)
     if place.here >= LEAST_PROBABILITY:
         return replace(verdict, probability=probability, warnings=doubts(own, place))
@@ -132,7 +135,6 @@ def _by_itself(verdict: PlaceVerdict, own: OwnEvidence, place: SamePlace) -> Pla
         verdict,
         probability=probability,
         held_back=0.0,
-        refused=f"{why}, for what surrounds the matches looks different",
+        refused=verdict.refused or f"{why}, for what surrounds the matches looks different",
         by_itself=True,
-        against=(),
     )
