@@ -254,6 +254,24 @@ def test_good_cameras_leave_no_doubt(camera, changes):
         assert doubted(result, bearings, camera) is result
 
 
+def test_wrong_matches_that_agree_with_other_angles_leave_no_doubt():
+    """They gain by such a change; the inliers, which lie around the horizon, do not."""
+    for seed in range(6):
+        right, truth = seen(seed, PANORAMA, [0.0, 0.0], num=900, wrong=0)
+        stretched, _ = seen(seed, PANORAMA, [0.0, 0.2], num=900, wrong=0)
+        sines = np.abs(right[0][:, 1])
+        bearings = tuple(
+            np.concatenate([b[sines < 0.15], other[sines > 0.5][:100]])
+            for b, other in zip(right, stretched, strict=True)
+        )
+        result = estimated(bearings)
+        assert (errors_deg(result.cam2_from_cam1, truth) < 0.3).all()
+        assert doubted(result, bearings, PANORAMA) is result
+        cameras = PANORAMA, PANORAMA
+        found = fit_angle_changes(result.cam2_from_cam1, bearings, cameras, result.noise_deg)
+        assert found.changes[1].change > 10.0 * found.changes[1].sigma and found.gain < 0.0
+
+
 def test_nothing_is_asked_without_a_pose_or_with_few_inliers():
     rng = np.random.default_rng(0)
     apart = unit(rng.normal(size=(60, 3))), unit(rng.normal(size=(60, 3)))
