@@ -9,6 +9,7 @@ from epi360.estimation.result import Status
 _Array = NDArray[np.float64]
 _Floats = NDArray[np.float32]
 _Cells = NDArray[np.int32]
+_AngleModel = tuple[str, float, float]
 
 def find_sift(
     picture: NDArray[np.uint8], mask: NDArray[np.uint8] | None, contrast_threshold: float
@@ -41,8 +42,8 @@ def two_nearest(
 def fit_angle_changes(
     bearings1: _Array,
     bearings2: _Array,
-    model1: tuple[str, float, float],
-    model2: tuple[str, float, float],
+    model1: _AngleModel,
+    model2: _AngleModel,
     is_one_camera: bool,
     rotation: _Array,
     translation: _Array,
@@ -53,8 +54,8 @@ def fit_angle_changes(
 def changed_by_a_turn(
     bearings1: _Array,
     bearings2: _Array,
-    model1: tuple[str, float, float],
-    model2: tuple[str, float, float],
+    model1: _AngleModel,
+    model2: _AngleModel,
     is_one_camera: bool,
     rotation: _Array,
     noise: float,

@@ -11,7 +11,12 @@ import epi360
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of
-from epi360.estimation.angle_changes import AngleChange, changed_by_a_turn, fit_angle_changes
+from epi360.estimation.angle_changes import (
+    MOST_OF_TURN,
+    AngleChange,
+    changed_by_a_turn,
+    fit_angle_changes,
+)
 from epi360.estimation.angle_changes_reference import AngleFit, changed_by_a_turn_reference
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION, with_calibration_doubt
 from epi360.estimation.result import pose_sigmas_deg
@@ -194,7 +199,7 @@ def test_the_core_fits_a_turn_as_its_twin_does(cameras, moved):
     bearings, truth = seen(5, LENS, [0.04], moved=moved, wrong=0)
     start = rotation_from_vector([0.0, 0.02, 0.0]) @ truth.rotation
     found = changed_by_a_turn(start, bearings, cameras, np.degrees(NOISE_RAD))
-    some = tuple(b[:: 1 + len(b) // 300] for b in bearings)
+    some = tuple(b[:: 1 + len(b) // MOST_OF_TURN] for b in bearings)
     twin = changed_by_a_turn_reference(
         start, PairOfAngles.of(cameras, some, is_curved=True), NOISE_RAD
     )

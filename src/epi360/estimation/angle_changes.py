@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 LARGEST_CHANGE = 0.25  # no lens is so unknown
 SMALLEST_NOISE_RAD = 1e-9  # exact matches have none
-MOST_MATCHES, MOST_OF_TURN = 2000, 300  # more tell nothing beside what they are wrong by together
+_MOST_MATCHES, MOST_OF_TURN = 2000, 300  # more tell nothing beside what they are wrong by together
 REACH = 3.0  # of the last loss, in noise
 _SHARED = 1.0  # least standard deviation of what neighbours share, in noise, as for image pairs
 _SINGULAR = 1e12  # condition of normal equations that determine no change
@@ -138,7 +138,7 @@ def fit_angle_changes(
     """
     known = np.isfinite(bearings[0]).all(axis=1) & np.isfinite(bearings[1]).all(axis=1)
     some = np.flatnonzero(known)
-    some = some[:: 1 + len(some) // MOST_MATCHES]
+    some = some[:: 1 + len(some) // _MOST_MATCHES]
     first, second = (AngleModel.of(camera) for camera in cameras)
     is_one = cameras[0] == cameras[1]
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
