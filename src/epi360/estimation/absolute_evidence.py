@@ -19,6 +19,9 @@ Mask = NDArray[np.bool_]
 _REGION_RAD = np.radians(3.0)
 _SAMPLE_SIZE, _MAX_SOLUTIONS = 3, 4  # of the three-point problem
 _EXCHANGED = 600  # matches that exchange partners: 360,000 pairs, of which a few fall into a degree
+# Rows of a product at a time: a larger one would wake the threads of BLAS, which then wait for more
+# for some milliseconds and take the time of others.
+_BLOCK = 50
 _RADII_RAD = np.radians([1.0, 2.0, 5.0, 10.0, 20.0])
 _BANDS, _SECTORS = 4, 12
 
@@ -79,15 +82,16 @@ def chance_of_agreement(bearings: Array, directions: Array, gate_rad: float) -> 
     b, u = bearings[::step], directions[::step]
     if len(b) < 2:
         return 1.0
-    cosines = b @ u.T
-    np.fill_diagonal(cosines, -2.0)
-    pairs = len(b) * (len(b) - 1)
+    limits = np.cos([gate_rad, *_RADII_RAD[_RADII_RAD > gate_rad]])
+    within = np.zeros(len(limits))
+    for start in range(0, len(b), _BLOCK):
+        cosines = b[start : start + _BLOCK] @ u.T
+        np.fill_diagonal(cosines[:, start:], -2.0)  # no partner of their own
+        within += [np.count_nonzero(cosines > limit) for limit in limits]
+    # Of wrong matches all over the sphere, and of those in each circle.
     area = 1.0 - np.cos(gate_rad)
-    shares = [float(0.5 * area)]  # wrong matches all over the sphere
-    for radius in (gate_rad, *_RADII_RAD[_RADII_RAD > gate_rad]):
-        within = float(np.count_nonzero(cosines > np.cos(radius))) / pairs
-        shares.append(within * area / (1.0 - float(np.cos(radius))))
-    return float(min(1.0, max(shares)))
+    densities = [0.5, *(within / (len(b) * (len(b) - 1)) / (1.0 - limits))]
+    return float(min(1.0, max(densities) * area))
 
 
 def log10_false_alarms(total: float, agreeing: Array, chance: float | Array) -> Array:
