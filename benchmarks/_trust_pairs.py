@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 from collections.abc import Callable, Iterable, Iterator
@@ -34,9 +35,9 @@ from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
 from epi360.two_view import IMAGE_OPTIONS
 from epi360_scenes.lenses import CAMERA, tour_through_lens
-from epi360_scenes.tours import Tour
+from epi360_scenes.tours import Panorama, Tour
 
-OURS = "epi360"
+OURS, ZIND = "epi360", "zind_tour"
 FOLDER = f"{OURS}, folder"  # given matches, judged together
 # COLMAP's default of 4 px first; it asks for 15 inliers by default.
 PEER_GATES_PX = (4.0, 2.0, 1.0)
@@ -55,7 +56,7 @@ class Plan:
     num_homes: int
     tour_width: int
     photographed: bool
-    lens_deg: float | None  # of what a fisheye lens shows of rendered homes
+    lens_deg: float | None  # of what a fisheye lens shows of homes
     seed: int
     jobs: int
     with_peer: bool
@@ -74,18 +75,25 @@ class _PeerTask:
 
 
 def zind_verdicts(plan: Plan) -> Iterator[Judged]:
-    """All pairs of the photographed tour, by `match_images` with its defaults."""
-    folder = plan.data / "zind_tour"
-    world_from_cam = read_poses(folder / "poses.csv")
-
-    def truth_of(name1: str, name2: str) -> Pose:
-        names = [Path(name).name for name in (name1, name2)]
-        return world_from_cam[names[1]].inverse() @ world_from_cam[names[0]]
-
-    listed = {frozenset((one.path1.name, one.path2.name)) for one in load_set(folder).pairs}
-    for run in _folder_verdicts(plan, "zind_tour", folder / "panos", truth_of):
+    """All pairs of the photographed tour, or of what a lens shows of it, by `match_images`."""
+    folder = plan.data / ZIND
+    one = _photographed(folder)
+    if plan.lens_deg is not None:
+        one = _through_lens(plan, one)
+    # Through a lens, they have other names: it may show little of what a listed pair shares.
+    listed = {frozenset((pair.path1.name, pair.path2.name)) for pair in load_set(folder).pairs}
+    truth_of = one.tour.cam2_from_cam1
+    for run in _folder_verdicts(plan, one.name, one.tour.folder, truth_of, one.camera):
         is_listed = frozenset(run.pair.split(" ")) in listed
-        yield replace(run, relation=LISTED) if is_listed else run
+        yield replace(run, set=one.kind, relation=LISTED if is_listed else "")
+
+
+def _photographed(folder: Path) -> OneTour:
+    """The photographed tour as if it were a rendered home; rooms and overlaps are not known."""
+    world_from_cam = read_poses(folder / "poses.csv")
+    panoramas = tuple(Panorama(name, "", "", pose) for name, pose in world_from_cam.items())
+    overlaps = dict.fromkeys(itertools.combinations(world_from_cam, 2), math.nan)
+    return OneTour(ZIND, ZIND, 0, Tour(folder / "panos", True, panoramas, overlaps))
 
 
 def tour_verdicts(plan: Plan) -> Iterator[Judged]:

@@ -120,7 +120,7 @@ def _parse_options() -> argparse.Namespace:
         "--lens",
         type=_field_of_view,
         metavar="DEG",
-        help="take what a fisheye lens of this field of view shows of rendered homes",
+        help="take what a fisheye lens of this field of view shows of homes",
     )
     parser.add_argument("--trials", type=_positive, default=100, help="of each synthetic kind")
     parser.add_argument("--peer", action=flag, default=True, help="run pycolmap if installed")
