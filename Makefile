@@ -30,8 +30,9 @@ demo: $(VENV)/.stamp-install
 	$(BIN)/epi360 pair --demo $(ARGS)
 	@echo "Your own images: $(BIN)/epi360 pair A.jpg B.jpg   All commands: $(BIN)/epi360 --help"
 
+# The threads of BLAS, of which each process would have some, would wait for work and take its time.
 test: $(VENV)/.stamp-test
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
 # The documentation as a folder that a browser opens: site/index.html. It needs no build of epi360.
 docs: $(VENV)/.stamp-docs

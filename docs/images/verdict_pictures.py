@@ -127,6 +127,7 @@ def too_few_matches() -> Pair:
     return replace(pair, mask=~nadir_mask(PANORAMA, 8.0))
 
 
+@cache
 def fixed_to_the_camera() -> Pair:
     """The lowest 30 degrees show what the camera stands on: part of a picture of a carpet."""
     pair = seen(scene("studio"), standing(-2.0, 0.0), standing(-2.6, 1.2, 30.0))
