@@ -15,7 +15,7 @@ import numpy as np
 from _data import read_poses
 from _homes import OneTour
 from _trust_pairs import OURS, Plan, images_of, judged_ones, judged_result, of_tour, tours
-from _trust_records import Judged
+from _trust_records import ZIND, Judged
 
 from epi360.cameras.calibration import load_camera
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
@@ -73,12 +73,12 @@ def small_verdicts(plan: Plan) -> Iterator[Judged]:
 
 
 def _zind(plan: Plan) -> Iterator[_Task]:
-    folder = plan.data / "zind_tour"
+    folder = plan.data / ZIND
     world_from_cam = read_poses(folder / "poses.csv")
     for name1, name2 in itertools.combinations(sorted(world_from_cam), 2):
         truth = world_from_cam[name2].inverse() @ world_from_cam[name1]
         paths = folder / "panos" / name1, folder / "panos" / name2
-        yield _Task("zind_tour", f"{name1} {name2}", paths, truth)
+        yield _Task(ZIND, f"{name1} {name2}", paths, truth)
 
 
 def _clips(plan: Plan) -> Iterator[_Task]:

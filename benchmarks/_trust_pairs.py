@@ -16,7 +16,7 @@ import numpy as np
 from _data import Matches, load_set, read_poses
 from _homes import OneTour, rendered_homes
 from _methods import Pycolmap
-from _trust_records import LISTED, Judged, errors_of, found_pose
+from _trust_records import LISTED, ZIND, Judged, errors_of, found_pose
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
@@ -37,7 +37,7 @@ from epi360.two_view import IMAGE_OPTIONS
 from epi360_scenes.lenses import CAMERA, tour_through_lens
 from epi360_scenes.tours import Panorama, Tour
 
-OURS, ZIND = "epi360", "zind_tour"
+OURS = "epi360"
 FOLDER = f"{OURS}, folder"  # given matches, judged together
 # COLMAP's default of 4 px first; it asks for 15 inliers by default.
 PEER_GATES_PX = (4.0, 2.0, 1.0)
@@ -77,9 +77,7 @@ class _PeerTask:
 def zind_verdicts(plan: Plan) -> Iterator[Judged]:
     """All pairs of the photographed tour, or of what a lens shows of it, by `match_images`."""
     folder = plan.data / ZIND
-    one = _photographed(folder)
-    if plan.lens_deg is not None:
-        one = _through_lens(plan, one)
+    one = _through_lens(plan, _photographed(folder))
     # Through a lens, they have other names: it may show little of what a listed pair shares.
     listed = {frozenset((pair.path1.name, pair.path2.name)) for pair in load_set(folder).pairs}
     truth_of = one.tour.cam2_from_cam1
@@ -137,11 +135,13 @@ def tours(plan: Plan) -> Iterator[OneTour]:
         plan.tour_width,
         photographed=plan.photographed,
     )
-    return homes if plan.lens_deg is None else (_through_lens(plan, one) for one in homes)
+    return (_through_lens(plan, one) for one in homes)
 
 
 def _through_lens(plan: Plan, one: OneTour) -> OneTour:
-    assert plan.lens_deg is not None
+    """The home as the lens of the plan shows it, if it has one."""
+    if plan.lens_deg is None:
+        return one
     name = f"lens_{plan.lens_deg:g}_{one.name}"
     folder = plan.out / "tours" / name
     tour = tour_through_lens(one.tour, folder, plan.lens_deg, plan.seed + one.home)
@@ -246,8 +246,8 @@ def _peer_tasks(name: str, output: Path, truth_of: TruthOf) -> Iterator[_PeerTas
 def learned_verdicts(plan: Plan) -> Iterator[Judged]:
     """Matches of a learned feature at several ratios, with gravity and without."""
     folder = plan.data / "learned_matches"
-    world_from_cam = read_poses(plan.data / "zind_tour" / "poses.csv")
-    panoramas = plan.data / "zind_tour" / "panos"
+    world_from_cam = read_poses(plan.data / ZIND / "poses.csv")
+    panoramas = plan.data / ZIND / "panos"
     camera = Equirectangular(LEARNED_WIDTH, LEARNED_WIDTH // 2)
 
     def truth_of(name1: str, name2: str) -> Pose:

@@ -17,11 +17,12 @@ RIGHT_DEG, WRONG_DEG = 5.0, 10.0
 # A pair of which either view shares that much with the other can be asked to be found.
 FINDABLE_OVERLAP = 0.3
 LISTED = "listed"
+ZIND = "zind_tour"  # the photographed tour
 PRECISIONS = (1.0, 0.995, 0.99, 0.95, 0.9)
 
 
 # Sets whose true poses were aligned by hand on a floor plan, and how good they are (their README).
-SET_BY_HAND = ("zind_tour", "learned")
+SET_BY_HAND = (ZIND, "learned")
 REFERENCE_SIGMAS_DEG = (1.0, 2.0)
 
 

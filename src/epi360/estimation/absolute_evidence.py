@@ -88,10 +88,10 @@ def chance_of_agreement(bearings: Array, directions: Array, gate_rad: float) -> 
         cosines = b[start : start + _BLOCK] @ u.T
         np.fill_diagonal(cosines[:, start:], -2.0)  # no partner of their own
         within += [np.count_nonzero(cosines > limit) for limit in limits]
+    areas = 1.0 - limits  # of the circles, the gate first
     # Of wrong matches all over the sphere, and of those in each circle.
-    area = 1.0 - np.cos(gate_rad)
-    densities = [0.5, *(within / (len(b) * (len(b) - 1)) / (1.0 - limits))]
-    return float(min(1.0, max(densities) * area))
+    densities = [0.5, *(within / (len(b) * (len(b) - 1)) / areas)]
+    return float(min(1.0, max(densities) * areas[0]))
 
 
 def log10_false_alarms(total: float, agreeing: Array, chance: float | Array) -> Array:
