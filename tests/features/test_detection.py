@@ -36,8 +36,8 @@ def texture(camera, camera_from_world=IDENTITY):
     directions *= (wave_numbers / np.linalg.norm(directions, axis=1))[:, None]
     phases = rng.uniform(0, 2 * np.pi, 60)
     bearings = np.nan_to_num(camera.bearings_from_pixels(pixel_centers(camera)))
-    waves = bearings @ (camera_from_world @ directions.T)
-    values = np.sin(waves + phases) @ wave_numbers**-0.3
+    angles = bearings @ (camera_from_world @ directions.T) + phases
+    values = np.sin(angles.astype(np.float32)) @ wave_numbers**-0.3
     return image_of(128 + 45 * values / values.std(), camera)
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Points are followed frame by frame, anywhere on the sphere, and keep their identities."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 import pytest
@@ -17,6 +19,15 @@ IDENTITY = np.eye(3)
 
 def picture(camera=CAMERA, rotation=IDENTITY, seed=0, brightness=1.0):
     """A smooth texture on the sphere, sum of plane waves, seen by a turned camera: exact."""
+    bearings, texture = texture_seen(camera, tuple(map(tuple, rotation)), seed)
+    values = brightness * (110 + 10 * texture)
+    values[np.isnan(bearings[:, 0])] = 0
+    return values.clip(0, 255).round().astype(np.uint8).reshape(camera.height, camera.width)
+
+
+@lru_cache(maxsize=8)
+def texture_seen(camera, rotation, seed):
+    """Bearings of the pixels, and the sum of the waves there."""
     columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     bearings = camera.bearings_from_pixels(np.stack([columns.ravel(), rows.ravel()], axis=1))
     rng = np.random.default_rng(seed)
@@ -24,12 +35,8 @@ def picture(camera=CAMERA, rotation=IDENTITY, seed=0, brightness=1.0):
     directions = rng.normal(size=(90, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     phases = rng.uniform(0, 2 * np.pi, 90)
-    waves = np.sin(
-        np.nan_to_num(bearings) @ rotation @ (directions * wave_numbers[:, None]).T + phases
-    )
-    values = brightness * (110 + 10 * waves @ wave_numbers**-0.25)
-    values[np.isnan(bearings[:, 0])] = 0
-    return values.clip(0, 255).round().astype(np.uint8).reshape(camera.height, camera.width)
+    angles = np.nan_to_num(bearings) @ rotation @ (directions * wave_numbers[:, None]).T + phases
+    return bearings, np.sin(angles.astype(np.float32)) @ (wave_numbers**-0.25).astype(np.float32)
 
 
 def rotation_about(axis, degrees):

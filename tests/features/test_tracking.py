@@ -28,8 +28,8 @@ def panorama(rotation=IDENTITY, seed=0):
     directions = rng.normal(size=(60, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     phases = rng.uniform(0, 2 * np.pi, 60)
-    waves = np.sin(BEARINGS @ rotation @ (directions * wave_numbers[:, None]).T + phases)
-    values = waves @ wave_numbers**-0.5
+    angles = BEARINGS @ rotation @ (directions * wave_numbers[:, None]).T + phases
+    values = np.sin(angles.astype(np.float32)) @ wave_numbers**-0.5
     return (128 + 40 * values).clip(0, 255).round().astype(np.uint8).reshape(HEIGHT, WIDTH)
 
 
