@@ -67,8 +67,15 @@ def test_missing_columns_are_named(tmp_path, capsys):
     columns = columns_of(2)
     del columns["image1"], columns["bearings2"]
     said = complaint_about(capsys, tmp_path, columns)
-    assert "must have the columns image1, image2, bearings1, bearings2" in said
-    assert "image1, bearings2 missing" in said
+    assert "must have the columns image1, image2, bearings1, bearings2; it lacks " in said
+    assert said.endswith("it lacks image1, bearings2")
+
+
+def test_a_name_of_another_format_is_refused_before_the_work(tmp_path, capsys):
+    path = write_matches(tmp_path / "in.parquet", columns_of(2))
+    said = complaint(capsys, path, "--output", tmp_path / "poses.CSV")
+    assert "poses.CSV: poses are written as a Parquet table, name it *.parquet" in said
+    assert os.listdir(tmp_path) == ["in.parquet"]
 
 
 def test_pixels_need_their_cameras(tmp_path, capsys):

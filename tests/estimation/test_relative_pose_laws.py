@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 from noisy_problems import noisy_scene, unit_pose
 
-from epi360 import Equirectangular, RansacOptions, estimate_relative_pose
+from epi360 import (
+    Equirectangular,
+    RansacOptions,
+    estimate_absolute_pose,
+    estimate_relative_pose,
+)
 from epi360.epipolar import essential_from_pose, pose_residuals, tangent_basis
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import two_view_scene
@@ -214,7 +219,9 @@ def test_missing_rows_are_counted_but_never_inliers_and_change_nothing_else():
     assert not result.inlier_mask[rows].any() and np.isnan(result.residuals_rad[rows]).all()
     np.testing.assert_array_equal(result.inlier_mask[kept], without.inlier_mask)
     np.testing.assert_array_equal(result.cam2_from_cam1.matrix(), without.cam2_from_cam1.matrix())
-    assert result.warnings == ("5 of 80 matches are missing (NaN or weight 0)",)
+    assert result.warnings == (
+        "5 of 80 matches are missing (NaN, as of pixels outside their image, or weight 0)",
+    )
 
 
 def test_matches_of_weight_zero_are_as_good_as_missing():
@@ -252,3 +259,13 @@ def test_only_the_ratios_of_the_weights_matter(scale):
     assert_same_pose(scaled.cam2_from_cam1, plain.cam2_from_cam1)
     assert scaled.noise_deg == pytest.approx(plain.noise_deg, abs=1e-6)
     np.testing.assert_allclose(scaled.covariance, plain.covariance, atol=1e-9)
+
+
+def test_pixels_and_options_of_another_kind_are_refused_with_the_remedy():
+    scene = two_view_scene(0, num_matches=40)
+    with pytest.raises(ValueError, match="got \\(40, 2\\); turn pixels into bearings with camera"):
+        estimate_relative_pose(scene.bearings1[:, :2], scene.bearings2)
+    with pytest.raises(ValueError, match="got \\(40, 2\\); turn pixels into bearings with camera"):
+        estimate_absolute_pose(scene.bearings1[:, :2], scene.bearings1)
+    with pytest.raises(TypeError, match=r"options must be RansacOptions\(...\), got dict"):
+        estimate_relative_pose(scene.bearings1, scene.bearings2, options={"max_iterations": 9})

@@ -11,7 +11,7 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     """Return unit bearings as float64 (N, 3); rows with NaN stay NaN."""
     array = np.asarray(bearings, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
+        raise ValueError(wrong_shape(name, array.shape))
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).any(axis=1))[0])
         raise ValueError(f"{name} must be finite (NaN marks a missing row), row {row} is infinite")
@@ -24,6 +24,14 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     array = array / largest[:, None]  # so that squares neither overflow nor vanish
     norms = np.sqrt(np.einsum("ij,ij->i", array, array))
     return np.ascontiguousarray(array / norms[:, None])
+
+
+def wrong_shape(name: str, shape: tuple[int, ...]) -> str:
+    """What is wrong with an array that is none of bearings."""
+    remedy = ""
+    if len(shape) == 2 and shape[1] == 2:
+        remedy = "; turn pixels into bearings with camera.bearings_from_pixels"
+    return f"{name} must have shape (N, 3), got {shape}{remedy}"
 
 
 def bearing_pair(bearings1: ArrayLike, bearings2: ArrayLike) -> tuple[Array, Array]:

@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
-from epi360.epipolar.arguments import direction_array, jacobians_array, weights_array
+from epi360.epipolar.arguments import (
+    direction_array,
+    jacobians_array,
+    weights_array,
+    wrong_shape,
+)
 
 Array = NDArray[np.float64]
 
@@ -61,7 +66,7 @@ def native_pair(
 def _rows(bearings: ArrayLike, name: str) -> Array:
     array = np.ascontiguousarray(bearings, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (N, 3), got {array.shape}")
+        raise ValueError(wrong_shape(name, array.shape))
     if _look_like_pixels(array):
         raise ValueError(
             f"{name} must be directions of rays, got what looks like pixels (u, v, 1); turn pixels "

@@ -288,6 +288,8 @@ def _estimate(
     options: RansacOptions,
     num_threads: int,
 ) -> list[_core.PairResult]:
+    if not isinstance(options, RansacOptions):
+        raise TypeError(f"options must be RansacOptions(...), got {type(options).__name__}")
     if residual not in RESIDUALS or residual == "solarte2021":
         names = ", ".join(name for name in RESIDUALS if name != "solarte2021")
         raise ValueError(f"residual must be one of {names}, got {residual!r}")

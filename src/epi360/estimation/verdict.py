@@ -60,7 +60,10 @@ def _explanations(found: _core.Explanations) -> Explanations:
 def _sentence(warning: _core.Warning) -> str:
     value, reference = warning.value, warning.reference
     if warning.code == "missing_matches":
-        return f"{value:.0f} of {reference:.0f} matches are missing (NaN or weight 0)"
+        return (
+            f"{value:.0f} of {reference:.0f} matches are missing (NaN, as of pixels outside their "
+            "image, or weight 0)"
+        )
     if warning.code == "fixed_content":
         return (
             f"{value:.0f} of {reference:.0f} matches stand still in the images while the camera "

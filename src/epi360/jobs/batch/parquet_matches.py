@@ -181,8 +181,8 @@ class ParquetMatches:
         missing = [name for name in (*_NAMES, *self._columns) if name not in schema.names]
         if missing:
             raise ValueError(
-                f"{self._path} must have the columns {', '.join((*_NAMES, *self._columns))}, "
-                f"{', '.join(missing)} missing"
+                f"{self._path} must have the columns {', '.join((*_NAMES, *self._columns))}; "
+                f"it lacks {', '.join(missing)}"
             )
         for name in _NAMES:
             if not _is_text(schema.field(name).type):
