@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from noisy_problems import noisy_scene, unit_pose
 
-from epi360 import (
-    Equirectangular,
-    RansacOptions,
-    estimate_absolute_pose,
-    estimate_relative_pose,
-)
+from epi360 import Equirectangular, RansacOptions, estimate_absolute_pose, estimate_relative_pose
 from epi360.epipolar import essential_from_pose, pose_residuals, tangent_basis
 from epi360.poses import Pose, rotation_from_vector
 from epi360.synthetic import two_view_scene
@@ -263,9 +258,9 @@ def test_only_the_ratios_of_the_weights_matter(scale):
 
 def test_pixels_and_options_of_another_kind_are_refused_with_the_remedy():
     scene = two_view_scene(0, num_matches=40)
-    with pytest.raises(ValueError, match="got \\(40, 2\\); turn pixels into bearings with camera"):
+    with pytest.raises(ValueError, match=r"got \(40, 2\); turn pixels into bearings with camera"):
         estimate_relative_pose(scene.bearings1[:, :2], scene.bearings2)
-    with pytest.raises(ValueError, match="got \\(40, 2\\); turn pixels into bearings with camera"):
+    with pytest.raises(ValueError, match=r"got \(40, 2\); turn pixels into bearings with camera"):
         estimate_absolute_pose(scene.bearings1[:, :2], scene.bearings1)
     with pytest.raises(TypeError, match=r"options must be RansacOptions\(...\), got dict"):
         estimate_relative_pose(scene.bearings1, scene.bearings2, options={"max_iterations": 9})

@@ -64,7 +64,7 @@ def database(graph, tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("room", [0, 10_000, 60_000])
+@pytest.mark.parametrize("room", [0, 1000, 10_000, 30_000, 60_000])
 def test_hloc_files_that_do_not_fit_end_no_process(room, database, graph, tmp_path):
     pytest.importorskip("h5py")
     files = tmp_path / "f.h5", tmp_path / "m.h5"

@@ -14,8 +14,6 @@ from epi360.cli.command import FAILURE, OUTPUT_NAMES, POSES, SUCCESS, app, show_
 from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
 from epi360.cli.report_option import check_report
 
-_OTHER_FORMATS = (".csv", ".json", ".txt", ".h5", ".db")  # of which the output is none
-
 if TYPE_CHECKING:
     from epi360.jobs.batch import BatchSummary, MatchSource
 
@@ -95,8 +93,6 @@ def batch(
     if report is not None:
         check_report(report)
     engine.check(options.num_threads)
-    if output.lower().endswith(_OTHER_FORMATS):
-        raise ValueError(f"{output}: poses are written as a Parquet table, name it *.parquet")
     job = BatchJob(
         _source(source, given, options), output, seed=options.seed, upright_deg=options.upright
     )

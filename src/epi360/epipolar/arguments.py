@@ -10,8 +10,7 @@ Array = NDArray[np.float64]
 def bearings_array(bearings: ArrayLike, name: str) -> Array:
     """Return unit bearings as float64 (N, 3); rows with NaN stay NaN."""
     array = np.asarray(bearings, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(wrong_shape(name, array.shape))
+    check_rows_of_three(array, name)
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).any(axis=1))[0])
         raise ValueError(f"{name} must be finite (NaN marks a missing row), row {row} is infinite")
@@ -26,12 +25,13 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     return np.ascontiguousarray(array / norms[:, None])
 
 
-def wrong_shape(name: str, shape: tuple[int, ...]) -> str:
-    """What is wrong with an array that is none of bearings."""
-    remedy = ""
-    if len(shape) == 2 and shape[1] == 2:
-        remedy = "; turn pixels into bearings with camera.bearings_from_pixels"
-    return f"{name} must have shape (N, 3), got {shape}{remedy}"
+def check_rows_of_three(array: Array, name: str) -> None:
+    """Raise ValueError if an array is not (N, 3); (N, 2) are pixels, and the message says so."""
+    if array.ndim == 2 and array.shape[1] == 3:
+        return
+    are_pixels = array.ndim == 2 and array.shape[1] == 2
+    remedy = "; turn pixels into bearings with camera.bearings_from_pixels" if are_pixels else ""
+    raise ValueError(f"{name} must have shape (N, 3), got {array.shape}{remedy}")
 
 
 def bearing_pair(bearings1: ArrayLike, bearings2: ArrayLike) -> tuple[Array, Array]:

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from epi360 import _core
 from epi360.epipolar.arguments import (
+    check_rows_of_three,
     direction_array,
     jacobians_array,
     weights_array,
-    wrong_shape,
 )
 
 Array = NDArray[np.float64]
@@ -65,8 +65,7 @@ def native_pair(
 
 def _rows(bearings: ArrayLike, name: str) -> Array:
     array = np.ascontiguousarray(bearings, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(wrong_shape(name, array.shape))
+    check_rows_of_three(array, name)
     if _look_like_pixels(array):
         raise ValueError(
             f"{name} must be directions of rays, got what looks like pixels (u, v, 1); turn pixels "

@@ -20,6 +20,8 @@ from epi360.jobs.batch.sources import MatchSource, PairMatches
 from epi360.runs import storage
 from epi360.two_view import IMAGE_OPTIONS
 
+_OTHER_FORMATS = (".csv", ".json", ".txt", ".h5", ".db")  # of which the output is none
+
 
 @dataclass(frozen=True)
 class BatchJob:
@@ -33,6 +35,10 @@ class BatchJob:
     def __post_init__(self) -> None:
         """Check the options."""
         check_upright(self.upright_deg)
+        if self.output.lower().endswith(_OTHER_FORMATS):
+            raise ValueError(
+                f"{self.output}: poses are written as a Parquet table, name it *.parquet"
+            )
 
     @property
     def parts_folder(self) -> str:
