@@ -30,6 +30,7 @@ void bind_verdict(nb::module_& m) {
   nb::class_<Evidence>(m, "Evidence")
       .def(nb::init<>())
       .def_rw("num_matches", &Evidence::num_matches)
+      .def_rw("num_copies", &Evidence::num_copies)
       .def_rw("num_fixed", &Evidence::num_fixed)
       .def_rw("num_usable", &Evidence::num_usable)
       .def_rw("num_effective", &Evidence::num_effective)

@@ -144,6 +144,11 @@ def test_the_graver_status_wins(changes, status):
     [
         ({}, {}),
         ({"num_usable": 90}, {"missing_matches": (10.0, 100.0)}),
+        ({"num_usable": 70, "num_copies": 30}, {"copies": (30.0, 100.0)}),
+        (
+            {"num_usable": 66, "num_copies": 30},
+            {"missing_matches": (4.0, 100.0), "copies": (30.0, 100.0)},
+        ),
         ({"parallax": 0.0119}, {"little_parallax": (0.0119, 0.002)}),
         ({"parallax": 0.0121}, {}),
         ({"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),

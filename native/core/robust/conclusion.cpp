@@ -5,6 +5,7 @@
 
 #include "core/bearings.h"
 #include "core/residuals/residuals.h"
+#include "core/robust/copies.h"
 #include "core/robust/derivative_noise.h"
 #include "core/robust/evidence.h"
 
@@ -20,12 +21,13 @@ void clear_undetermined(Status status, RelativePose& cam2_from_cam1) {
 
 }  // namespace
 
-void conclude(const Matches& m, const RobustOptions& options, std::size_t num_matches,
+void conclude(const Matches& m, const RobustOptions& options, const RowCounts& rows,
               double max_noise, RobustResult& r) {
   Evidence& evidence = r.evidence;
-  evidence.num_matches = static_cast<int>(num_matches);
+  evidence.num_matches = static_cast<int>(rows.given);
+  evidence.num_copies = static_cast<int>(rows.copies);
   evidence.min_num_inliers = options.min_num_inliers;
-  evidence.num_distinct = count_distinct(m, r.inlier.data(), options.min_num_inliers);
+  evidence.num_distinct = count_distinct(m, r.inlier.data());
   const Extents where = extents(m, r.inlier.data());
   evidence.spread = where.chosen.spread;
   evidence.spread_of_matches = where.all.spread;

@@ -3,16 +3,14 @@
 // what that leaves undetermined.
 #pragma once
 
-#include <cstddef>
-
 #include "core/matches.h"
 #include "core/robust/estimate.h"
 #include "core/robust/options.h"
 
 namespace epi360 {
 
-// num_matches: as of `estimate_relative_pose`. max_noise: as of `MatchPriors`.
-void conclude(const Matches& m, const RobustOptions& options, std::size_t num_matches,
+// max_noise: as of `MatchPriors`.
+void conclude(const Matches& m, const RobustOptions& options, const RowCounts& rows,
               double max_noise, RobustResult& r);
 
 }  // namespace epi360

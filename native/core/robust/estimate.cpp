@@ -441,9 +441,9 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
 
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
-                                    std::size_t num_matches) {
+                                    const RowCounts& rows) {
   RobustResult result = estimate_all(m, options, priors, seed);
-  conclude(m, options, num_matches, priors.max_noise, result);
+  conclude(m, options, rows, priors.max_noise, result);
   const std::vector<std::size_t> fixed = maybe_fixed(m, result);
   if (fixed.empty()) return result;
   const MatchesLeft left = without(m, priors, fixed);
@@ -451,7 +451,7 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   other.num_iterations += result.num_iterations;
   result.num_iterations = other.num_iterations;
   other.evidence.num_fixed = static_cast<int>(fixed.size());
-  conclude(left.m, options, num_matches, priors.max_noise, other);
+  conclude(left.m, options, rows, priors.max_noise, other);
   if (!shows_fixed(m, fixed, left, other, options.residual)) return result;
   return on_all(m, left, std::move(other), options.residual);
 }

@@ -34,9 +34,8 @@ struct RobustResult {
   std::vector<RelativePose> alternatives;
 };
 
-// num_matches: rows from which `m` was made, missing ones included.
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
-                                    std::size_t num_matches);
+                                    const RowCounts& rows);
 
 }  // namespace epi360

@@ -152,22 +152,6 @@ Extents extents(const Matches& m, const unsigned char* chosen) {
   return lower;
 }
 
-int count_distinct(const Matches& m, const unsigned char* chosen, int enough) {
-  std::vector<double> values;  // ascending
-  for (std::size_t i = 0; i < m.size && static_cast<int>(values.size()) < enough; ++i) {
-    if (!chosen[i]) continue;
-    // One projection tells them apart.
-    double value = 0.0;
-    value += m.x1[i] * 0.6180 + m.x2[i] * 1.3247;
-    value += m.y1[i] * 0.7549 + m.y2[i] * 1.2207;
-    value += m.z1[i] * 0.8192 + m.z2[i] * 1.1673;
-    value = std::round(value * 1e12);
-    const auto place = std::lower_bound(values.begin(), values.end(), value);
-    if (place == values.end() || *place != value) values.insert(place, value);
-  }
-  return static_cast<int>(values.size());
-}
-
 double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen) {
   std::vector<double> squares;  // of chords, which order as the angles do
   squares.reserve(m.size);

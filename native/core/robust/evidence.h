@@ -53,9 +53,6 @@ struct Extents {
 };
 Extents extents(const Matches& m, const unsigned char* chosen);
 
-// Chosen matches that are no copies of one another, or `enough` if there are more.
-int count_distinct(const Matches& m, const unsigned char* chosen, int enough);
-
 // Median angle between R b1 and b2 over the chosen matches, radians.
 double median_parallax(const Matches& m, const RelativePose& pose, const unsigned char* chosen);
 

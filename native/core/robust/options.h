@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <vector>
 
 #include "core/refinement/pose_prior.h"
@@ -29,6 +30,11 @@ struct MatchPriors {
   PosePrior pose;
   // Radians, of the bearings: more than that is worth a warning, and longer search; 0 for no limit.
   double max_noise = 0.0;
+};
+
+// The rows from which matches were made: all, and copies of others that were left out.
+struct RowCounts {
+  std::size_t given, copies;
 };
 
 }  // namespace epi360

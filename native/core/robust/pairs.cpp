@@ -6,17 +6,22 @@
 #include <chrono>
 #include <cmath>
 #include <exception>
+#include <limits>
 #include <mutex>
 #include <thread>
 #include <utility>
 
 #include "core/constants.h"
+#include "core/robust/copies.h"
 
 namespace epi360 {
 namespace {
 
 constexpr double kWidestGate = 45.0 * kDegree;
 constexpr double kNegligible = 1e-6;  // weight beside the heaviest
+// Share of the matches that are copies, over which these are left out. Key points with two
+// directions make fewer: 4 % of real matches, up to a fifth of rendered ones.
+constexpr double kManyCopies = 0.25;
 
 enum class Row { kUsable, kMissing, kInfinite, kZero };
 
@@ -43,10 +48,12 @@ bool finite_row(const double* row) {
   return std::all_of(row, row + 6, [](double x) { return std::isfinite(x); });
 }
 
-// The usable matches of a pair and the rows they come from.
+// The usable matches of a pair, and the match of every row that was given.
 struct UsableMatches {
+  static constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
+
   Matches m;
-  std::vector<std::size_t> rows;
+  std::vector<std::size_t> match_of_row;  // kNone where the row is not usable
   std::vector<double> scores;
 };
 
@@ -54,7 +61,8 @@ struct UsableMatches {
 BadRow take_usable(const PairInput& input, UsableMatches& out) {
   const bool has_jacobians = input.jacobians1 && input.jacobians2;
   out.m = padding_matches(input.n, has_jacobians);
-  out.rows.reserve(input.n);
+  out.match_of_row.assign(input.n, UsableMatches::kNone);
+  std::size_t k = 0;
   for (std::size_t i = 0; i < input.n; ++i) {
     double unit1[3], unit2[3];
     const Row kinds[2] = {unit_row(input.bearings1 + 3 * i, unit1),
@@ -69,15 +77,52 @@ BadRow take_usable(const PairInput& input, UsableMatches& out) {
     if (input.scores && std::isnan(input.scores[i])) continue;
     if (input.jacobians1 && !finite_row(input.jacobians1 + 6 * i)) continue;
     if (input.jacobians2 && !finite_row(input.jacobians2 + 6 * i)) continue;
-    const std::size_t k = out.rows.size();
     set_bearings(out.m, k, unit1, unit2);
     out.m.weight[k] = input.weights ? input.weights[i] : 1.0;
     if (has_jacobians) set_jacobians(out.m, k, input.jacobians1 + 6 * i, input.jacobians2 + 6 * i);
     if (input.scores) out.scores.push_back(input.scores[i]);
-    out.rows.push_back(i);
+    out.match_of_row[i] = k++;
   }
-  truncate(out.m, out.rows.size());
+  truncate(out.m, k);
   return {};
+}
+
+// Leaves the matches of these indices. Match i of before is found at place_of[i], or not at all.
+void keep(UsableMatches& usable, const std::vector<std::size_t>& kept,
+          const std::vector<std::size_t>& place_of) {
+  usable.m = chosen_matches(usable.m, kept);
+  if (!usable.scores.empty()) {
+    for (std::size_t k = 0; k < kept.size(); ++k) usable.scores[k] = usable.scores[kept[k]];
+    usable.scores.resize(kept.size());
+  }
+  for (std::size_t& match : usable.match_of_row) {
+    if (match != UsableMatches::kNone) match = place_of[match];
+  }
+}
+
+// Where many matches repeat another one, each counts once, with the highest weight and score.
+// Returns how many were copies.
+std::size_t merge_copies(UsableMatches& usable) {
+  Matches& m = usable.m;
+  const std::vector<std::size_t> first = first_of_copies(m);
+  std::vector<std::size_t> kept, place_of(m.size);
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (first[i] == i) {
+      place_of[i] = kept.size();
+      kept.push_back(i);
+    } else {
+      place_of[i] = place_of[first[i]];
+    }
+  }
+  const std::size_t num_copies = m.size - kept.size();
+  if (static_cast<double>(num_copies) <= kManyCopies * static_cast<double>(m.size)) return 0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    m.weight[first[i]] = std::max(m.weight[first[i]], m.weight[i]);
+    if (usable.scores.empty()) continue;
+    usable.scores[first[i]] = std::max(usable.scores[first[i]], usable.scores[i]);
+  }
+  keep(usable, kept, place_of);
+  return num_copies;
 }
 
 // Weights are relative to one another: their sum becomes the number of matches of equal weight that
@@ -96,13 +141,9 @@ void normalise_weights(UsableMatches& usable) {
     squares += m.weight[i] * m.weight[i];
   }
   if (kept.size() < m.size) {
-    m = chosen_matches(m, kept);
-    for (std::size_t k = 0; k < kept.size(); ++k) {
-      usable.rows[k] = usable.rows[kept[k]];
-      if (!usable.scores.empty()) usable.scores[k] = usable.scores[kept[k]];
-    }
-    usable.rows.resize(kept.size());
-    if (!usable.scores.empty()) usable.scores.resize(kept.size());
+    std::vector<std::size_t> place_of(m.size, UsableMatches::kNone);
+    for (std::size_t k = 0; k < kept.size(); ++k) place_of[kept[k]] = k;
+    keep(usable, kept, place_of);
   }
   for (std::size_t i = 0; i < m.size; ++i) {
     m.weight[i] *= sum / squares;
@@ -139,10 +180,13 @@ double normalise_jacobians(Matches& m) {
 
 // One entry for every row that was given.
 template <typename T>
-std::vector<T> spread_out(const std::vector<T>& values, const std::vector<std::size_t>& rows,
-                          std::size_t num_rows, T missing) {
-  std::vector<T> all(num_rows, missing);
-  for (std::size_t k = 0; k < rows.size(); ++k) all[rows[k]] = values[k];
+std::vector<T> spread_out(const std::vector<T>& values,
+                          const std::vector<std::size_t>& match_of_row, T missing) {
+  std::vector<T> all;
+  all.reserve(match_of_row.size());
+  for (const std::size_t match : match_of_row) {
+    all.push_back(match == UsableMatches::kNone ? missing : values[match]);
+  }
   return all;
 }
 
@@ -151,6 +195,7 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   UsableMatches usable;
   out.bad_row = take_usable(input, usable);
   if (out.bad_row.view) return out;
+  const std::size_t num_copies = merge_copies(usable);
   if (input.weights && usable.m.size > 0) normalise_weights(usable);
   const double pixel = usable.m.has_jacobians() ? normalise_jacobians(usable.m) : 1.0;
   RobustOptions scaled = options;
@@ -168,9 +213,10 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   }
   priors.max_noise = input.max_noise;
   RobustResult& r = out.robust;
-  r = estimate_relative_pose(usable.m, scaled, priors, input.seed, input.n);
-  r.inlier = spread_out<unsigned char>(r.inlier, usable.rows, input.n, 0);
-  r.residuals = spread_out<double>(r.residuals, usable.rows, input.n, std::nan(""));
+  const RowCounts rows{input.n, num_copies};
+  r = estimate_relative_pose(usable.m, scaled, priors, input.seed, rows);
+  r.inlier = spread_out<unsigned char>(r.inlier, usable.match_of_row, 0);
+  r.residuals = spread_out<double>(r.residuals, usable.match_of_row, std::nan(""));
   return out;
 }
 

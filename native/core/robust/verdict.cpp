@@ -228,6 +228,8 @@ const char* name_of(WarningCode code) {
       return "against_gravity";
     case WarningCode::kDisplaced:
       return "displaced";
+    case WarningCode::kCopies:
+      return "copies";
     case WarningCode::kFixedContent:
       break;
   }
@@ -300,10 +302,11 @@ Verdict judge(const Evidence& e) {
   const auto warn = [&](WarningCode code, double value, double reference) {
     verdict.warnings.push_back({code, value, reference});
   };
-  const int missing = e.num_matches - e.num_usable - e.num_fixed;
+  const int missing = e.num_matches - e.num_copies - e.num_usable - e.num_fixed;
   if (missing > 0 && verdict.status != Status::kTooFewMatches) {
     warn(WarningCode::kMissingMatches, missing, e.num_matches);
   }
+  if (e.num_copies > 0) warn(WarningCode::kCopies, e.num_copies, e.num_matches);
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
   if (verdict.status == Status::kTooFewInliers && is_mirrored(e)) {
     warn(WarningCode::kMirrored, e.behind, e.support);

@@ -24,6 +24,7 @@ enum class WarningCode {
   kMirrored,
   kAgainstGravity,
   kDisplaced,
+  kCopies,
   kFixedContent
 };
 
@@ -34,7 +35,8 @@ const char* name_of(WarningCode code);
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
 // tilt against gravity and its standard deviation; matches that a rotation leaves displaced and those
-// that it explains; matches that are fixed to the camera of all.
+// that it explains; copies that were left out of all; matches that are fixed to the camera of
+// all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -51,10 +53,10 @@ struct Evidence {
   static constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-  // The matches: rows given, those that are fixed to the camera, the others that are not missing,
-  // those of a sample, and how many matches of equal weight say as much (Kish): that many the
-  // numbers below refer to.
-  int num_matches = 0, num_fixed = 0, num_usable = 0, sample_size = 5, num_effective = 0;
+  // The matches: rows given, copies of others and matches fixed to the camera that were left out,
+  // the others that are not missing, those of a sample, and how many matches of equal weight say as
+  // much (Kish): that many the numbers below refer to.
+  int num_matches = 0, num_copies = 0, num_fixed = 0, num_usable = 0, sample_size = 5, num_effective = 0;
 
   // The pose with a translation: inliers; log10 of the poses with so many that chance would make;
   // probability that a wrong match lies inside the gate; median parallax and standard deviation of

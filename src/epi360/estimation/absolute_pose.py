@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,11 +27,13 @@ from epi360.estimation.absolute_verdict import (
     probability_of,
     warnings_of,
 )
+from epi360.estimation.copies import distinct_rows
 from epi360.estimation.options import Threshold, check_threshold, checked_integer, checked_noise
 from epi360.poses import Pose, checked_pose, rotation_error_deg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 # A second pose is truly different beyond this, in degrees and in median distances of the points.
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
@@ -60,7 +62,8 @@ def estimate_absolute_pose(
     ----------
     bearings : array_like, shape (N, 3)
         Directions of any length in the camera's frame, anywhere on the sphere; a row with NaN is
-        missing. One direction may stand in several rows if it may be of several points.
+        missing. One direction may stand in several rows if it may be of several points. Where
+        more than a quarter of the rows repeat others, point and all, these count once.
     points : array_like, shape (N, 3)
         Points of the same rows in the world, in any unit; a row with NaN is missing.
     inlier_threshold_deg : float or "auto"
@@ -122,7 +125,9 @@ def estimate_absolute_pose(
         direction_array(world_gravity, "world_gravity"),
         math.radians(gravity_sigma_deg),
     )
-    rows = np.flatnonzero(np.isfinite(b[:, 0]) & np.isfinite(X.sum(axis=1)))
+    usable = np.flatnonzero(np.isfinite(b[:, 0]) & np.isfinite(X.sum(axis=1)))
+    first, own = distinct_rows(b[usable], X[usable])
+    rows = usable[first]
     search = PoseSearch(
         b[rows],
         X[rows],
@@ -137,11 +142,20 @@ def estimate_absolute_pose(
     if found is None:
         few = len(rows) < max(FEWEST_MATCHES, min_num_inliers)
         return no_pose(len(b), "too_few_matches" if few else "too_few_inliers")
-    return _judged(search, found, rows, len(b), max_noise_deg)
+    return _judged(search, found, _Rows(len(b), usable, own), max_noise_deg)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Which of the given rows are usable, and the match of each of these."""
+
+    given: int
+    usable: Indices
+    match: Indices
 
 
 def _judged(
-    search: PoseSearch, found: FoundPose, rows: NDArray[np.intp], count: int, limit: float | None
+    search: PoseSearch, found: FoundPose, rows: _Rows, limit: float | None
 ) -> AbsolutePoseResult:
     evidence = _evidence(search, found)
     at_camera = found.refined.covariance
@@ -154,14 +168,17 @@ def _judged(
         status = judge(evidence, spread, search.min_num_inliers, rival_regions)
     if status not in _WITH_POSE:
         return replace(
-            no_pose(count, status),
+            no_pose(rows.given, status),
             probability=probability_of(evidence),
             alternatives=(found.pose,),
             noise_deg=math.degrees(found.refined.noise_rad),
             inlier_threshold_deg=math.degrees(found.gate),
         )
-    mask, residuals = np.zeros(count, dtype=bool), np.full(count, np.nan)
-    mask[rows], residuals[rows] = found.inliers, found.residuals
+    mask, residuals = np.zeros(rows.given, dtype=bool), np.full(rows.given, np.nan)
+    mask[rows.usable] = found.inliers[rows.match]
+    residuals[rows.usable] = found.residuals[rows.match]
+    num_missing = rows.given - len(rows.usable)
+    num_copies = len(rows.usable) - evidence.num_usable
     noise_deg = math.degrees(found.refined.noise_rad)
     return AbsolutePoseResult(
         cam_from_world=found.pose,
@@ -174,7 +191,7 @@ def _judged(
         status=status,
         probability=probability_of(evidence),
         alternatives=() if rival is None or status != "ambiguous" else (rival,),
-        warnings=warnings_of(evidence, count - len(rows), noise_deg, limit),
+        warnings=warnings_of(evidence, num_missing, num_copies, noise_deg, limit),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from epi360.estimation.absolute_evidence import Evidence
+from epi360.estimation.copies import copies_sentence
 
 AbsoluteStatus = Literal[
     "ok", "too_few_matches", "too_few_inliers", "concentrated_inliers", "ambiguous"
@@ -64,13 +65,19 @@ def judge(
 
 
 def warnings_of(
-    evidence: Evidence, num_missing: int, noise_deg: float, max_noise_deg: float | None
+    evidence: Evidence,
+    num_missing: int,
+    num_copies: int,
+    noise_deg: float,
+    max_noise_deg: float | None,
 ) -> tuple[str, ...]:
     """Sentences for a person about a pose that is used."""
     found = []
-    total = evidence.num_usable + num_missing
+    total = evidence.num_usable + num_missing + num_copies
     if num_missing:
         found.append(f"{num_missing} of {total} matches are missing (NaN)")
+    if num_copies:
+        found.append(copies_sentence(num_copies, total))
     if evidence.cells < _PARTIAL_COVERAGE * evidence.cells_of_matches:
         found.append(
             f"inliers cover {evidence.cells} of 48 cells of the sphere, all matches "

@@ -18,6 +18,7 @@ from epi360.estimation.angle_changes import (
     changed_by_a_turn,
     fit_angle_changes,
 )
+from epi360.estimation.copies import Indices, distinct_rows
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import rotation_error_deg, translation_error_deg, vector_from_rotation
 
@@ -51,10 +52,12 @@ def with_calibration_doubt(
     """
     if not result.success or result.num_inliers < _FEWEST_INLIERS:
         return result
-    turned = _turned(result, bearings, cameras, estimate)
+    distinct, _ = distinct_rows(*bearings)
+    turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
         return turned
-    found = fit_angle_changes(result.cam2_from_cam1, bearings, cameras, result.noise_deg)
+    matches = bearings[0][distinct], bearings[1][distinct]
+    found = fit_angle_changes(result.cam2_from_cam1, matches, cameras, result.noise_deg)
     if found.gain < _LEAST_GAIN or not _moves(result, found):
         return result
     doubts = [each for each in found.changes if _is_clear(each)]
@@ -75,13 +78,14 @@ def with_calibration_doubt(
 def _turned(
     result: RelativePoseResult,
     bearings: tuple[Array, Array],
+    distinct: Indices,
     cameras: tuple[Camera, Camera],
     estimate: Callable[[Array, Array], RelativePoseResult],
 ) -> RelativePoseResult | None:
     """The answer with other angles, if these show that the camera has only turned."""
     if result.parallax_deg > _MOST_PARALLAX_DEG:
         return None
-    inliers = result.inlier_mask
+    inliers = distinct[result.inlier_mask[distinct]]
     agreeing = bearings[0][inliers], bearings[1][inliers]
     rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
     changes = changed_by_a_turn(rotation, agreeing, cameras, noise_deg)

@@ -53,7 +53,7 @@ def estimate_relative_pose(
     ----------
     bearings1, bearings2 : array_like, shape (M, 3)
         Bearings of any length in both cameras, row i of both is one match; a row with NaN in either
-        is missing data.
+        is missing data. Where more than a quarter of the rows repeat others, these count once.
     inlier_threshold_deg : float or "auto"
         Gate on the residual's angle in degrees; "auto" estimates the noise and gates at the angle
         where a match is as likely right as wrong.

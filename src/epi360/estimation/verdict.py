@@ -12,6 +12,7 @@ import numpy as np
 
 from epi360 import _core
 from epi360.epipolar.essential import essential_from_pose
+from epi360.estimation.copies import copies_sentence
 from epi360.estimation.result import Explanations, RelativePoseResult
 from epi360.poses import Pose
 
@@ -64,6 +65,8 @@ def _sentence(warning: _core.Warning) -> str:
             f"{value:.0f} of {reference:.0f} matches are missing (NaN, as of pixels outside their "
             "image, or weight 0)"
         )
+    if warning.code == "copies":
+        return copies_sentence(int(value), int(reference))
     if warning.code == "fixed_content":
         return (
             f"{value:.0f} of {reference:.0f} matches stand still in the images while the camera "
