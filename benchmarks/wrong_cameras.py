@@ -10,7 +10,7 @@ import argparse
 import sys
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -40,6 +40,7 @@ class Kind:
     sees: Callable[[Array], NDArray[np.bool_]]
     measured: Callable[[Array], Array]
     yaw_deg: float
+    is_first_right: bool = False  # only what the second view measures is wrong
 
 
 def main() -> int:
@@ -49,7 +50,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of problems and sampling (0)")
     options = parser.parse_args()
     print(
-        f"{'kind':26} {'moved: ok':>9} {'doubted':>8} {'rotation':>9} {'R, t error':>12} "
+        f"{'kind':27} {'moved: ok':>9} {'doubted':>8} {'rotation':>9} {'R, t error':>12} "
         f"{'over sigma':>12} {'with doubt':>12} {'turned: ok':>11} {'doubted':>8} {'rotation':>9}"
     )
     for name, kind in KINDS.items():
@@ -87,7 +88,7 @@ def _row(name: str, kind: Kind, trials: int, seed: int) -> str:
     )
     moved, turned = counts["moved"], counts["turned"]
     return (
-        f"{name:26} {moved[0]:9} {moved[1]:8} {moved[2]:9} {error:>12} {before:>12} {after:>12} "
+        f"{name:27} {moved[0]:9} {moved[1]:8} {moved[2]:9} {error:>12} {before:>12} {after:>12} "
         f"{turned[0]:11} {turned[1]:8} {turned[2]:9}"
     )
 
@@ -113,10 +114,13 @@ def _matches(
     both = kind.sees(first) & kind.sees(second)
     num_right = round((1.0 - WRONG_SHARE) * NUM_MATCHES)
     first, second = first[both][:num_right], second[both][:num_right]
-    measured = [_noisy(rng, kind.measured(b)) for b in (first, second)]
+    measure = [kind.measured, kind.measured]
+    if kind.is_first_right:
+        measure[0] = np.asarray
+    measured = [_noisy(rng, how(b)) for how, b in zip(measure, (first, second), strict=True)]
     for view in range(2):
         anything = _unit(rng.normal(size=(20 * NUM_MATCHES, 3)))
-        wrong = kind.measured(anything[kind.sees(anything)])[: NUM_MATCHES - num_right]
+        wrong = measure[view](anything[kind.sees(anything)])[: NUM_MATCHES - num_right]
         measured[view] = np.concatenate([measured[view], wrong])
     return (measured[0], measured[1]), pose
 
@@ -135,20 +139,31 @@ def _lens(scale: float, distortion: float = 0.0, field_deg: float = 190.0) -> Ki
     return Kind(LENS, lambda b: np.asarray(b[:, 2] > least), measured, 40.0)
 
 
-def _panorama(degrees: float = 360.0, height: float = 1.0) -> Kind:
-    """A panorama of so many degrees that is taken for a whole one, and stretched upwards."""
+def _panorama(degrees: float = 360.0, height: float = 1.0, lowest: float = 90.0) -> Kind:
+    """A panorama of so many degrees that is taken for a whole one, and stretched upwards.
+
+    Or one that ends ``lowest`` degrees below the horizon.
+    """
+    middle = np.radians(90.0 - lowest) / 2.0
+    height *= 180.0 / (90.0 + lowest)
 
     def longitudes(b: Array) -> Array:
         return np.asarray(np.arctan2(b[:, 0], b[:, 2]))
 
     def measured(b: Array) -> Array:
         wider = longitudes(b) * 360.0 / degrees
-        down = np.clip(np.arcsin(b[:, 1]) * height, -np.pi / 2.0, np.pi / 2.0)
+        down = (np.arcsin(b[:, 1]) + middle) * height
+        down = np.clip(down, -np.pi / 2.0, np.pi / 2.0)
         across = np.cos(down)
         return np.stack([across * np.sin(wider), np.sin(down), across * np.cos(wider)], axis=1)
 
     half = np.radians(degrees / 2.0)
-    return Kind(PANORAMA, lambda b: np.abs(longitudes(b)) < half, measured, 180.0)
+    below = np.sin(np.radians(lowest))
+
+    def sees(b: Array) -> NDArray[np.bool_]:
+        return (np.abs(longitudes(b)) < half) & (b[:, 1] <= below)
+
+    return Kind(PANORAMA, sees, measured, 180.0)
 
 
 def _noisy(rng: np.random.Generator, bearings: Array) -> Array:
@@ -169,6 +184,11 @@ KINDS = {
     "panorama, right": _panorama(),
     **{f"{d} deg taken for 360": _panorama(d) for d in (350, 330)},
     **{f"heights {c:+.0%}": _panorama(height=1.0 + c) for c in (-0.05, -0.2)},
+    **{f"cut {c} deg from the bottom": _panorama(lowest=90.0 - c) for c in (5, 18, 36)},
+    **{
+        f"image 2 cut {c} deg": replace(_panorama(lowest=90.0 - c), is_first_right=True)
+        for c in (5, 18, 36)
+    },
 }
 
 

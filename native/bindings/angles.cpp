@@ -18,7 +18,8 @@ using Model = std::tuple<std::string, double, double>;
 
 AngleModel to_model(const Model& model) {
   const auto& [name, longitude, down] = model;
-  for (const auto& [known, angles] : {std::pair{"radial", Angles::kRadial},
+  for (const auto& [known, angles] : {std::pair{"fixed", Angles::kFixed},
+                                      {"radial", Angles::kRadial},
                                       {"curved", Angles::kCurved},
                                       {"panorama", Angles::kPanorama}}) {
     if (name == known) return {angles, longitude, down};

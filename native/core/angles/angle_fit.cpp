@@ -8,7 +8,7 @@
 namespace epi360 {
 namespace {
 
-constexpr double kLargestChange = 0.25;
+constexpr double kLargestChange = 0.35;
 constexpr double kReach = 3.0;  // of the last loss, in noise
 // Steps, those of them whose loss is wider, and how much wider the first one is.
 struct Schedule {

@@ -23,13 +23,15 @@ ChangedBearing changed_radial(double angle, double around, double linear, double
   ChangedBearing changed;
   changed.bearing = sine * out + cosine * axis;
   changed.by_measured << slope * away, stretch * across;
-  changed.by_changes << angle * away, angle * square * away;
+  changed.by_changes << angle * away, angle * square * away, Eigen::Vector3d::Zero();
   return changed;
 }
 
-ChangedBearing changed_panorama(const AngleModel& model, double right, double below, double wider,
-                                double higher) {
-  const double longitude = model.longitude + wider * right, down = model.down + higher * below;
+ChangedBearing changed_panorama(const AngleModel& model, double right, double below,
+                                const double* changes) {
+  const double wider = 1.0 + changes[0], higher = 1.0 + changes[1], lowered = changes[2];
+  const double longitude = model.longitude + wider * right;
+  const double down = model.down + higher * below + lowered;
   const double sin_longitude = std::sin(longitude), cos_longitude = std::cos(longitude);
   const double sin_down = std::sin(down), cos_down = std::cos(down);
   const Eigen::Vector3d parallel = cos_down * Eigen::Vector3d(cos_longitude, 0.0, -sin_longitude);
@@ -38,7 +40,7 @@ ChangedBearing changed_panorama(const AngleModel& model, double right, double be
   ChangedBearing changed;
   changed.bearing << cos_down * sin_longitude, sin_down, cos_down * cos_longitude;
   changed.by_measured << (wider / before) * parallel, higher * meridian;
-  changed.by_changes << right * parallel, below * meridian;
+  changed.by_changes << right * parallel, below * meridian, meridian;
   return changed;
 }
 
@@ -62,13 +64,14 @@ ViewAngles::ViewAngles(const AngleModel& model, const double* bearings, std::siz
 ChangedBearing ViewAngles::changed(std::size_t i, const double* changes) const {
   const Pair& angles = angles_[i];
   switch (model_.angles) {
+    case Angles::kFixed:
+      return changed_radial(angles.first, angles.second, 0.0, 0.0);
     case Angles::kRadial:
       return changed_radial(angles.first, angles.second, changes[0], 0.0);
     case Angles::kCurved:
       return changed_radial(angles.first, angles.second, changes[0], changes[1]);
     default:
-      return changed_panorama(model_, angles.first, angles.second, 1.0 + changes[0],
-                              1.0 + changes[1]);
+      return changed_panorama(model_, angles.first, angles.second, changes);
   }
 }
 

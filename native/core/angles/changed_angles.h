@@ -11,18 +11,32 @@
 namespace epi360 {
 
 enum class Angles {
-  kRadial,    // the angle a from the axis is multiplied by 1 + the change
-  kCurved,    // by 1 + the first change + the second one times a^2
-  kPanorama,  // longitudes by 1 + the first change, latitudes by 1 + the second one
+  kFixed,   // nothing changes
+  kRadial,  // the angle a from the axis is multiplied by 1 + the change
+  kCurved,  // by 1 + the first change + the second one times a^2
+  // Longitudes by 1 + the first change, latitudes by 1 + the second one, after which the third one
+  // is added, in radians downwards.
+  kPanorama,
 };
 
-constexpr int kMostChanges = 2;  // of one view
+constexpr int kMostChanges = 3;  // of one view
 
 struct AngleModel {
   Angles angles;
   double longitude = 0.0, down = 0.0;  // of the middle of a panorama, in radians
 
-  int num_changes() const { return angles == Angles::kRadial ? 1 : kMostChanges; }
+  int num_changes() const {
+    switch (angles) {
+      case Angles::kFixed:
+        return 0;
+      case Angles::kRadial:
+        return 1;
+      case Angles::kCurved:
+        return 2;
+      default:
+        return kMostChanges;
+    }
+  }
 };
 
 // A bearing with changed angles, and its derivatives: by the measured bearing along two unit

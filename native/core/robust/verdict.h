@@ -34,8 +34,8 @@ const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
-// tilt against gravity and its standard deviation; matches that a rotation leaves displaced and those
-// that it explains; copies that were left out of all; matches that are fixed to the camera of
+// tilt against gravity and its standard deviation; matches that a rotation leaves displaced and
+// those that it explains; copies that were left out of all; matches that are fixed to the camera of
 // all.
 struct Warning {
   WarningCode code;
@@ -56,7 +56,8 @@ struct Evidence {
   // The matches: rows given, copies of others and matches fixed to the camera that were left out,
   // the others that are not missing, those of a sample, and how many matches of equal weight say as
   // much (Kish): that many the numbers below refer to.
-  int num_matches = 0, num_copies = 0, num_fixed = 0, num_usable = 0, sample_size = 5, num_effective = 0;
+  int num_matches = 0, num_copies = 0, num_fixed = 0, num_usable = 0, sample_size = 5,
+      num_effective = 0;
 
   // The pose with a translation: inliers; log10 of the poses with so many that chance would make;
   // probability that a wrong match lies inside the gate; median parallax and standard deviation of

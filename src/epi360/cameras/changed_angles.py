@@ -20,7 +20,7 @@ _NEAR_POLE = 1e-6  # cosine of a latitude
 
 
 class AngleModel(NamedTuple):
-    """Which angles of a camera change: "radial", "curved" or "panorama".
+    """Which angles of a camera change: "fixed" (none), "radial", "curved" or "panorama".
 
     ``longitude`` and ``down`` are those of the middle of a panorama, in radians; 0 of a lens.
     """
@@ -39,21 +39,36 @@ class AngleModel(NamedTuple):
 
     @property
     def directions(self) -> tuple[str, ...]:
-        """What each change multiplies."""
+        """What each change changes."""
         return _DIRECTIONS[self.angles]
 
 
+FIXED = AngleModel("fixed")
 _DIRECTIONS = {
+    "fixed": (),
     "radial": ("radial",),
     "curved": ("radial", "curve"),
-    "panorama": ("horizontal", "vertical"),
+    "panorama": ("horizontal", "vertical", "middle"),
 }
+
+
+def models_of(
+    cameras: tuple[Camera, Camera], *, is_curved: bool = False, only: int = 0
+) -> tuple[tuple[AngleModel, AngleModel], bool]:
+    """Models of both views, and whether these share their changes, as those of equal cameras do.
+
+    If ``only`` is 1 or 2, nothing changes in the other view.
+    """
+    first, second = (AngleModel.of(camera, is_curved=is_curved) for camera in cameras)
+    if only:
+        return ((first, FIXED) if only == 1 else (FIXED, second)), False
+    return (first, second), cameras[0] == cameras[1]
 
 
 def changes_of(
     models: tuple[AngleModel, AngleModel], is_one_camera: bool
 ) -> tuple[tuple[tuple[int, str], ...], tuple[slice, slice]]:
-    """The view of each change (0: both) and what it multiplies; and which changes are whose."""
+    """The view of each change (0: both) and what it changes; and which changes are whose."""
     first, second = (model.directions for model in models)
     if is_one_camera:
         own = slice(0, len(first))
@@ -76,8 +91,8 @@ class ChangedBearings(NamedTuple):
 class _Radial:
     """Bearings by their angles from the optical axis.
 
-    An angle a (radians) is multiplied by 1 + the first change, plus a^2 times the second one if the
-    curve of the lens may change, too.
+    An angle a (radians) is multiplied by 1 + the first change, if there is one, plus a^2 times the
+    second one if the curve of the lens may change, too.
     """
 
     def __init__(self, bearings: Array) -> None:
@@ -117,10 +132,13 @@ class _LongitudesAndLatitudes:
         self._latitudes = self._downwards - self._middle[1]
 
     def changed(self, changes: Array) -> ChangedBearings:
-        """Bearings whose longitudes and latitudes are multiplied by 1 + change."""
-        wider, higher = 1.0 + changes
+        """Bearings whose longitudes and latitudes are multiplied by 1 + change, and then lowered.
+
+        The third change is the angle, in radians, by which all are lower than they seem.
+        """
+        wider, higher, lowered = 1.0 + changes[0], 1.0 + changes[1], changes[2]
         longitudes = self._middle[0] + wider * self._longitudes
-        latitudes = self._middle[1] + higher * self._latitudes
+        latitudes = self._middle[1] + higher * self._latitudes + lowered
         sines, cosines = np.sin([longitudes, latitudes]), np.cos([longitudes, latitudes])
         zero = np.zeros_like(longitudes)
         east = np.stack([cosines[0], zero, -sines[0]], axis=1)
@@ -131,7 +149,8 @@ class _LongitudesAndLatitudes:
             np.stack([cosines[1] * sines[0], sines[1], cosines[1] * cosines[0]], axis=1),
             np.stack([wider * parallel / before, higher * down], axis=2),
             np.stack(
-                [self._longitudes[:, None] * parallel, self._latitudes[:, None] * down], axis=2
+                [self._longitudes[:, None] * parallel, self._latitudes[:, None] * down, down],
+                axis=2,
             ),
         )
 
@@ -161,15 +180,16 @@ class PairOfAngles:
         bearings: tuple[Array, Array],
         *,
         is_curved: bool = False,
+        only: int = 0,
     ) -> PairOfAngles:
-        """Angles of bearings (N, 3) each; if ``is_curved``, the curve of a lens changes, too."""
-        first, second = (AngleModel.of(camera, is_curved=is_curved) for camera in cameras)
-        views = [angles_of(first, bearings[0]), angles_of(second, bearings[1])]
-        names, columns = changes_of((first, second), cameras[0] == cameras[1])
+        """Angles of bearings (N, 3) each, of which those change that `models_of` says."""
+        models, is_one = models_of(cameras, is_curved=is_curved, only=only)
+        views = [angles_of(*each) for each in zip(models, bearings, strict=True)]
+        names, columns = changes_of(models, is_one)
         return cls(names, views, columns)
 
     def changed(self, changes: Array) -> tuple[ChangedBearings, ChangedBearings]:
-        """Both views with their angles multiplied by 1 + change."""
+        """Both views with changed angles."""
         first, second = (
             view.changed(changes[own]) for view, own in zip(self._views, self.columns, strict=True)
         )

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from epi360 import _core
 from epi360.cameras import Camera
-from epi360.cameras.changed_angles import AngleModel, changes_of
+from epi360.cameras.changed_angles import changes_of, models_of
 from epi360.estimation.covariance import shared_error_covariance
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 
-LARGEST_CHANGE = 0.25  # no lens is so unknown
+LARGEST_CHANGE = 0.35  # no camera is so unknown
 SMALLEST_NOISE_RAD = 1e-9  # exact matches have none
 _MOST_MATCHES, MOST_OF_TURN = 2000, 300  # more tell nothing beside what they are wrong by together
 REACH = 3.0  # of the last loss, in noise
@@ -38,7 +38,8 @@ class AngleChange(NamedTuple):
     """What would have to be multiplied by 1 + ``change``, with its standard deviation.
 
     ``direction`` is "radial", the angle from the optical axis, or "horizontal" or "vertical",
-    longitude and latitude of a panorama; ``view`` is 1 or 2, or 0 for one camera in both views.
+    longitude and latitude of a panorama, or "middle", whose latitude is lower by ``change``
+    radians; ``view`` is 1 or 2, or 0 for one camera in both views.
     """
 
     view: int
@@ -115,6 +116,8 @@ def fit_angle_changes(
     bearings: tuple[Array, Array],
     cameras: tuple[Camera, Camera],
     noise_deg: float,
+    *,
+    only: int = 0,
 ) -> ChangedAngles:
     """Refine a pose together with what the cameras' angles are multiplied by.
 
@@ -126,6 +129,8 @@ def fit_angle_changes(
         Where both views look, wrong matches included, by ``cameras``. Equal cameras have one scale.
     noise_deg : float
         Standard deviation of the Sampson residuals of the inliers.
+    only : int
+        1 or 2 if nothing changes in the other view.
 
     Notes
     -----
@@ -139,33 +144,37 @@ def fit_angle_changes(
     known = np.isfinite(bearings[0]).all(axis=1) & np.isfinite(bearings[1]).all(axis=1)
     some = np.flatnonzero(known)
     some = some[:: 1 + len(some) // _MOST_MATCHES]
-    first, second = (AngleModel.of(camera) for camera in cameras)
-    is_one = cameras[0] == cameras[1]
+    models, is_one = models_of(cameras, only=only)
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
     start = cam2_from_cam1
     R, t, sizes, gain, residuals, J, gradients, changed = _core.fit_angle_changes(
         bearings[0][some],
         bearings[1][some],
-        first,
-        second,
+        *models,
         is_one,
         start.rotation,
         start.translation / np.linalg.norm(start.translation),
         noise,
     )
     fitted = FittedMatches(residuals, J, gradients, changed, noise)
-    names, _ = changes_of((first, second), is_one)
+    names, _ = changes_of(models, is_one)
     return ChangedAngles(names, sizes, Pose(R, t), gain, fitted)
 
 
 def changed_by_a_turn(
-    rotation: Array, bearings: tuple[Array, Array], cameras: tuple[Camera, Camera], noise_deg: float
+    rotation: Array,
+    bearings: tuple[Array, Array],
+    cameras: tuple[Camera, Camera],
+    noise_deg: float,
+    *,
+    only: int = 0,
 ) -> Array | None:
     """Return the changes of the angles with which the camera has only turned.
 
     ``rotation`` is near the true one, and ``bearings``, (N, 3) each, are the inliers of a pose with
     residuals of ``noise_deg``. The changes are those of `PairOfAngles`, the curves of lenses
-    included; None if no rotation fits, or only with a change of ``LARGEST_CHANGE``.
+    included, or of one view ``only``; None if no rotation fits, or only with a change of
+    ``LARGEST_CHANGE``.
 
     Notes
     -----
@@ -173,14 +182,13 @@ def changed_by_a_turn(
     noises.
     """
     some = slice(None, None, 1 + len(bearings[0]) // MOST_OF_TURN)
-    first, second = (AngleModel.of(camera, is_curved=True) for camera in cameras)
+    models, is_one = models_of(cameras, is_curved=True, only=only)
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
     return _core.changed_by_a_turn(
         np.ascontiguousarray(bearings[0][some]),
         np.ascontiguousarray(bearings[1][some]),
-        first,
-        second,
-        cameras[0] == cameras[1],
+        *models,
+        is_one,
         rotation,
         noise,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,27 @@ CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 # and it moves the pose by so many of those that the pose states. Of 98 real pairs with good cameras
 # none is so.
 _LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.01, 3.0, 8.0, 1.0
+_LEAST_MIDDLE_RAD = 0.02  # of the latitude of the middle row
 _FEWEST_INLIERS = 20
-_IMAGES = ("both images", "image 1", "image 2")
-# A turn with angles that are wrong by a sixth shows less parallax than this. With the right ones it
-# leaves the inliers of the step a median residual, over their noise, of 0.4 to 1.2 (of two Gaussian
-# components: 1.18); what was a step of some centimetres in a room leaves 1.6 and more.
-_MOST_PARALLAX_DEG, _MOST_LEFT = 12.0, 1.35
+_IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
+
+
+class _Turn(NamedTuple):
+    """Parallax that a turn with other angles may show, and how large their change may be."""
+
+    parallax_deg: float
+    least: float
+    most: float
+
+
+# Of angles that are wrong by a sixth, and of one of two panoramas whose lowest fifth was cut off.
+# Smaller changes of one alone show no more parallax than many a step, nor do larger ones of both.
+_TURN_OF_BOTH, _TURN_OF_ONE = _Turn(12.0, _LEAST_CHANGE, 0.25), _Turn(25.0, 0.04, LARGEST_CHANGE)
+# With the right angles a turn leaves the inliers of the step a median residual, over their noise,
+# of 0.4 to 1.2 (of two Gaussian components: 1.18); what was a step of some centimetres in a room
+# leaves 1.6 and more. A step that was none may explain fewer matches than the turn, and these the
+# better.
+_MOST_LEFT, _MANY_MORE, _MOST_LEFT_OF_MANY = 1.35, 1.2, 2.0
 
 
 def with_calibration_doubt(
@@ -56,8 +72,7 @@ def with_calibration_doubt(
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
         return turned
-    matches = bearings[0][distinct], bearings[1][distinct]
-    found = fit_angle_changes(result.cam2_from_cam1, matches, cameras, result.noise_deg)
+    found = _best_changes(result, (bearings[0][distinct], bearings[1][distinct]), cameras)
     if found.gain < _LEAST_GAIN or not _moves(result, found):
         return result
     doubts = [each for each in found.changes if _is_clear(each)]
@@ -83,26 +98,41 @@ def _turned(
     estimate: Callable[[Array, Array], RelativePoseResult],
 ) -> RelativePoseResult | None:
     """The answer with other angles, if these show that the camera has only turned."""
-    if result.parallax_deg > _MOST_PARALLAX_DEG:
-        return None
     inliers = distinct[result.inlier_mask[distinct]]
     agreeing = bearings[0][inliers], bearings[1][inliers]
     rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
-    changes = changed_by_a_turn(rotation, agreeing, cameras, noise_deg)
-    if changes is None or not (np.abs(changes) > _LEAST_CHANGE).any():
-        return None
-    angles = PairOfAngles.of(cameras, bearings, is_curved=True)
-    answer = estimate(*(view.bearings for view in angles.changed(changes)))
-    if answer.status != "pure_rotation":
-        return None
-    left = np.median(answer.residuals_rad[inliers])
-    if left > _MOST_LEFT * np.radians(noise_deg):
-        return None
-    if cameras[0] == cameras[1]:
-        words = _meant(_IMAGES[0], cameras[0], changes)
-    else:
-        own = (changes[each] for each in angles.columns)
-        words = " and ".join(map(_meant, _IMAGES[1:], cameras, own))
+    for only in _views_that_may_change(cameras):
+        limits = _TURN_OF_ONE if only else _TURN_OF_BOTH
+        if result.parallax_deg > limits.parallax_deg:
+            continue
+        changes = changed_by_a_turn(rotation, agreeing, cameras, noise_deg, only=only)
+        if changes is None or not limits.least < np.abs(changes).max() < limits.most:
+            continue
+        angles = PairOfAngles.of(cameras, bearings, is_curved=True, only=only)
+        answer = estimate(*(view.bearings for view in angles.changed(changes)))
+        if answer.status == "pure_rotation" and _is_as_good(answer, result, inliers):
+            return _with_turn(answer, angles, changes, cameras)
+    return None
+
+
+def _is_as_good(
+    turn: RelativePoseResult, step: RelativePoseResult, inliers: NDArray[np.intp]
+) -> bool:
+    """Whether a turn explains the inliers of a step as well, or many more matches nearly so."""
+    left = np.median(turn.residuals_rad[inliers]) / np.radians(step.noise_deg)
+    explains_more = turn.num_inliers >= _MANY_MORE * step.num_inliers
+    return bool(left <= (_MOST_LEFT_OF_MANY if explains_more else _MOST_LEFT))
+
+
+def _with_turn(
+    answer: RelativePoseResult,
+    angles: PairOfAngles,
+    changes: Array,
+    cameras: tuple[Camera, Camera],
+) -> RelativePoseResult:
+    views = dict.fromkeys(view for view, _ in angles.names)
+    own = {0: changes, 1: changes[angles.columns[0]], 2: changes[angles.columns[1]]}
+    words = " and ".join(_meant(view, cameras[max(view, 1) - 1], own[view]) for view in views)
     sentence = (
         f"the camera has only turned if {words}; with the angles as they were given, the matches "
         f"agree with a step: {CALIBRATION_QUESTION}"
@@ -110,9 +140,32 @@ def _turned(
     return replace(answer, warnings=(*answer.warnings, sentence))
 
 
+def _views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
+    """Both (0), and of equal panoramas, either of which may be cut or stretched, one alone."""
+    both = cameras[0] == cameras[1] and isinstance(cameras[0], Equirectangular)
+    return (0, 2, 1) if both else (0,)
+
+
+def _best_changes(
+    result: RelativePoseResult, bearings: tuple[Array, Array], cameras: tuple[Camera, Camera]
+) -> ChangedAngles:
+    """The changes that gain most; those of one view must gain clearly more than those of both."""
+    pose, noise_deg = result.cam2_from_cam1, result.noise_deg
+    both, *alone = (
+        fit_angle_changes(pose, bearings, cameras, noise_deg, only=only)
+        for only in _views_that_may_change(cameras)
+    )
+    best = max(alone, key=lambda each: each.gain, default=both)
+    return best if best.gain > max(both.gain, 0.0) + _LEAST_GAIN else both
+
+
 def _is_clear(each: AngleChange) -> bool:
     size = abs(each.change)
-    return _LEAST_CHANGE < size < LARGEST_CHANGE and size > _LEAST_DEVIATIONS * each.sigma
+    return _least_change(each) < size < LARGEST_CHANGE and size > _LEAST_DEVIATIONS * each.sigma
+
+
+def _least_change(each: AngleChange) -> float:
+    return _LEAST_MIDDLE_RAD if each.direction == "middle" else _LEAST_CHANGE
 
 
 def _moves(result: RelativePoseResult, found: ChangedAngles) -> bool:
@@ -140,18 +193,30 @@ def _in_words(each: AngleChange, camera: Camera) -> str:
         what = "larger" if each.change > 0.0 else "smaller"
         amount = f"{abs(each.change):.1%} {what} (1 sigma {each.sigma:.1%})"
         return f"angles from the axis of {images} are {amount}"
+    if each.direction == "middle":
+        latitude = camera.center_latitude_deg - np.degrees(each.change)
+        return (
+            f"the middle row of {images} is at a latitude of {latitude:.1f} degrees, not "
+            f"{camera.center_latitude_deg:.6g} (1 sigma {np.degrees(each.sigma):.1f})"
+        )
     is_wide = each.direction == "horizontal"
     degrees = camera.horizontal_fov_deg if is_wide else camera.vertical_fov_deg
     spans = f"{degrees * (1.0 + each.change):.1f} degrees {'around' if is_wide else 'high'}"
-    return f"{images} are {spans}, not {degrees:.6g} (1 sigma {degrees * each.sigma:.1f})"
+    verb = _VERBS[each.view]
+    return f"{images} {verb} {spans}, not {degrees:.6g} (1 sigma {degrees * each.sigma:.1f})"
 
 
-def _meant(images: str, camera: Camera, changes: Array) -> str:
+def _meant(view: int, camera: Camera, changes: Array) -> str:
     """What the angles of one or both images must be for a turn."""
+    images = _IMAGES[view]
     if isinstance(camera, Equirectangular):
         given = np.array([camera.horizontal_fov_deg, camera.vertical_fov_deg])
-        around, high = given * (1.0 + changes)
-        return f"{images} are {around:.1f} degrees around and {high:.1f} high"
+        around, high = given * (1.0 + changes[:2])
+        middle = camera.center_latitude_deg - np.degrees(changes[2])
+        return (
+            f"{images} {_VERBS[view]} {around:.1f} degrees around and {high:.1f} high, with the "
+            f"middle at a latitude of {middle:.1f}"
+        )
     given = np.array([30.0, 60.0])
     powers = np.radians(given)[:, None] ** np.array([0.0, 2.0])
     first, second = given * (1.0 + powers @ changes)

@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-# Share of the matches that are copies, over which these are left out. Key points with two directions
-# make fewer: 4 % of real matches, up to a fifth of rendered ones.
+# Share of the matches that are copies, over which these are left out. Key points with two
+# directions make fewer: 4 % of real matches, up to a fifth of rendered ones.
 _MANY_COPIES = 0.25
 
 
