@@ -58,6 +58,7 @@ void bind_verdict(nb::module_& m) {
       .def_rw("only_pose", &Evidence::only_pose)
       .def_rw("only_rival", &Evidence::only_rival)
       .def_rw("behind", &Evidence::behind)
+      .def_rw("mirrored_turn", &Evidence::mirrored_turn)
       .def_rw("tilt", &Evidence::tilt)
       .def_rw("tilt_sigma", &Evidence::tilt_sigma)
       .def_rw("rival_evidence", &Evidence::rival_evidence)

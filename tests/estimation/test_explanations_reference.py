@@ -186,6 +186,7 @@ def test_the_core_finds_the_same_explanations_of_any_evidence():
             "only_pose": float(rng.integers(0, 60)),
             "only_rival": float(rng.integers(0, 60)),
             "behind": float(rng.integers(0, 15)),
+            "mirrored_turn": float(rng.integers(0, 15)),
             "plane_share": rng.uniform(),
             "has_twin": bool(rng.integers(2)),
         }.items():

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""A mirrored image has no pose: many of its matches would lie behind the cameras."""
+"""A mirrored image has no pose: many of its matches would lie behind the cameras.
+
+Or they are those of a mirrored turn.
+"""
 
 import numpy as np
 import pytest
 from noisy_problems import noisy_scene
 
 from epi360 import estimate_relative_pose
+from epi360.poses import rotation_from_vector
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -26,3 +30,47 @@ def test_most_mirrored_images_are_named():
     found = [estimate_relative_pose(each.bearings1, each.bearings2 * (-1, 1, 1)) for each in scenes]
     named = [each for each in found if any("may be mirrored" in w for w in each.warnings)]
     assert len(named) >= 8
+
+
+def mirrored_turn(seed, num_other):
+    """A turn of which one view is mirrored, seen by matches that seem to lie in front.
+
+    Others lie on the same epipolar planes, as those of what repeats itself along the walls do.
+    """
+    rng = np.random.default_rng(seed)
+    normal, turn = np.array([1.0, 0.0, 0.0]), rotation_from_vector([0.0, np.radians(70.0), 0.0])
+    mirror = np.eye(3) - 2.0 * np.outer(normal, normal)
+    turned = rng.normal(size=(400, 3))
+    turned = turned[turned[:, 0] > 0.2 * np.linalg.norm(turned, axis=1)][:80]
+    others = rng.uniform(-3.0, 3.0, (num_other, 3))
+    pair = (
+        np.concatenate([turned, others]) @ turn,
+        np.concatenate([turned @ mirror, others - 0.8 * normal]),
+    )
+    return tuple(
+        view / np.linalg.norm(view, axis=1, keepdims=True)
+        + np.radians(0.05) * rng.normal(size=view.shape)
+        for view in pair
+    )
+
+
+@pytest.mark.parametrize("num_other", [0, 100, 200])
+def test_a_mirrored_turn_is_no_step(num_other):
+    for seed in range(6):
+        result = estimate_relative_pose(*mirrored_turn(seed, num_other))
+        assert not result.success
+        if num_other:  # else only one hemisphere has matches
+            assert "one of the images is mirrored" in result.warnings[-1]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_step_upwards_among_things_at_eye_level_is_no_mirrored_turn(seed):
+    """Those in the plane across the translation are where its mirror puts them, too."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) * [5.0, 0.2, 5.0]
+    b1, b2 = points, points - [0.0, 0.3, 0.0]
+    bearings = []
+    for b in (b1, b2):
+        b = b / np.linalg.norm(b, axis=1, keepdims=True)
+        bearings.append(b + np.radians(0.05) * rng.normal(size=b.shape))
+    assert estimate_relative_pose(*bearings).success

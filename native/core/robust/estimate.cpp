@@ -391,6 +391,7 @@ class Estimate {
       r.inlier[i] = r.inlier[i] && !dropped_[i];
     }
     r.evidence.support = static_cast<int>(std::lround(support));
+    r.evidence.mirrored_turn = weight_of_mirrored_turn(m_, r.cam2_from_cam1, r.threshold);
   }
 
   void set_rotation(RotationFit rotation) {

@@ -62,6 +62,19 @@ double mark_inliers(const Matches& m, Residual residual, const RelativePose& pos
   return weight;
 }
 
+double weight_of_mirrored_turn(const Matches& m, const RelativePose& pose, double gate) {
+  const Eigen::Matrix3d mirror = Eigen::Matrix3d::Identity() - 2.0 * pose.t * pose.t.transpose();
+  const double near = std::sqrt(2.0) * gate;  // as residuals of rotations are measured
+  double weight = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    const Eigen::Vector3d turned = pose.R * view1(m, i), b2 = view2(m, i);
+    const bool fits = (mirror * turned - b2).squaredNorm() < near * near;
+    const bool stands = (turned - b2).squaredNorm() < std::pow(kClearlyBehind * near, 2);
+    weight += (fits & !stands) * m.weight[i];
+  }
+  return weight;
+}
+
 void release_depths(const Matches& m, Residual residual, Candidates& candidates) {
   if (candidates.empty()) return;
   const std::vector<Candidate> all = candidates.all();

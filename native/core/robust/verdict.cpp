@@ -27,6 +27,9 @@ constexpr double kRivalOutnumbered = 2.0;
 // Share of the inliers, and how many at the least, that lie behind a camera if an image is
 // mirrored: there 0.28 to 0.97 do, and of right poses up to 0.18.
 constexpr double kMirroredShare = 0.23, kFewestMirrored = 10.0;
+// The same of matches of a camera that has only turned beside a mirrored image: there 0.35 and
+// more.
+constexpr double kMirroredTurnShare = 0.2;
 // Noise over the limit that the user knows: from so many times it on a pose is not said, and its
 // log-odds fall by so much for each factor of e. Right poses of real pictures have up to 1.1 times.
 constexpr double kMostNoise = 3.0, kLogOddsPerNoise = -8.0;
@@ -100,8 +103,12 @@ bool is_mirrored(const Evidence& e) {
   return e.behind >= std::max(kFewestMirrored, kMirroredShare * e.support);
 }
 
+bool is_mirrored_turn(const Evidence& e) {
+  return e.mirrored_turn >= std::max(kFewestMirrored, kMirroredTurnShare * e.support);
+}
+
 double log_odds_of_pose(const Evidence& e) {
-  if (e.chance > kLargestChance || is_mirrored(e)) return -kCertain;
+  if (e.chance > kLargestChance || is_mirrored(e) || is_mirrored_turn(e)) return -kCertain;
   return bounded(std::min(
       {log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms), log_odds_by_noise(e)}));
 }
@@ -224,6 +231,8 @@ const char* name_of(WarningCode code) {
       return "much_noise";
     case WarningCode::kMirrored:
       return "mirrored";
+    case WarningCode::kMirroredTurn:
+      return "mirrored_turn";
     case WarningCode::kAgainstGravity:
       return "against_gravity";
     case WarningCode::kDisplaced:
@@ -310,6 +319,8 @@ Verdict judge(const Evidence& e) {
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
   if (verdict.status == Status::kTooFewInliers && is_mirrored(e)) {
     warn(WarningCode::kMirrored, e.behind, e.support);
+  } else if (verdict.status == Status::kTooFewInliers && is_mirrored_turn(e)) {
+    warn(WarningCode::kMirroredTurn, e.mirrored_turn, e.support);
   }
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   const bool has_pose = has_translation(verdict.status);

@@ -22,6 +22,7 @@ enum class WarningCode {
   kPartialCoverage,
   kMuchNoise,
   kMirrored,
+  kMirroredTurn,
   kAgainstGravity,
   kDisplaced,
   kCopies,
@@ -34,6 +35,7 @@ const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
+// matches of a mirrored turn and inliers;
 // tilt against gravity and its standard deviation; matches that a rotation leaves displaced and
 // those that it explains; copies that were left out of all; matches that are fixed to the camera of
 // all.
@@ -65,8 +67,9 @@ struct Evidence {
   int support = 0;
   double log10_false_alarms = -kInfinity;
   double chance = 0.0;
-  // Matches that fit the epipolar curves, but lie behind a camera: those of a mirrored image do.
-  double behind = 0.0;
+  // Matches that fit the epipolar curves, but lie behind a camera, and those with which it has only
+  // turned if an image is mirrored: of a mirrored image there are many.
+  double behind = 0.0, mirrored_turn = 0.0;
   double parallax = kNaN, scale = kNaN;
 
   // The best rotation alone: matches that it explains, and its false alarms. Standard deviations by

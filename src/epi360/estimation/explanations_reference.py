@@ -22,7 +22,7 @@ ROTATION_REJECTED, PLANE_REJECTED = 4.0, 3.0  # standard deviations
 RIVAL_REJECTED = 6.0  # log-likelihood
 RIVAL_OUTNUMBERED = 2.0  # standard deviations
 RIVAL_PROBABILITY = 0.5
-MIRRORED_SHARE, FEWEST_MIRRORED = 0.23, 10.0  # of the inliers
+MIRRORED_SHARE, MIRRORED_TURN_SHARE, FEWEST_MIRRORED = 0.23, 0.2, 10.0  # of the inliers
 PLANE_SHARE = 0.9
 MOST_NOISE, LOG_ODDS_PER_NOISE = 3.0, -8.0  # over the limit that the user knows
 LOG_ODDS, LOG_ODDS_PER_RATIO, LOG_ODDS_PER_SIGMA = -2.7, 0.11, -1.2
@@ -44,6 +44,7 @@ class PairEvidence:
     log10_false_alarms: float = -math.inf
     chance: float = 0.0
     behind: float = 0.0
+    mirrored_turn: float = 0.0
     rotation_support: int = 0
     rotation_log10_false_alarms: float = math.inf
     rotation_rejection: float = math.inf
@@ -97,7 +98,9 @@ def log_odds_by_regions(evidence: PairEvidence) -> float:
 
 
 def _log_odds_of_pose(e: PairEvidence) -> float:
-    is_mirrored = e.behind >= max(FEWEST_MIRRORED, MIRRORED_SHARE * e.support)
+    is_mirrored = e.behind >= max(
+        FEWEST_MIRRORED, MIRRORED_SHARE * e.support
+    ) or e.mirrored_turn >= max(FEWEST_MIRRORED, MIRRORED_TURN_SHARE * e.support)
     if e.chance > LARGEST_CHANCE or is_mirrored:
         return -CERTAIN
     chance = _by_chance(e.log10_false_alarms)

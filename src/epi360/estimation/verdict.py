@@ -82,6 +82,11 @@ def _sentence(warning: _core.Warning) -> str:
             f"besides the {reference:.0f} inliers {value:.0f} matches fit the epipolar geometry, "
             "but lie behind a camera: one of the images may be mirrored"
         )
+    if warning.code == "mirrored_turn":
+        return (
+            f"beside the {reference:.0f} inliers of a step {value:.0f} matches say that the camera "
+            "has only turned and that one of the images is mirrored"
+        )
     if warning.code == "against_gravity":
         return (
             f"the pose tilts the cameras by {np.degrees(value):.1f} degrees against the given "
