@@ -99,6 +99,41 @@ def test_the_poses_of_a_database_are_right_and_the_database_stays(world, databas
     assert said[1:] == ["  ok: 9", "  too_few_matches: 1", f"wrote {output}"]
 
 
+def with_guessed_cameras(database):
+    """What pycolmap writes for images whose camera nobody tells it of."""
+    import pycolmap
+
+    with pycolmap.Database.open(database) as file:
+        (camera,) = file.read_all_cameras()
+        guessed = pycolmap.Camera.create_from_model_name(
+            camera.camera_id, "SIMPLE_RADIAL", 1.2 * camera.width, camera.width, camera.height
+        )
+        assert not guessed.has_prior_focal_length
+        file.update_camera(guessed)
+    return database
+
+
+def test_a_camera_that_pycolmap_has_made_up_for_a_panorama_is_refused(database, capsys):
+    output = str(database.with_name("poses.parquet"))
+    assert cli.main(["batch", str(with_guessed_cameras(database)), "--output", output]) == 2
+    said = capsys.readouterr().err
+    assert "a/ä 0.jpg has the shape of a panorama, 2000x1000" in said and "--camera FILE" in said
+
+
+def test_another_camera_takes_the_place_of_that_of_a_database(world, database, tmp_path, capsys):
+    with_guessed_cameras(database)
+    camera = tmp_path / "pano.yaml"
+    camera.write_text("model: Equirectangular\nwidth: 2000\nheight: 1000\n")
+    output = tmp_path / "poses.parquet"
+    words = ["batch", str(database), "--camera", str(camera), "--output", str(output)]
+    assert cli.main(words) == 0
+    assert_poses_are_right(output, world[0])
+    copy = ["--write-database", str(tmp_path / "copy.db")]
+    assert cli.main([*words, *copy]) == 2
+    assert "set the cameras in the database" in capsys.readouterr().err
+    assert not (tmp_path / "copy.db").exists()
+
+
 def test_the_poses_of_hlocs_files_are_right(world, hloc):
     features, matches, pairs = map(str, hloc)
     output = hloc[0].with_name("poses.parquet")

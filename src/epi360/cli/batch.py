@@ -120,8 +120,6 @@ def _source(path: str, given: BatchInput, options: BatchOptions) -> MatchSource:
     kind = kind_of(path)
     if kind != "hloc" and (given.features or given.pairs):
         raise ValueError(f"--features and --pairs go with hloc's matches, {path} is {kind}")
-    if kind == "colmap" and given.camera:
-        raise ValueError(f"--camera: the COLMAP database {path} knows its cameras")
     return MatchSource(
         kind,
         path,

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.calibration.colmap import camera_of_model, model_of_number
 from epi360.interop.colmap_tables import Blob, ColmapTables
 from epi360.runs.whole_files import PathLike
@@ -41,6 +41,20 @@ class ColmapPairs(ColmapTables):
     def camera(self, name: str) -> Camera:
         """Return the camera of an image."""
         return self.cameras[self.images[name]]
+
+    def guessed_panorama(self) -> str | None:
+        """Name of an image of 2:1 whose camera is no panorama's and has a focal length by default.
+
+        None if there is none. pycolmap makes such cameras where nobody tells it of another one.
+        """
+        query = "SELECT camera_id FROM cameras WHERE prior_focal_length = 0"
+        without_focal = {str(camera_id) for (camera_id,) in self.rows(query)}
+        for name, key in self.images.items():
+            camera = self.cameras[key]
+            is_whole = camera.width == 2 * camera.height
+            if is_whole and key in without_focal and not isinstance(camera, Equirectangular):
+                return name
+        return None
 
     def _read_keypoints(self, name: str) -> NDArray[np.float64]:
         query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"

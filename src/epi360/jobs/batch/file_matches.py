@@ -29,17 +29,32 @@ _CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few image
 
 @contextmanager
 def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
-    """Open a COLMAP database, which knows its cameras."""
+    """Open a COLMAP database, with its own cameras, or others in their place.
+
+    Panoramas for which pycolmap has made up a camera need another one.
+    """
+    given = cameras_of(source)
     with ColmapPairs(source.path) as database:
+        guessed = None if given else database.guessed_panorama()
+        if guessed is not None:
+            camera = database.camera(guessed)
+            raise database.error(
+                f"{guessed} has the shape of a panorama, {camera.width}x{camera.height}, and a "
+                "perspective camera with a focal length that nobody knows, as pycolmap makes one "
+                "up; give the true camera by --camera FILE"
+            )
 
         def bearings(image: str) -> Array:
-            return bearings_of(database.keypoints(image), database.camera(image), image, source)
+            camera = database.camera(image)
+            if given:
+                camera = named_camera(image, (camera.width, camera.height), given)
+            return bearings_of(database.keypoints(image), camera, image, source)
 
         counts = (
             (table, list(database.rows(f"SELECT {key}, rows FROM {table} ORDER BY {key}")))
             for table, key in (("keypoints", "image_id"), ("matches", "pair_id"))
         )
-        fingerprint = fingerprint_of_file(source.path, [*counts, database.cameras])
+        fingerprint = fingerprint_of_file(source.path, [*counts, given or database.cameras])
         yield FileMatches(database.names, bearings, database.matches, source, fingerprint)
 
 

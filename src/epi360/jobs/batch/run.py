@@ -58,6 +58,11 @@ def run_batch(
     check_engine(engine)
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+    if database is not None and job.source.camera is not None:
+        raise ValueError(
+            f"{database}: a copy would have the cameras of {job.source.path}, and the poses be "
+            "those of another one; set the cameras in the database, and give none"
+        )
     # Nobody can lock a URL. Files appear whole there too: two runs at once cannot mix poses.
     remote = storage.is_remote(job.output)
     with nullcontext() if remote else only_run(storage.local_path(job.output)):

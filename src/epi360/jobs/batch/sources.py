@@ -34,7 +34,7 @@ class MatchSource:
 
     kind: Kind  # "colmap": a database; "hloc": a pair of HDF5 files
     path: str  # the Parquet file (path, or URL that fsspec understands), database or matches
-    camera: str | None = None  # calibration FILE or FILE:NAME, if the matches know no camera
+    camera: str | None = None  # calibration FILE or FILE:NAME, for pixels
     features: str | None = None  # hloc's file of the key points
     pairs: str | None = None  # with hloc's matches: a text file of the pairs that are wanted
     pairs_per_part: int = 1000  # at most
