@@ -40,8 +40,9 @@ class MatchInput:
     """What is known about the images."""
 
     camera: str | None = None
-    """Calibration file of the images (Kalibr, basalt, COLMAP, OpenSfM or own YAML); FILE:NAME where
-    it holds several cameras and all images are of one. Without it, images are panoramas."""
+    """Calibration file of the images (Kalibr, ROS, basalt, COLMAP, OpenSfM or own YAML);
+    FILE:NAME where it holds several cameras and all images are of one. Without it, images are
+    panoramas."""
     mask: Path | None = None
     """Mask for all images, or a folder with one for each; white = use."""
     mask_nadir_deg: float = 0.0

@@ -27,7 +27,7 @@ class PairInput:
     """What is known about the images of a pair."""
 
     camera: str | None = None
-    """Calibration file of both images (Kalibr, basalt, COLMAP, OpenSfM or own YAML);
+    """Calibration file of both images (Kalibr, ROS, basalt, COLMAP, OpenSfM or own YAML);
     FILE:NAME where it holds several cameras. Without one, an image is a full panorama, or the part
     of one that its GPano metadata describe."""
     camera1: str | None = None

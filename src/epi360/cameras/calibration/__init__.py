@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from epi360.cameras.base import Camera
-from epi360.cameras.calibration import basalt, colmap, colmap_rig, fields, kalibr, opensfm, own
+from epi360.cameras.calibration import (
+    basalt,
+    colmap,
+    colmap_rig,
+    fields,
+    kalibr,
+    opencv,
+    opensfm,
+    own,
+)
 from epi360.cameras.calibration.document import read_document
 from epi360.cameras.calibration.kalibr import KalibrCamera, load_kalibr_rig
 
@@ -16,7 +25,7 @@ __all__ = ["KalibrCamera", "load_camera", "load_cameras", "load_kalibr_rig"]
 Format = tuple[Callable[[Any], bool], Callable[[Any], dict[str, Camera]]]
 FORMATS: tuple[Format, ...] = tuple(
     (module.recognizes, module.read)
-    for module in (own, kalibr, basalt, colmap, colmap_rig, opensfm)
+    for module in (own, kalibr, basalt, colmap, colmap_rig, opensfm, opencv)
 )
 
 
@@ -37,9 +46,12 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
           ``OPENCV_FISHEYE``, ``EUCM``;
         - COLMAP's ``rig_config.json`` of one rig, as `load_rig` reads it;
         - OpenSfM's ``camera_models.json``: perspective, radial, brown without k3, fisheye,
-          fisheye_opencv, spherical.
+          fisheye_opencv, spherical;
+        - a camera of ROS's camera_calibration or of OpenCV's calibration samples (YAML or JSON):
+          plumb_bob without k3, equidistant.
 
-        Principal points of Kalibr and basalt are moved by 0.5 px to our pixel convention.
+        Principal points of Kalibr, basalt, ROS and OpenCV are moved by 0.5 px to our pixel
+        convention.
 
     Returns
     -------
@@ -65,7 +77,8 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
     raise ValueError(
         f"calibration file {path} has no cameras that epi360 can read; it reads mappings with "
         "'model' or 'cameras', Kalibr camchains, basalt's JSON, COLMAP's cameras.txt and "
-        "rig_config.json, and OpenSfM's camera_models.json"
+        "rig_config.json, OpenSfM's camera_models.json, and cameras of ROS and OpenCV with "
+        "'camera_matrix'"
     )
 
 

@@ -11,6 +11,7 @@ from epi360.runs.input_files import read_text
 COLMAP_LINE = re.compile(r"\d+\s+[A-Z][A-Z0-9_]*\s+\d+\s+\d+(\s|$)")
 
 LARGEST_FILE = 2**25  # bytes, enough for a cameras.txt with a camera for each of 300,000 images
+_OPENCV_START, _OPENCV_MATRIX = "%YAML:", "tag:yaml.org,2002:opencv-matrix"
 LONGEST_YAML = 2**18  # characters, which take half a second; a rig needs a thousandth of it
 
 
@@ -40,8 +41,15 @@ def _yaml(text: str) -> Any:
 
     if len(text) > LONGEST_YAML:
         raise ValueError(f"YAML may have {LONGEST_YAML} characters, got {len(text)}")
+
+    class Loader(yaml.SafeLoader):
+        """Takes OpenCV's matrices as the mappings that they are."""
+
+    yaml.add_constructor(_OPENCV_MATRIX, yaml.SafeLoader.construct_yaml_map, Loader=Loader)
+    if text.startswith(_OPENCV_START):  # no directive of YAML, but OpenCV begins like that
+        text = text[text.index("\n") + 1 :] if "\n" in text else ""
     try:
-        return yaml.safe_load(text)
+        return yaml.load(text, Loader)  # noqa: S506 - a SafeLoader
     except yaml.YAMLError as error:
         raise ValueError(str(error)) from None
     except (AttributeError, IndexError, KeyError, TypeError):  # !!int "", !!bool maybe

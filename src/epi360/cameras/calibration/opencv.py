@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Calibrations that ROS's camera_calibration and OpenCV's calibration samples write.
+
+Both have one camera with a matrix and coefficients, whose order is that of OpenCV's functions.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from epi360.cameras.base import Camera
+from epi360.cameras.calibration import fields
+from epi360.cameras.kannala_brandt import KannalaBrandt
+from epi360.cameras.unified import UnifiedCamera
+
+MATRIX, COEFFICIENTS = "camera_matrix", "distortion_coefficients"
+SIZE = ("image_width", "image_height")
+# By distortion_model of ROS: our model, its parameters that are left out, and how many coefficients
+# it has. Others in the file must be zero.
+MODELS: dict[str, tuple[fields.Model, tuple[float, ...], int]] = {
+    "plumb_bob": (UnifiedCamera, (0.0,), 4),
+    "rational_polynomial": (UnifiedCamera, (0.0,), 4),
+    "equidistant": (KannalaBrandt, (), 4),
+    "fisheye": (KannalaBrandt, (), 4),
+}
+
+
+def recognizes(document: Any) -> bool:
+    """Return whether the content is one camera with a matrix."""
+    return isinstance(document, Mapping) and MATRIX in document
+
+
+def read(document: Mapping[str, Any]) -> dict[str, Camera]:
+    """Return the camera by its ``camera_name``, or as "camera"."""
+    name = document.get("camera_name") or "camera"
+    return fields.each({name: document}, _camera)
+
+
+def _camera(entry: Mapping[str, Any]) -> Camera:
+    fields.check_has(entry, SIZE)
+    width, height = (fields.number(entry[key]) for key in SIZE)
+    fx, skew, cx, *rest = _entries(entry[MATRIX], MATRIX)
+    if len(rest) != 6 or skew != 0 or [rest[0], *rest[3:]] != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"{MATRIX} must be fx 0 cx, 0 fy cy, 0 0 1")
+    coefficients = _entries(entry[COEFFICIENTS], COEFFICIENTS) if COEFFICIENTS in entry else []
+    name = _distortion_model(entry, coefficients)
+    model, left_out, count = MODELS[name]
+    if any(coefficients[count:]):
+        raise ValueError(
+            f"{name} with coefficients after the first {count} is not supported, got "
+            f"{fields.shortened(coefficients)}"
+        )
+    center = [value + fields.OPENCV_TO_CONTINUOUS for value in (cx, rest[2])]
+    return model(width, height, fx, rest[1], *center, *left_out, *coefficients[:count])
+
+
+def _distortion_model(entry: Mapping[str, Any], coefficients: list[float]) -> str:
+    """The model that ROS names, or that of OpenCV's flag and coefficients."""
+    if "distortion_model" in entry:
+        name = entry["distortion_model"]
+        if not isinstance(name, str) or name not in MODELS:
+            wanted = f"distortion_model {fields.shortened(name)}"
+            raise fields.unsupported(wanted, ", ".join(MODELS))
+        return name
+    if "fisheye_model" in entry:
+        return (
+            "fisheye"
+            if fields.real_number(entry["fisheye_model"], "fisheye_model")
+            else "plumb_bob"
+        )
+    if len(coefficients) == 4 and any(coefficients):
+        raise ValueError(
+            f"four {COEFFICIENTS} are those of a fisheye or of a perspective lens; add "
+            "'distortion_model: equidistant' or 'distortion_model: plumb_bob'"
+        )
+    return "plumb_bob"
+
+
+def _entries(matrix: Any, name: str) -> list[float]:
+    """Return the numbers of a matrix with rows, cols and data, row by row."""
+    if not isinstance(matrix, Mapping):
+        raise ValueError(f"{name} must have rows, cols and data, got {fields.shortened(matrix)}")
+    fields.check_has(matrix, ["rows", "cols", "data"])
+    rows, cols = (fields.real_number(matrix[key], f"{key} of {name}") for key in ("rows", "cols"))
+    if not (0 <= rows <= 14 and 0 <= cols <= 14):
+        raise ValueError(f"{name} must be a small matrix, got {rows:g} rows and {cols:g} columns")
+    return fields.real_numbers(matrix["data"], int(rows * cols), f"data of {name}")
