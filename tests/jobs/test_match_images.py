@@ -298,6 +298,30 @@ def test_other_options_are_refused_until_asked(views, tmp_path, extractions, ver
     assert match_images(images, output, MatchOptions(seed=1)).num_found == 1
 
 
+def test_the_result_of_other_images_is_not_replaced_until_asked(views, tmp_path):
+    output = tmp_path / "out"
+    match_images(image_set(views, NAMES[:2]), output)
+    before = (output / "images.json").read_bytes()
+    moved = ["moved/1.png", "moved/2.png"]
+    write_views(views, moved)
+    with pytest.raises(ValueError, match="is the result of 2 other images, such as .*--restart"):
+        match_images(image_set(views, moved), output)
+    assert (output / "images.json").read_bytes() == before
+    match_images(image_set(views, moved), output, restart=True)
+    assert set(load_matches(output).images) == set(moved)
+    match_images(image_set(views, [NAMES[0], moved[1]]), output)  # one of them is the same
+    assert set(load_matches(output).images) == {NAMES[0], moved[1]}
+
+
+def test_a_damaged_list_of_images_is_written_again(views, tmp_path):
+    images = image_set(views, NAMES[:2])
+    for text in ("{", "{}", "[]", '{"images": [3]}'):
+        match_images(images, tmp_path / "out")
+        (tmp_path / "out" / "images.json").write_text(text)
+        assert match_images(images, tmp_path / "out").num_found == 1
+        assert set(load_matches(tmp_path / "out").images) == set(NAMES[:2])
+
+
 def test_other_pairs_need_no_restart(views, tmp_path):
     images = image_set(views, NAMES[:3])
     match_images(images, tmp_path / "out", MatchOptions(pairs="sequential", overlap=1))

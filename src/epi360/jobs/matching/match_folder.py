@@ -20,7 +20,7 @@ from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
-from epi360.jobs.matching.match_result import load_matches, write_index
+from epi360.jobs.matching.match_result import load_matches, names_in_index, write_index
 from epi360.jobs.matching.more_pairs import more_pairs
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.jobs.matching.pair_work import MatchInputs, PairWork
@@ -254,6 +254,8 @@ def open_match_output(
 def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart: bool) -> PairWork:
     """Open the output folder, or refuse it, and return the work that is done in it."""
     extraction = open_match_output(output, options, restart=restart)
+    if not restart:
+        _check_images(images, output)
     inputs = MatchInputs(
         images=dict(enumerate(images.images)),
         cameras=dict(enumerate(images.cameras[image.camera] for image in images.images)),
@@ -264,6 +266,16 @@ def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart
         upright_deg=options.upright_deg,
     )
     return PairWork(inputs, options.num_threads or num_cores())
+
+
+def _check_images(images: ImageSet, output: AnyPath) -> None:
+    """Raise ``ValueError`` where the output is the result of none of these images."""
+    before = names_in_index(output)
+    if before and before.isdisjoint(image.name for image in images.images):
+        raise ValueError(
+            f"output {output} is the result of {len(before)} other images, such as {min(before)}; "
+            "choose another output, or --restart to replace it"
+        )
 
 
 @contextmanager

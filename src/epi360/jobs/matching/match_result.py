@@ -87,6 +87,15 @@ def write_index(
     write_record(folder / IMAGES, index)
 
 
+def names_in_index(folder: AnyPath) -> set[str]:
+    """Names of the images of a complete run; none where there is none, or a damaged one."""
+    try:
+        index = read_record(folder / IMAGES, remedy="")
+        return {image["name"] for image in index["images"]} if index else set()
+    except (KeyError, TypeError, ValueError):
+        return set()
+
+
 def load_matches(folder: str | PathLike[str] | RemotePath, *, by_others: bool = True) -> MatchGraph:
     """Images, key points and verified pairs that `match_images` left in a folder, or behind a URL.
 
