@@ -192,3 +192,10 @@ def test_a_short_file_of_endless_content_is_refused_at_once(tmp_path):
     path.write_text("\n".join(rows))
     with pytest.raises(ValueError, match="no cameras that epi360 can read"):
         load_cameras(path)
+
+
+def test_a_transforms_json_of_nerfstudio_is_no_camchain(written):
+    document = {"camera_model": "EQUIRECTANGULAR", "w": 2048, "h": 1024, "frames": []}
+    with pytest.raises(ValueError, match="has no cameras that epi360 can read; it reads") as caught:
+        load_cameras(written(document, "transforms.json"))
+    assert "Kalibr camera_model" not in str(caught.value)

@@ -217,8 +217,9 @@ def test_the_demo_prints_the_estimate_beside_the_truth(capsys, tmp_path):
     arguments = ["pair", "--demo", "--json", str(record), "--save-images", str(folder)]
     assert cli.main(arguments) == 0
     assert time.process_time() - began < 20  # of the processor: a few; other programs do not count
-    last = capsys.readouterr().out.splitlines()[-3:]
+    last = capsys.readouterr().out.splitlines()[-5:]
     assert last[0].split() == ["estimate", "truth", "error"]
+    assert last[3:] == [f"wrote {record}", f"wrote {folder}"]
     truth = json.loads(record.read_text(encoding="utf-8"))["truth"]
     assert truth["rotation_error_deg"] < 0.3
     assert truth["translation_error_deg"] < 1.0

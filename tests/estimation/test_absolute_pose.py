@@ -177,7 +177,8 @@ def test_missing_rows_and_order_change_nothing():
     holed = np.insert(bearings[order], 5, np.nan, axis=0)
     after = estimate_absolute_pose(holed, np.insert(points[order], 5, 0.0, axis=0))
     assert not after.inlier_mask[5] and np.isnan(after.residuals_rad[5])
-    assert "1 of 201 matches are missing (NaN)" in after.warnings
+    missing = "1 of 201 matches are missing (NaN, as of pixels outside the image)"
+    assert missing in after.warnings
     np.testing.assert_array_equal(before.inlier_mask[order], np.delete(after.inlier_mask, 5))
     assert rotation_error_deg(before.cam_from_world, after.cam_from_world) < 1e-3
 
@@ -284,3 +285,23 @@ def test_a_map_in_coordinates_of_the_earth_gives_the_same_pose(distance):
     np.testing.assert_allclose(
         found.cam_from_world.rotation, expected.cam_from_world.rotation, atol=1e-5
     )
+
+
+def test_bearings_in_the_place_of_points_are_refused():
+    _, points, bearings = scene(0)
+    with pytest.raises(ValueError, match="the bearings come first"):
+        estimate_absolute_pose(points, bearings)
+    with pytest.raises(ValueError, match="the bearings come first"):
+        estimate_absolute_pose(points, bearings.astype(np.float32))
+    on_a_sphere = points / np.linalg.norm(points, axis=1, keepdims=True)
+    estimate_absolute_pose(bearings, on_a_sphere)  # as far as anybody can tell
+
+
+def test_a_result_prints_as_one_line_without_its_arrays():
+    _, points, bearings = scene(0)
+    result = estimate_absolute_pose(bearings, points)
+    text = repr(result)
+    assert text.startswith("AbsolutePoseResult(status='ok', probability=")
+    assert f"rotation_sigma_deg={result.rotation_sigma_deg!r}" in text
+    assert "array(" not in text.replace(repr(result.cam_from_world), "")
+    assert "rotation_sigma_deg=nan" in repr(estimate_absolute_pose(bearings[:2], points[:2]))

@@ -136,6 +136,7 @@ def test_matches_with_nan_scores_are_missing():
         scene.bearings1, scene.bearings2, match_scores=np.full(200, np.nan)
     )
     assert none_left.status == "too_few_matches"
+    assert none_left.warnings[0].startswith("200 of 200 matches are missing")
 
 
 @pytest.mark.parametrize("num_matches", range(9))

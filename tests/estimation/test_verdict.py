@@ -178,7 +178,7 @@ def test_the_graver_status_wins(changes, status):
         ({"max_noise": 0.0006, "num_distinct": 2}, {}),
         ({"parallax": 0.01, "num_distinct": 2}, {}),
         ({"num_usable": 90, "num_distinct": 2}, {"missing_matches": (10.0, 100.0)}),
-        ({"num_usable": 4}, {}),
+        ({"num_usable": 4}, {"missing_matches": (96.0, 100.0)}),
     ],
 )
 def test_a_warning_carries_the_numbers_that_it_compares(changes, expected):

@@ -196,7 +196,8 @@ def test_a_map_to_which_images_were_added_is_used_again(
 
 def test_a_folder_without_the_images_of_the_map_is_refused(room_run, new_image, tmp_path):
     world = epi360.load_map(room_run[0], images=tmp_path)
-    with pytest.raises(ValueError, match="has no features of .* and 5 other images"):
+    said = "has no features of .* and 5 other images; .* is not the folder of its images"
+    with pytest.raises(ValueError, match=said):
         epi360.localize_image(new_image, world)
 
 
@@ -224,6 +225,15 @@ def test_features_of_another_model_are_refused(room_run, new_image, tmp_path):
 def test_what_is_no_map_is_said(path, options, message, tmp_path):
     with pytest.raises((ValueError, FileNotFoundError), match=message):
         epi360.load_map(tmp_path / path, **options)
+
+
+def test_what_is_no_map_and_no_options_is_refused(world, new_image):
+    with pytest.raises(TypeError, match="world must be what load_map returns, got str"):
+        epi360.localize_image(new_image, "map")
+    with pytest.raises(TypeError, match="options must be LocalizationOptions, got dict"):
+        epi360.localize_image(new_image, world, options={"max_views": 3})
+    with pytest.raises(ValueError, match="without must name images of the map, got 'nope'"):
+        epi360.localize_image(new_image, world, without=["nope"])
 
 
 def test_an_image_without_a_camera_is_refused(world):

@@ -312,9 +312,7 @@ Verdict judge(const Evidence& e) {
     verdict.warnings.push_back({code, value, reference});
   };
   const int missing = e.num_matches - e.num_copies - e.num_usable - e.num_fixed;
-  if (missing > 0 && verdict.status != Status::kTooFewMatches) {
-    warn(WarningCode::kMissingMatches, missing, e.num_matches);
-  }
+  if (missing > 0) warn(WarningCode::kMissingMatches, missing, e.num_matches);
   if (e.num_copies > 0) warn(WarningCode::kCopies, e.num_copies, e.num_matches);
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
   if (verdict.status == Status::kTooFewInliers && is_mirrored(e)) {

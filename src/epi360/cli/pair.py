@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -132,7 +133,11 @@ def pair(
         _write_outputs(images, result, output, progress)
     from epi360.report.text import describe_pair
 
-    print(describe_pair(result, images.truth), flush=True)
+    print(describe_pair(result, images.truth))
+    for path in (output.json, output.figure, output.report, output.save_images):
+        if path is not None:
+            print(f"wrote {path}")
+    sys.stdout.flush()
     return SUCCESS if result.success else FAILURE
 
 

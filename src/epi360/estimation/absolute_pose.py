@@ -37,6 +37,7 @@ Indices = NDArray[np.intp]
 
 # A second pose is truly different beyond this, in degrees and in median distances of the points.
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
+_UNIT = 1e-6  # by how much the length of a direction of single precision may differ from 1
 _LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _WITH_POSE = ("ok", "ambiguous")
 
@@ -97,7 +98,8 @@ def estimate_absolute_pose(
     Raises
     ------
     ValueError
-        If a shape is wrong, a number infinite, a bearing zero, or an option out of its range.
+        If a shape is wrong, a number infinite, a bearing zero, or an option out of its range, or if
+        bearings stand in the place of points.
 
     Notes
     -----
@@ -109,6 +111,11 @@ def estimate_absolute_pose(
     """
     b = bearings_array(bearings, "bearings")
     X = _points(points, b.shape)
+    if _are_unit(X) and not _are_unit(bearings):
+        raise ValueError(
+            "points must be places in the world, got directions of length 1, and bearings of other "
+            "lengths; the bearings come first"
+        )
     covariances = _covariances(point_covariances, len(b))
     threshold = check_threshold(inlier_threshold_deg)
     min_num_inliers = checked_integer(min_num_inliers, "min_num_inliers")
@@ -231,6 +238,13 @@ def _differ(pose: Pose, other: Pose, distance: float) -> bool:
 def _median_distance(search: PoseSearch, found: FoundPose) -> float:
     seen = search.points[found.inliers] - found.pose.inverse().translation
     return max(float(np.median(np.linalg.norm(seen, axis=1))), 1e-300)
+
+
+def _are_unit(rows: ArrayLike) -> bool:
+    """Whether the rows, those with NaN apart, all have length 1."""
+    lengths = np.linalg.norm(np.asarray(rows, dtype=np.float64), axis=1)
+    known = lengths[np.isfinite(lengths)]
+    return len(known) > 0 and bool((np.abs(known - 1.0) < _UNIT).all())
 
 
 def _points(points: ArrayLike, shape: tuple[int, ...]) -> Array:

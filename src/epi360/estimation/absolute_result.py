@@ -5,20 +5,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar.essential import skew
 from epi360.estimation.absolute_verdict import AbsoluteStatus
+from epi360.estimation.short_repr import ShortRepr
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class AbsolutePoseResult:
+@dataclass(frozen=True, repr=False)
+class AbsolutePoseResult(ShortRepr):
     """Pose of a camera in a map and the evidence for it.
 
     Attributes
@@ -65,6 +67,11 @@ class AbsolutePoseResult:
     probability: float
     alternatives: tuple[Pose, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    _SHOWN: ClassVar[tuple[str, ...]] = (
+        "status", "probability", "num_inliers", "noise_deg", "rotation_sigma_deg",
+        "position_sigma", "cam_from_world", "alternatives", "warnings",
+    )  # fmt: skip
 
     @property
     def success(self) -> bool:

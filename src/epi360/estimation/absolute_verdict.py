@@ -75,7 +75,9 @@ def warnings_of(
     found = []
     total = evidence.num_usable + num_missing + num_copies
     if num_missing:
-        found.append(f"{num_missing} of {total} matches are missing (NaN)")
+        found.append(
+            f"{num_missing} of {total} matches are missing (NaN, as of pixels outside the image)"
+        )
     if num_copies:
         found.append(copies_sentence(num_copies, total))
     if evidence.cells < _PARTIAL_COVERAGE * evidence.cells_of_matches:

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation.short_repr import ShortRepr
 from epi360.poses import Pose
 
 Status = Literal[
@@ -69,15 +70,8 @@ class SamePlace:
     copy: float = math.nan
 
 
-# What is printed of a result; the arrays of its matches would fill the screen.
-_SHOWN = (
-    "status", "probability", "num_inliers", "num_matches", "noise_deg", "parallax_deg",
-    "cam2_from_cam1", "alternatives", "warnings",
-)  # fmt: skip
-
-
 @dataclass(frozen=True, repr=False)
-class RelativePoseResult:
+class RelativePoseResult(ShortRepr):
     """Relative pose of two central cameras and the evidence for it.
 
     Numbers that the data do not determine are NaN: after a pure rotation the rotation is set and
@@ -144,9 +138,11 @@ class RelativePoseResult:
     probability: float = math.nan
     explanations: Explanations = Explanations()
 
-    def __repr__(self) -> str:
-        shown = ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
-        return f"{type(self).__name__}({shown}, ...)"
+    _SHOWN: ClassVar[tuple[str, ...]] = (
+        "status", "probability", "num_inliers", "num_matches", "noise_deg", "parallax_deg",
+        "rotation_sigma_deg", "translation_sigma_deg", "cam2_from_cam1", "alternatives",
+        "warnings",
+    )  # fmt: skip
 
     @property
     def success(self) -> bool:
@@ -162,6 +158,16 @@ class RelativePoseResult:
     def num_inliers(self) -> int:
         """Number of matches that support the pose."""
         return int(np.count_nonzero(self.inlier_mask))
+
+    @property
+    def rotation_sigma_deg(self) -> float:
+        """Standard deviation of the rotation over all axes, in degrees."""
+        return math.degrees(math.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def translation_sigma_deg(self) -> float:
+        """Standard deviation of the direction of the translation over both axes, in degrees."""
+        return math.degrees(math.sqrt(np.trace(self.covariance[3:, 3:])))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -185,6 +191,4 @@ class ImagePairResult(RelativePoseResult):
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:
     """Expected root mean square errors of the rotation and of the translation's direction."""
-    variances = np.diag(result.covariance)
-    rotation, translation = np.degrees(np.sqrt([variances[:3].sum(), variances[3:].sum()]))
-    return float(rotation), float(translation)
+    return result.rotation_sigma_deg, result.translation_sigma_deg

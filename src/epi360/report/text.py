@@ -31,8 +31,8 @@ STATUS_SENTENCES: dict[Status, str] = {
         "check that the masks keep the scene (white = use)"
     ),
     "too_few_inliers": (
-        "no pose explains enough of the matches; check that both images show the same place and "
-        "that the camera models fit, or move the viewpoints closer together"
+        "no pose explains enough of the matches, in enough directions; check that both images show "
+        "the same place and that the camera models fit, or move the viewpoints closer together"
     ),
     "pure_rotation": (
         "the camera turned without moving, as far as the matches can tell: the rotation is valid, "

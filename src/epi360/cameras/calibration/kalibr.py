@@ -75,8 +75,10 @@ def load_kalibr_rig(path: str | os.PathLike[str]) -> dict[str, KalibrCamera]:
 
 
 def recognizes(document: Any) -> bool:
-    """Return whether the content is a camchain."""
-    return isinstance(document, Mapping) and any(
+    """Return whether the content is a camchain, and not, say, nerfstudio's ``transforms.json``."""
+    if not isinstance(document, Mapping) or "frames" in document:
+        return False
+    return any(
         isinstance(entry, Mapping) and "camera_model" in entry
         for entry in (document, *document.values())
     )

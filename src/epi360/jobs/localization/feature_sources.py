@@ -31,6 +31,7 @@ from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 
 Picture = NDArray[np.uint8]
+GIVE_IMAGES = "give the folder of its images (--images)"
 _REMEDY = "run epi360 map with this --output again"
 
 
@@ -47,6 +48,10 @@ class FeatureSource(Protocol):
     """Features of the images of a map by name, and of new ones."""
 
     are_of_the_points: bool  # the points of the model were made from these key points
+
+    @property
+    def remedy(self) -> str:
+        """What to do where features of many images of the map are missing."""
 
     def of_map(self, name: str, camera: Camera) -> Features | None:
         """Features of an image of the map; None if there are none."""
@@ -70,6 +75,11 @@ class _Extracting:
     """New images are searched by us."""
 
     settings: ExtractionSettings
+
+    @property
+    def remedy(self) -> str:
+        """What gives the features that are missing."""
+        return GIVE_IMAGES
 
     def of_new(
         self,
@@ -153,6 +163,7 @@ class HlocFile:
 
     path: Path
     are_of_the_points = True
+    remedy = GIVE_IMAGES
 
     def made_from(self, names: Sequence[str]) -> object:
         """State of the file."""
@@ -212,6 +223,11 @@ class ImageFolder(_Extracting):
 
     folder: Path
     are_of_the_points = False
+
+    @property
+    def remedy(self) -> str:
+        """What is wrong with the folder."""
+        return f"{self.folder} is not the folder of its images, or lacks some (--images)"
 
     def made_from(self, names: Sequence[str]) -> object:
         """State of the pictures, and how they are searched."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ class LocalizationOptions:
             raise ValueError(f"mask_nadir_deg must be in [0, 180), got {self.mask_nadir_deg}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class LocalizationResult(AbsolutePoseResult):
     """Pose of a new image in a map and the evidence for it.
 
@@ -89,3 +90,8 @@ class LocalizationResult(AbsolutePoseResult):
     chance_share: float = math.nan
     same_share: float = math.nan
     seconds: float = math.nan
+
+    _SHOWN: ClassVar[tuple[str, ...]] = (
+        "status", "probability", "num_inliers", "num_matches", "noise_deg", "rotation_sigma_deg",
+        "position_sigma", "cam_from_world", "map_images", "alternatives", "warnings",
+    )  # fmt: skip

@@ -66,10 +66,12 @@ def localize_image(
     Raises
     ------
     ValueError
-        If image, camera and mask do not fit together, or the image is no panorama and no camera is
-        known.
+        If image, camera and mask do not fit together, the image is no panorama and no camera is
+        known, or ``without`` names an image that the map has not.
     FileNotFoundError
         If a file is not there.
+    TypeError
+        If the map or the options are something else.
 
     Notes
     -----
@@ -82,6 +84,7 @@ def localize_image(
     much.
     """
     begun = time.perf_counter()
+    _check(world, without, options)
     picture = read_image(image)
     camera = _camera_of(image, picture, camera, world)
     path = os.fspath(image) if isinstance(image, str | os.PathLike) else None
@@ -89,6 +92,16 @@ def localize_image(
     usable = None if mask is None else read_mask(mask, picture.shape[:2])
     found = localize_features(features, camera, world, frozenset(without), options, usable)
     return dataclasses.replace(found, seconds=time.perf_counter() - begun)
+
+
+def _check(world: LocalizationMap, without: Sequence[str], options: LocalizationOptions) -> None:
+    if not isinstance(world, LocalizationMap):
+        raise TypeError(f"world must be what load_map returns, got {type(world).__name__}")
+    if not isinstance(options, LocalizationOptions):
+        raise TypeError(f"options must be LocalizationOptions, got {type(options).__name__}")
+    unknown = set(without).difference(image.name for image in world.model.images)
+    if unknown:
+        raise ValueError(f"without must name images of the map, got {min(unknown)!r}")
 
 
 def _camera_of(

@@ -201,8 +201,8 @@ class LocalizationMap:
                 lost = self.model.images[min(set(with_points) - set(numbers))].name
                 others = len(with_points) - len(numbers) - 1
                 raise ValueError(
-                    f"{self.name} has no features of {lost} and {others} other images; give the "
-                    "folder of its images (--images)"
+                    f"{self.name} has no features of {lost} and {others} other images; "
+                    f"{self.source.remedy}"
                 )
 
         return ViewIndex.of(descriptors()), numbers
@@ -248,7 +248,7 @@ class LocalizationMap:
         ):
             raise ValueError(
                 f"the features of {self.model.images[number].name} are not those that {self.name} "
-                "was made from; give the folder of its images (--images)"
+                f"was made from; {self.source.remedy}"
             )
         ids[same] = seen.points[rows[nearest[same]]]
         points[same], covariances[same] = self.model.points[ids[same]], self._covariances[ids[same]]
