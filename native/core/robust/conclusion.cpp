@@ -27,7 +27,7 @@ void conclude(const Matches& m, const RobustOptions& options, const RowCounts& r
   evidence.num_matches = static_cast<int>(rows.given);
   evidence.num_copies = static_cast<int>(rows.copies);
   evidence.min_num_inliers = options.min_num_inliers;
-  evidence.num_distinct = count_distinct(m, r.inlier.data());
+  evidence.num_distinct = count_distinct(m, r.inlier.data(), options.min_num_inliers);
   const Extents where = extents(m, r.inlier.data());
   evidence.spread = where.chosen.spread;
   evidence.spread_of_matches = where.all.spread;

@@ -54,10 +54,12 @@ std::vector<std::size_t> first_of_copies(const Matches& m) {
   return first;
 }
 
-int count_distinct(const Matches& m, const unsigned char* chosen) {
+int count_distinct(const Matches& m, const unsigned char* chosen, int enough) {
   DistinctMatches distinct(m);
   int count = 0;
-  for (std::size_t i = 0; i < m.size; ++i) count += chosen[i] && distinct.add(i) == i;
+  for (std::size_t i = 0; i < m.size && count < enough; ++i) {
+    count += chosen[i] && distinct.add(i) == i;
+  }
   return count;
 }
 

@@ -13,7 +13,7 @@ namespace epi360 {
 // For each match the first one with its bearings: itself where it repeats none.
 std::vector<std::size_t> first_of_copies(const Matches& m);
 
-// Chosen matches that are no copies of one another.
-int count_distinct(const Matches& m, const unsigned char* chosen);
+// Chosen matches that are no copies of one another, or `enough` if there are more.
+int count_distinct(const Matches& m, const unsigned char* chosen, int enough);
 
 }  // namespace epi360

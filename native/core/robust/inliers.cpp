@@ -64,13 +64,14 @@ double mark_inliers(const Matches& m, Residual residual, const RelativePose& pos
 
 double weight_of_mirrored_turn(const Matches& m, const RelativePose& pose, double gate) {
   const Eigen::Matrix3d mirror = Eigen::Matrix3d::Identity() - 2.0 * pose.t * pose.t.transpose();
-  const double near = std::sqrt(2.0) * gate;  // as residuals of rotations are measured
+  const double near = 2.0 * gate * gate;  // squared, as residuals of rotations are measured
+  const double apart = kClearlyBehind * kClearlyBehind * near;
   double weight = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     const Eigen::Vector3d turned = pose.R * view1(m, i), b2 = view2(m, i);
-    const bool fits = (mirror * turned - b2).squaredNorm() < near * near;
-    const bool stands = (turned - b2).squaredNorm() < std::pow(kClearlyBehind * near, 2);
-    weight += (fits & !stands) * m.weight[i];
+    const bool fits = (mirror * turned - b2).squaredNorm() < near;
+    const bool has_moved = (turned - b2).squaredNorm() > apart;
+    weight += (fits & has_moved) * m.weight[i];
   }
   return weight;
 }

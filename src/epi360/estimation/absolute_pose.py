@@ -242,7 +242,8 @@ def _median_distance(search: PoseSearch, found: FoundPose) -> float:
 
 def _are_unit(rows: ArrayLike) -> bool:
     """Whether the rows, those with NaN apart, all have length 1."""
-    lengths = np.linalg.norm(np.asarray(rows, dtype=np.float64), axis=1)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(np.asarray(rows, dtype=np.float64), axis=1)
     known = lengths[np.isfinite(lengths)]
     return len(known) > 0 and bool((np.abs(known - 1.0) < _UNIT).all())
 

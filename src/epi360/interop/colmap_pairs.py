@@ -47,6 +47,8 @@ class ColmapPairs(ColmapTables):
 
         None if there is none. pycolmap makes such cameras where nobody tells it of another one.
         """
+        if not self.has_columns("cameras", "prior_focal_length"):
+            return None
         query = "SELECT camera_id FROM cameras WHERE prior_focal_length = 0"
         without_focal = {str(camera_id) for (camera_id,) in self.rows(query)}
         for name, key in self.images.items():
