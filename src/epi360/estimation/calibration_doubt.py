@@ -49,9 +49,9 @@ class _Turn(NamedTuple):
 _TURN_OF_BOTH, _TURN_OF_ONE = _Turn(12.0, _LEAST_CHANGE, 0.25), _Turn(25.0, 0.04, LARGEST_CHANGE)
 # With the right angles a turn leaves the inliers of the step a median residual, over their noise,
 # of 0.4 to 1.2 (of two Gaussian components: 1.18); what was a step of some centimetres in a room
-# leaves 1.6 and more. A step that was none may explain fewer matches than the turn, and these the
-# better.
-_MOST_LEFT, _MANY_MORE, _MOST_LEFT_OF_MANY = 1.35, 1.2, 2.0
+# leaves 1.6 and more. Where the parallax is so many times the noise, no turn leaves little of a
+# step among things at different distances.
+_MOST_LEFT, _MUCH_PARALLAX, _MOST_LEFT_OF_MUCH = 1.35, 50.0, 3.0
 
 
 def with_calibration_doubt(
@@ -118,10 +118,10 @@ def _turned(
 def _is_as_good(
     turn: RelativePoseResult, step: RelativePoseResult, inliers: NDArray[np.intp]
 ) -> bool:
-    """Whether a turn explains the inliers of a step as well, or many more matches nearly so."""
+    """Whether a turn explains the inliers of a step as well, or nearly so and their parallax."""
     left = np.median(turn.residuals_rad[inliers]) / np.radians(step.noise_deg)
-    explains_more = turn.num_inliers >= _MANY_MORE * step.num_inliers
-    return bool(left <= (_MOST_LEFT_OF_MANY if explains_more else _MOST_LEFT))
+    has_much = step.parallax_deg > _MUCH_PARALLAX * step.noise_deg
+    return bool(left <= (_MOST_LEFT_OF_MUCH if has_much else _MOST_LEFT))
 
 
 def _with_turn(
@@ -141,9 +141,9 @@ def _with_turn(
 
 
 def _views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
-    """Both (0), and of equal panoramas, either of which may be cut or stretched, one alone."""
-    both = cameras[0] == cameras[1] and isinstance(cameras[0], Equirectangular)
-    return (0, 2, 1) if both else (0,)
+    """Both (0), and of panoramas, either of which may be cut or stretched, one alone."""
+    are_panoramas = all(isinstance(camera, Equirectangular) for camera in cameras)
+    return (0, 2, 1) if are_panoramas else (0,)
 
 
 def _best_changes(
