@@ -99,6 +99,20 @@ def test_the_poses_of_a_database_are_right_and_the_database_stays(world, databas
     assert said[1:] == ["  ok: 9", "  too_few_matches: 1", f"wrote {output}"]
 
 
+def test_key_points_of_smaller_pictures_are_refused(world, tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    from epi360.interop.colmap_database import write_colmap_database
+
+    graph = world[1]
+    larger = {"pano": Equirectangular(width=4000, height=2000)}
+    graph = MatchGraph(larger, graph.images, graph.pairs)
+    write_colmap_database(tmp_path / "in.db", graph)
+    words = ["batch", str(tmp_path / "in.db"), "--output", str(tmp_path / "poses.parquet")]
+    assert cli.main(words) == 2
+    assert "were they found in smaller pictures?" in capsys.readouterr().err
+    assert not (tmp_path / "poses.parquet").exists()
+
+
 def with_guessed_cameras(database):
     """What pycolmap writes for images whose camera nobody tells it of."""
     import pycolmap

@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.interop.colmap_pairs import ColmapPairs
 from epi360.interop.hloc_pairs import HlocPairs
 from epi360.jobs.batch.sources import (
@@ -20,10 +21,12 @@ from epi360.jobs.batch.sources import (
     named_camera,
     parts_of,
 )
+from epi360.jobs.matching.check_keypoints import check_filled
 from epi360.runs.storage import fingerprint_of_file
 
 Array = NDArray[np.float64]
 
+_LOOKED_AT = 8  # pairs whose key points tell whether all were found in smaller pictures
 _CACHED_IMAGES = 64  # matchers list a pair's neighbours beside it, so few images are in use at once
 
 
@@ -44,12 +47,16 @@ def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
                 "up; give the true camera by --camera FILE"
             )
 
-        def bearings(image: str) -> Array:
+        def view(image: str) -> tuple[Array, Camera]:
             camera = database.camera(image)
             if given:
                 camera = named_camera(image, (camera.width, camera.height), given)
-            return bearings_of(database.keypoints(image), camera, image, source)
+            return database.keypoints(image), camera
 
+        def bearings(image: str) -> Array:
+            return bearings_of(*view(image), image, source)
+
+        _check_some(database.names, view)
         counts = (
             (table, list(database.rows(f"SELECT {key}, rows FROM {table} ORDER BY {key}")))
             for table, key in (("keypoints", "image_id"), ("matches", "pair_id"))
@@ -66,16 +73,28 @@ def open_hloc(source: MatchSource) -> Iterator[FileMatches]:
     cameras = cameras_of(source)
     with HlocPairs(source.features, source.path, pairs=source.pairs) as files:
 
+        def view(image: str) -> tuple[Array, Camera]:
+            return files.keypoints(image), named_camera(image, files.image_size(image), cameras)
+
         def bearings(image: str) -> Array:
-            camera = named_camera(image, files.image_size(image), cameras)
-            return bearings_of(files.keypoints(image), camera, image, source)
+            return bearings_of(*view(image), image, source)
 
         pairs = files.pairs()
+        _check_some(pairs, view)
         extra = (fingerprint_of_file(source.features), pairs, cameras)
         fingerprint = fingerprint_of_file(source.path, extra)
         yield FileMatches(
             pairs, bearings, lambda index: files.matches(*pairs[index]), source, fingerprint
         )
+
+
+def _check_some(
+    pairs: Sequence[tuple[str, str]], view: Callable[[str], tuple[Array, Camera]]
+) -> None:
+    """Raise where the key points of the first images were found in smaller pictures."""
+    names = dict.fromkeys(name for pair in pairs[:_LOOKED_AT] for name in pair)
+    views = ((name, *view(name)) for name in names)
+    check_filled((name, camera, keypoints) for name, keypoints, camera in views)
 
 
 class FileMatches:

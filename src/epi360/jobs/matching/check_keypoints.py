@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import is_full_panorama
 from epi360.interop.match_graph import MatchGraph
 
 Array = NDArray[np.float64]
@@ -26,24 +25,32 @@ def check_keypoints(graph: MatchGraph, names: Iterable[str]) -> None:
     Raises
     ------
     ValueError
-        If a tenth of the key points of an image lie outside it, or those of all panoramas lie in
-        their upper left quarters.
+        If a tenth of the key points of an image lie outside it, or those of all images lie in their
+        upper left quarters.
     """
-    quarters = []
+    views = []
     for name in names:
         image = graph.images[name]
         assert image.camera is not None  # its pairs could not be verified
-        camera, keypoints = graph.cameras[image.camera], image.keypoints
-        check_inside(keypoints, camera, name)
-        if is_full_panorama(camera) and len(keypoints) >= FEWEST_KEYPOINTS:
-            quarter = _UPPER_LEFT * _size(camera)
-            quarters.append((name, camera, bool((keypoints < quarter).all())))
-    if len(quarters) > 1 and all(is_all for _, _, is_all in quarters):
-        name, camera, _ = quarters[0]
+        views.append((name, graph.cameras[image.camera], image.keypoints))
+        check_inside(image.keypoints, views[-1][1], name)
+    check_filled(views)
+
+
+def check_filled(views: Iterable[tuple[str, Camera, Array]]) -> None:
+    """Raise ``ValueError`` if the key points of all images lie in their upper left quarters.
+
+    ``views`` has the name, the camera and the key points (N, 2) of each image; two or more must
+    have enough key points to tell.
+    """
+    seen = [view for view in views if len(view[2]) >= FEWEST_KEYPOINTS]
+    if len(seen) < 2:
+        return
+    if all((keypoints < _UPPER_LEFT * _size(camera)).all() for _, camera, keypoints in seen):
+        name, camera, _ = seen[0]
         raise ValueError(
-            f"all key points of all {len(quarters)} panoramas lie in their upper left quarters, as "
-            f"those of {name}, {camera.width}x{camera.height} pixels; were they found in smaller "
-            "pictures?"
+            f"all key points of {len(seen)} images lie in their upper left quarters, as those of "
+            f"{name}, {camera.width}x{camera.height} pixels; were they found in smaller pictures?"
         )
 
 
