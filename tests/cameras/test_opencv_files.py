@@ -78,6 +78,8 @@ def test_what_opencv_writes_is_read_and_has_its_rays(end, is_fisheye, tmp_path):
         ({"distortion_coefficients": matrix((*BENT, 0.1))}, "after the first 4 is not supported"),
         ({"camera_matrix": matrix([1.0] * 9, 3)}, "camera_matrix must be fx 0 cx"),
         ({"camera_matrix": matrix([1.0] * 3, 1)}, "camera_matrix must be fx 0 cx"),
+        ({"camera_matrix": matrix([1.0], 1)}, "camera_matrix must be fx 0 cx"),
+        ({"camera_matrix": {"rows": 1.5, "cols": 2, "data": [1.0] * 3}}, "must be a small matrix"),
         ({"camera_matrix": [1.0]}, "camera_matrix must have rows, cols and data"),
         ({"camera_matrix": {"rows": 3, "cols": 3}}, "missing keys: data"),
         ({"camera_matrix": {"rows": 1e9, "cols": 3, "data": []}}, "must be a small matrix"),
@@ -102,6 +104,11 @@ def test_four_coefficients_of_no_model_are_those_of_two(written):
     del document["distortion_coefficients"], document["image_height"]
     with pytest.raises(ValueError, match="missing keys: image_height"):
         load_camera(written(document))
+
+
+@pytest.mark.parametrize("name", [[1, 2], {"a": 1}, "", None, 3])
+def test_a_camera_without_a_name_is_called_camera(name, written):
+    assert list(load_cameras(written(ros("plumb_bob", (), camera_name=name)))) == ["camera"]
 
 
 def test_only_a_matrix_of_opencv_has_a_tag(tmp_path):

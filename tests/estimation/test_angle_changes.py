@@ -477,3 +477,18 @@ def test_a_small_step_stays_a_step(step_m):
         result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
         if result.success:
             assert doubted(result, bearings, PANORAMA) is result
+
+
+@pytest.mark.parametrize(("distance_m", "height_m", "spread"), [(10, 3, 0.05), (10, 1, 0.02)])
+def test_a_camera_that_rises_in_a_round_hall_has_moved(distance_m, height_m, spread):
+    """Where all is at one distance, it lowers the middle, as a cut does, but shrinks nothing."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        around = rng.uniform(0.0, 2.0 * np.pi, 400)
+        away = distance_m * (1.0 + spread * rng.normal(size=400))
+        heights = rng.uniform(-height_m, height_m, 400)
+        points = np.stack([away * np.cos(around), heights, away * np.sin(around)], axis=1)
+        pair = unit(points), unit(points - [0.0, -1.0, 0.0])
+        bearings = tuple(unit(b + rng.normal(0.0, 2.0 * NOISE_RAD, b.shape)) for b in pair)
+        result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
+        assert result.success and doubted(result, bearings, PANORAMA).success

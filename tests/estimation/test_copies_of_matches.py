@@ -91,6 +91,9 @@ def test_copies_of_points_in_known_places_change_nothing(seed):
     assert result.success and "repeat another one exactly" in result.warnings[0]
     other = estimate_absolute_pose(bearings[once], points[once])
     assert_same_answer(result, drawn, other, once)
+    few = estimate_absolute_pose(np.tile(bearings[:2], (9, 1)), np.tile(points[:2], (9, 1)))
+    assert few.status == "too_few_matches"
+    assert few.warnings[0].startswith("16 of 18 matches repeat another one exactly")
 
 
 def test_copies_do_not_make_a_camera_doubtful():

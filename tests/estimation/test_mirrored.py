@@ -33,7 +33,7 @@ def test_most_mirrored_images_are_named():
 
 
 def mirrored_turn(seed, num_other):
-    """A turn of which one view is mirrored, seen by matches that seem to lie in front.
+    """A turn of which one view is mirrored, seen by matches most of which seem to lie in front.
 
     Others lie on the same epipolar planes, as those of what repeats itself along the walls do.
     """
@@ -41,7 +41,8 @@ def mirrored_turn(seed, num_other):
     normal, turn = np.array([1.0, 0.0, 0.0]), rotation_from_vector([0.0, np.radians(70.0), 0.0])
     mirror = np.eye(3) - 2.0 * np.outer(normal, normal)
     turned = rng.normal(size=(400, 3))
-    turned = turned[turned[:, 0] > 0.2 * np.linalg.norm(turned, axis=1)][:80]
+    shares = turned[:, 0] / np.linalg.norm(turned, axis=1)
+    turned = np.concatenate([turned[shares > 0.2][:60], turned[shares < -0.2][:30]])
     others = rng.uniform(-3.0, 3.0, (num_other, 3))
     pair = (
         np.concatenate([turned, others]) @ turn,
@@ -63,14 +64,28 @@ def test_a_mirrored_turn_is_no_step(num_other):
             assert "one of the images is mirrored" in result.warnings[-1]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_step_upwards_among_things_at_eye_level_is_no_mirrored_turn(seed):
-    """Those in the plane across the translation are where its mirror puts them, too."""
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-1.0, 1.0, (200, 3)) * [5.0, 0.2, 5.0]
-    b1, b2 = points, points - [0.0, 0.3, 0.0]
-    bearings = []
-    for b in (b1, b2):
+def noisy_views(points, step, rng, noise_deg):
+    for b in (points, points - step):
         b = b / np.linalg.norm(b, axis=1, keepdims=True)
-        bearings.append(b + np.radians(0.05) * rng.normal(size=b.shape))
-    assert estimate_relative_pose(*bearings).success
+        yield b + np.radians(noise_deg) * rng.normal(size=b.shape)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("noise_deg", [0.1, 0.3])
+def test_a_door_halfway_between_the_cameras_is_no_mirror(noise_deg, seed):
+    """What lies on the plane across the translation is where its mirror puts it, too."""
+    rng = np.random.default_rng(seed)
+    frame = rng.uniform(-1.0, 1.0, (100, 3)) * [0.05, 1.1, 0.5]
+    others = rng.uniform(-1.0, 1.0, (100, 3)) * [6.0, 1.5, 3.0]
+    points = np.concatenate([frame, others]) + [2.0, 0.0, -0.2]
+    assert estimate_relative_pose(*noisy_views(points, [4.0, 0.1, 0.0], rng, noise_deg)).success
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("rise_m", "band_m"), [(0.3, 0.2), (4.0, 0.3)])
+def test_a_step_upwards_among_things_at_one_height_is_no_mirrored_turn(rise_m, band_m, seed):
+    rng = np.random.default_rng(seed)
+    around, away = rng.uniform(0.0, 2.0 * np.pi, 300), rng.uniform(3.0, 30.0, 300)
+    heights = rng.uniform(-band_m, band_m, 300) + rise_m / 2.0
+    points = np.stack([away * np.cos(around), heights, away * np.sin(around)], axis=1)
+    assert estimate_relative_pose(*noisy_views(points, [0.0, rise_m, 0.0], rng, 0.1)).success

@@ -232,8 +232,8 @@ def test_what_is_no_map_and_no_options_is_refused(world, new_image):
         epi360.localize_image(new_image, "map")
     with pytest.raises(TypeError, match="options must be LocalizationOptions, got dict"):
         epi360.localize_image(new_image, world, options={"max_views": 3})
-    with pytest.raises(ValueError, match="without must name images of the map, got 'nope'"):
-        epi360.localize_image(new_image, world, without=["nope"])
+    with pytest.raises(TypeError, match="without must be a sequence of names, got the string"):
+        epi360.localize_image(new_image, world, without="small.png")
 
 
 def test_an_image_without_a_camera_is_refused(world):

@@ -71,7 +71,8 @@ double weight_of_mirrored_turn(const Matches& m, const RelativePose& pose, doubl
     const Eigen::Vector3d turned = pose.R * view1(m, i), b2 = view2(m, i);
     const bool fits = (mirror * turned - b2).squaredNorm() < near;
     const bool has_moved = (turned - b2).squaredNorm() > apart;
-    weight += (fits & has_moved) * m.weight[i];
+    const bool is_behind = pose.t.dot(turned) > 0.0;
+    weight += (fits & has_moved & is_behind) * m.weight[i];
   }
   return weight;
 }

@@ -20,9 +20,10 @@ double mark_inliers(const Matches& m, Residual residual, const RelativePose& cam
                     double gate, bool use_depths, std::vector<unsigned char>& inlier,
                     std::vector<double>& residuals, double* behind = nullptr);
 
-// Weight of the matches with which a camera has only turned, if one of the images is mirrored: with
-// the mirror across the translation of this pose, which then is none. That a match stands still
-// under the rotation, mirrored or not, tells nothing.
+// Weight of the matches behind the cameras with which these have only turned, if one of the images
+// is mirrored: with the mirror across the translation of this pose, which then is none. In front,
+// points on the plane halfway between the cameras are where that mirror puts them, too. That a
+// match stands still under the rotation tells nothing.
 double weight_of_mirrored_turn(const Matches& m, const RelativePose& cam2_from_cam1, double gate);
 
 // In a narrow view with much noise, a turn along the epipolar planes hardly changes the residuals,

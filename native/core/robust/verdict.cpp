@@ -27,9 +27,9 @@ constexpr double kRivalOutnumbered = 2.0;
 // Share of the inliers, and how many at the least, that lie behind a camera if an image is
 // mirrored: there 0.28 to 0.97 do, and of right poses up to 0.18.
 constexpr double kMirroredShare = 0.23, kFewestMirrored = 10.0;
-// The same of matches of a camera that has only turned beside a mirrored image: there 0.35 and
-// more.
-constexpr double kMirroredTurnShare = 0.2;
+// The same of matches behind, of a camera that has only turned beside a mirrored image: there 0.11
+// and more, of right poses hardly one.
+constexpr double kMirroredTurnShare = 0.07;
 // Noise over the limit that the user knows: from so many times it on a pose is not said, and its
 // log-odds fall by so much for each factor of e. Right poses of real pictures have up to 1.1 times.
 constexpr double kMostNoise = 3.0, kLogOddsPerNoise = -8.0;

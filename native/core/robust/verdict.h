@@ -67,8 +67,8 @@ struct Evidence {
   int support = 0;
   double log10_false_alarms = -kInfinity;
   double chance = 0.0;
-  // Matches that fit the epipolar curves, but lie behind a camera, and those with which it has only
-  // turned if an image is mirrored: of a mirrored image there are many.
+  // Matches that fit the epipolar curves, but lie behind a camera, and those of them with which it
+  // has only turned if an image is mirrored: of a mirrored image there are many.
   double behind = 0.0, mirrored_turn = 0.0;
   double parallax = kNaN, scale = kNaN;
 

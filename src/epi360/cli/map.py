@@ -125,8 +125,8 @@ def map_folder(
     cubemap
         Also cut the images into cube faces, for tools that know pinhole cameras only.
     restart
-        Throw away the pairs in the output that were made with other options, and a video's frames;
-        or use the output of other images.
+        Throw away the pairs in the output that were made with other options, and a video's frames.
+        Needed, too, where the output holds the result of other images, which is replaced.
     report
         Write a page that a browser opens offline: the map in 3D, the graph of the pairs, a table
         that sorts and filters, and each pair with its matches; .html.

@@ -26,6 +26,7 @@ from epi360.estimation.absolute_verdict import (
     judge,
     probability_of,
     warnings_of,
+    warnings_of_rows,
 )
 from epi360.estimation.copies import distinct_rows
 from epi360.estimation.options import Threshold, check_threshold, checked_integer, checked_noise
@@ -37,6 +38,7 @@ Indices = NDArray[np.intp]
 
 # A second pose is truly different beyond this, in degrees and in median distances of the points.
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
+_FEWEST_SWAPPED = 20  # rows that tell whether bearings stand in the place of points
 _UNIT = 1e-6  # by how much the length of a direction of single precision may differ from 1
 _LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _WITH_POSE = ("ok", "ambiguous")
@@ -111,7 +113,7 @@ def estimate_absolute_pose(
     """
     b = bearings_array(bearings, "bearings")
     X = _points(points, b.shape)
-    if _are_unit(X) and not _are_unit(bearings):
+    if len(b) >= _FEWEST_SWAPPED and _are_unit(X) and not _are_unit(bearings):
         raise ValueError(
             "points must be places in the world, got directions of length 1, and bearings of other "
             "lengths; the bearings come first"
@@ -134,11 +136,11 @@ def estimate_absolute_pose(
     )
     usable = np.flatnonzero(np.isfinite(b[:, 0]) & np.isfinite(X.sum(axis=1)))
     first, own = distinct_rows(b[usable], X[usable])
-    rows = usable[first]
+    rows = _Rows(len(b), usable, usable[first], own)
     search = PoseSearch(
-        b[rows],
-        X[rows],
-        None if covariances is None else covariances[rows],
+        b[rows.distinct],
+        X[rows.distinct],
+        None if covariances is None else covariances[rows.distinct],
         level,
         threshold,
         min_num_inliers,
@@ -147,18 +149,25 @@ def estimate_absolute_pose(
     )
     found = search.best(guess)
     if found is None:
-        few = len(rows) < max(FEWEST_MATCHES, min_num_inliers)
-        return no_pose(len(b), "too_few_matches" if few else "too_few_inliers")
-    return _judged(search, found, _Rows(len(b), usable, own), max_noise_deg)
+        few = len(rows.distinct) < max(FEWEST_MATCHES, min_num_inliers)
+        nothing = no_pose(len(b), "too_few_matches" if few else "too_few_inliers")
+        return replace(nothing, warnings=rows.warnings)
+    return _judged(search, found, rows, max_noise_deg)
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Which of the given rows are usable, and the match of each of these."""
+    """Which of the given rows are usable, the first of each match, and the match of each."""
 
     given: int
     usable: Indices
+    distinct: Indices
     match: Indices
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        usable = len(self.usable)
+        return warnings_of_rows(self.given, self.given - usable, usable - len(self.distinct))
 
 
 def _judged(
@@ -180,12 +189,11 @@ def _judged(
             alternatives=(found.pose,),
             noise_deg=math.degrees(found.refined.noise_rad),
             inlier_threshold_deg=math.degrees(found.gate),
+            warnings=rows.warnings,
         )
     mask, residuals = np.zeros(rows.given, dtype=bool), np.full(rows.given, np.nan)
     mask[rows.usable] = found.inliers[rows.match]
     residuals[rows.usable] = found.residuals[rows.match]
-    num_missing = rows.given - len(rows.usable)
-    num_copies = len(rows.usable) - evidence.num_usable
     noise_deg = math.degrees(found.refined.noise_rad)
     return AbsolutePoseResult(
         cam_from_world=found.pose,
@@ -198,7 +206,7 @@ def _judged(
         status=status,
         probability=probability_of(evidence),
         alternatives=() if rival is None or status != "ambiguous" else (rival,),
-        warnings=warnings_of(evidence, num_missing, num_copies, noise_deg, limit),
+        warnings=(*rows.warnings, *warnings_of(evidence, noise_deg, limit)),
     )
 
 

@@ -64,22 +64,24 @@ def judge(
     return "ok" if probability_of(evidence) >= _LEAST_PROBABILITY else "too_few_inliers"
 
 
+def warnings_of_rows(num_given: int, num_missing: int, num_copies: int) -> tuple[str, ...]:
+    """Sentences for a person about rows that do not count."""
+    found = []
+    if num_missing:
+        found.append(
+            f"{num_missing} of {num_given} matches are missing (NaN, as of pixels outside the "
+            "image)"
+        )
+    if num_copies:
+        found.append(copies_sentence(num_copies, num_given))
+    return tuple(found)
+
+
 def warnings_of(
-    evidence: Evidence,
-    num_missing: int,
-    num_copies: int,
-    noise_deg: float,
-    max_noise_deg: float | None,
+    evidence: Evidence, noise_deg: float, max_noise_deg: float | None
 ) -> tuple[str, ...]:
     """Sentences for a person about a pose that is used."""
     found = []
-    total = evidence.num_usable + num_missing + num_copies
-    if num_missing:
-        found.append(
-            f"{num_missing} of {total} matches are missing (NaN, as of pixels outside the image)"
-        )
-    if num_copies:
-        found.append(copies_sentence(num_copies, total))
     if evidence.cells < _PARTIAL_COVERAGE * evidence.cells_of_matches:
         found.append(
             f"inliers cover {evidence.cells} of 48 cells of the sphere, all matches "

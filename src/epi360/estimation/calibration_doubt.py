@@ -47,6 +47,8 @@ class _Turn(NamedTuple):
 # Of angles that are wrong by a sixth, and of one of two panoramas whose lowest fifth was cut off.
 # Smaller changes of one alone show no more parallax than many a step, nor do larger ones of both.
 _TURN_OF_BOTH, _TURN_OF_ONE = _Turn(12.0, _LEAST_CHANGE, 0.25), _Turn(25.0, 0.04, LARGEST_CHANGE)
+# By how much more than a cut at one end a change may lower the middle of a panorama.
+_MOST_OF_CUT = 1.3
 # With the right angles a turn leaves the inliers of the step a median residual, over their noise,
 # of 0.4 to 1.2 (of two Gaussian components: 1.18); what was a step of some centimetres in a room
 # leaves 1.6 and more. Where the parallax is so many times the noise, no turn leaves little of a
@@ -66,9 +68,11 @@ def with_calibration_doubt(
     What a change of the cameras' angles would move the pose by is added to its covariance. If with
     such a change a rotation explains as many matches, by ``estimate``, that is the result.
     """
-    if not result.success or result.num_inliers < _FEWEST_INLIERS:
+    if not result.success:
         return result
     distinct, _ = distinct_rows(*bearings)
+    if result.inlier_mask[distinct].sum() < _FEWEST_INLIERS:
+        return result
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
         return turned
@@ -109,10 +113,26 @@ def _turned(
         if changes is None or not limits.least < np.abs(changes).max() < limits.most:
             continue
         angles = PairOfAngles.of(cameras, bearings, is_curved=True, only=only)
+        own = (changes[each] for each in angles.columns)
+        if not all(map(_may_be_of_a_cut, own, cameras)):
+            continue
         answer = estimate(*(view.bearings for view in angles.changed(changes)))
         if answer.status == "pure_rotation" and _is_as_good(answer, result, inliers):
             return _with_turn(answer, angles, changes, cameras)
     return None
+
+
+def _may_be_of_a_cut(changes: Array, camera: Camera) -> bool:
+    """Whether a panorama may have been cut so that its angles change so; lenses may change anyhow.
+
+    What is cut off at one end moves the middle and shrinks the height; a camera that rises moves
+    the middle alone, where all is at about one distance.
+    """
+    if not len(changes) or not isinstance(camera, Equirectangular):
+        return True
+    _, higher, lowered = np.abs(changes)
+    most = _MOST_OF_CUT * higher * np.radians(camera.vertical_fov_deg) / 2.0
+    return bool(lowered <= max(most, _LEAST_MIDDLE_RAD))
 
 
 def _is_as_good(

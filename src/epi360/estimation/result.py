@@ -156,7 +156,7 @@ class RelativePoseResult(ShortRepr):
 
     @property
     def num_inliers(self) -> int:
-        """Number of matches that support the pose."""
+        """Number of rows that support the pose, copies of a match included."""
         return int(np.count_nonzero(self.inlier_mask))
 
     @property

@@ -84,8 +84,8 @@ def _sentence(warning: _core.Warning) -> str:
         )
     if warning.code == "mirrored_turn":
         return (
-            f"beside the {reference:.0f} inliers of a step {value:.0f} matches say that the camera "
-            "has only turned and that one of the images is mirrored"
+            f"besides the {reference:.0f} inliers of a step {value:.0f} matches behind the camera "
+            "say that it has only turned, and that one of the images is mirrored"
         )
     if warning.code == "against_gravity":
         return (

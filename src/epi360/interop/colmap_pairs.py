@@ -43,7 +43,7 @@ class ColmapPairs(ColmapTables):
         return self.cameras[self.images[name]]
 
     def guessed_panorama(self) -> str | None:
-        """Name of an image of 2:1 whose camera is no panorama's and has a focal length by default.
+        """Name of an image of 2:1, in a pair, whose perspective camera has a guessed focal length.
 
         None if there is none. pycolmap makes such cameras where nobody tells it of another one.
         """
@@ -51,8 +51,8 @@ class ColmapPairs(ColmapTables):
             return None
         query = "SELECT camera_id FROM cameras WHERE prior_focal_length = 0"
         without_focal = {str(camera_id) for (camera_id,) in self.rows(query)}
-        for name, key in self.images.items():
-            camera = self.cameras[key]
+        for name in dict.fromkeys(name for pair in self.names for name in pair):
+            camera, key = self.camera(name), self.images[name]
             is_whole = camera.width == 2 * camera.height
             if is_whole and key in without_focal and not isinstance(camera, Equirectangular):
                 return name

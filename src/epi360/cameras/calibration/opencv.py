@@ -4,6 +4,7 @@
 Both have one camera with a matrix and coefficients, whose order is that of OpenCV's functions.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,15 +32,16 @@ def recognizes(document: Any) -> bool:
 
 def read(document: Mapping[str, Any]) -> dict[str, Camera]:
     """Return the camera by its ``camera_name``, or as "camera"."""
-    name = document.get("camera_name") or "camera"
-    return fields.each({name: document}, _camera)
+    name = document.get("camera_name")
+    return fields.each({name if name and isinstance(name, str) else "camera": document}, _camera)
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
     fields.check_has(entry, SIZE)
     width, height = (fields.number(entry[key]) for key in SIZE)
-    fx, skew, cx, *rest = _entries(entry[MATRIX], MATRIX)
-    if len(rest) != 6 or skew != 0 or [rest[0], *rest[3:]] != [0.0, 0.0, 0.0, 1.0]:
+    values = _entries(entry[MATRIX], MATRIX)
+    fx, cx, fy, cy = (values[k] if len(values) == 9 else math.nan for k in (0, 2, 4, 5))
+    if values != [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]:
         raise ValueError(f"{MATRIX} must be fx 0 cx, 0 fy cy, 0 0 1")
     coefficients = _entries(entry[COEFFICIENTS], COEFFICIENTS) if COEFFICIENTS in entry else []
     name = _distortion_model(entry, coefficients)
@@ -49,8 +51,8 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
             f"{name} with coefficients after the first {count} is not supported, got "
             f"{fields.shortened(coefficients)}"
         )
-    center = [value + fields.OPENCV_TO_CONTINUOUS for value in (cx, rest[2])]
-    return model(width, height, fx, rest[1], *center, *left_out, *coefficients[:count])
+    center = [value + fields.OPENCV_TO_CONTINUOUS for value in (cx, cy)]
+    return model(width, height, fx, fy, *center, *left_out, *coefficients[:count])
 
 
 def _distortion_model(entry: Mapping[str, Any], coefficients: list[float]) -> str:
@@ -81,6 +83,6 @@ def _entries(matrix: Any, name: str) -> list[float]:
         raise ValueError(f"{name} must have rows, cols and data, got {fields.shortened(matrix)}")
     fields.check_has(matrix, ["rows", "cols", "data"])
     rows, cols = (fields.real_number(matrix[key], f"{key} of {name}") for key in ("rows", "cols"))
-    if not (0 <= rows <= 14 and 0 <= cols <= 14):
+    if not all(size in range(15) for size in (rows, cols)):
         raise ValueError(f"{name} must be a small matrix, got {rows:g} rows and {cols:g} columns")
     return fields.real_numbers(matrix["data"], int(rows * cols), f"data of {name}")

@@ -44,7 +44,8 @@ def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
             raise database.error(
                 f"{guessed} has the shape of a panorama, {camera.width}x{camera.height}, and a "
                 "perspective camera with a focal length that nobody knows, as pycolmap makes one "
-                "up; give the true camera by --camera FILE"
+                "up; give the true camera by --camera FILE, or set it in the database (or its "
+                "prior_focal_length to 1)"
             )
 
         def view(image: str) -> tuple[Array, Camera]:

@@ -58,10 +58,10 @@ def run_batch(
     check_engine(engine)
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
-    if database is not None and job.source.camera is not None:
+    if database is not None and job.source.kind == "colmap" and job.source.camera is not None:
         raise ValueError(
-            f"{database}: a copy would have the cameras of {job.source.path}, and the poses be "
-            "those of another one; set the cameras in the database, and give none"
+            f"{database}: the copy would keep the cameras of {job.source.path}, but the poses be "
+            "estimated with those of --camera; set the cameras in the database instead"
         )
     # Nobody can lock a URL. Files appear whole there too: two runs at once cannot mix poses.
     remote = storage.is_remote(job.output)

@@ -66,12 +66,12 @@ def localize_image(
     Raises
     ------
     ValueError
-        If image, camera and mask do not fit together, the image is no panorama and no camera is
-        known, or ``without`` names an image that the map has not.
+        If image, camera and mask do not fit together, or the image is no panorama and no camera is
+        known.
     FileNotFoundError
         If a file is not there.
     TypeError
-        If the map or the options are something else.
+        If the map, the names in ``without`` or the options are something else.
 
     Notes
     -----
@@ -99,9 +99,8 @@ def _check(world: LocalizationMap, without: Sequence[str], options: Localization
         raise TypeError(f"world must be what load_map returns, got {type(world).__name__}")
     if not isinstance(options, LocalizationOptions):
         raise TypeError(f"options must be LocalizationOptions, got {type(options).__name__}")
-    unknown = set(without).difference(image.name for image in world.model.images)
-    if unknown:
-        raise ValueError(f"without must name images of the map, got {min(unknown)!r}")
+    if isinstance(without, str):
+        raise TypeError(f"without must be a sequence of names, got the string {without!r}")
 
 
 def _camera_of(

@@ -91,7 +91,7 @@ def names_in_index(folder: AnyPath) -> set[str]:
     """Names of the images of a complete run; none where there is none, or a damaged one."""
     try:
         index = read_record(folder / IMAGES, remedy="")
-        return {image["name"] for image in index["images"]} if index else set()
+        return {str(image["name"]) for image in index["images"]} if index else set()
     except (KeyError, TypeError, ValueError):
         return set()
 
