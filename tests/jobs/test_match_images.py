@@ -315,8 +315,8 @@ def test_the_result_of_other_images_is_not_replaced_until_asked(views, tmp_path)
 
 def test_a_damaged_list_of_images_is_written_again(views, tmp_path):
     images = image_set(views, NAMES[:2])
-    for text in ("{", "{}", "[]", '{"images": [3]}'):
-        match_images(images, tmp_path / "out")
+    match_images(images, tmp_path / "out")
+    for text in ("{", '{"images": [3]}'):
         (tmp_path / "out" / "images.json").write_text(text)
         assert match_images(images, tmp_path / "out").num_found == 1
         assert set(load_matches(tmp_path / "out").images) == set(NAMES[:2])
