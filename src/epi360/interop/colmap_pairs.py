@@ -50,13 +50,16 @@ class ColmapPairs(ColmapTables):
         if not self.has_columns("cameras", "prior_focal_length"):
             return None
         query = "SELECT camera_id FROM cameras WHERE prior_focal_length = 0"
-        without_focal = {str(camera_id) for (camera_id,) in self.rows(query)}
-        for name in dict.fromkeys(name for pair in self.names for name in pair):
-            camera, key = self.camera(name), self.images[name]
-            is_whole = camera.width == 2 * camera.height
-            if is_whole and key in without_focal and not isinstance(camera, Equirectangular):
-                return name
-        return None
+        cameras = {str(key): self.cameras[str(key)] for (key,) in self.rows(query)}
+        guessed = {
+            key
+            for key, camera in cameras.items()
+            if camera.width == 2 * camera.height and not isinstance(camera, Equirectangular)
+        }
+        if not guessed:
+            return None
+        names = (name for pair in self.names for name in pair)
+        return next((name for name in names if self.images[name] in guessed), None)
 
     def _read_keypoints(self, name: str) -> NDArray[np.float64]:
         query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"

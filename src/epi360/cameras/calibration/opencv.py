@@ -15,14 +15,14 @@ from epi360.cameras.unified import UnifiedCamera
 
 MATRIX, COEFFICIENTS = "camera_matrix", "distortion_coefficients"
 SIZE = ("image_width", "image_height")
-# By distortion_model of ROS: our model, its parameters that are left out, and how many coefficients
-# it has. Others in the file must be zero.
-MODELS: dict[str, tuple[fields.Model, tuple[float, ...], int]] = {
-    "plumb_bob": (UnifiedCamera, (0.0,), 4),
-    "rational_polynomial": (UnifiedCamera, (0.0,), 4),
-    "equidistant": (KannalaBrandt, (), 4),
-    "fisheye": (KannalaBrandt, (), 4),
+# By distortion_model of ROS: our model, and its parameters that are left out.
+MODELS: dict[str, tuple[fields.Model, tuple[float, ...]]] = {
+    "plumb_bob": (UnifiedCamera, (0.0,)),
+    "rational_polynomial": (UnifiedCamera, (0.0,)),
+    "equidistant": (KannalaBrandt, ()),
+    "fisheye": (KannalaBrandt, ()),
 }
+NUM_COEFFICIENTS = 4  # of each model; others in the file must be zero
 
 
 def recognizes(document: Any) -> bool:
@@ -45,14 +45,14 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
         raise ValueError(f"{MATRIX} must be fx 0 cx, 0 fy cy, 0 0 1")
     coefficients = _entries(entry[COEFFICIENTS], COEFFICIENTS) if COEFFICIENTS in entry else []
     name = _distortion_model(entry, coefficients)
-    model, left_out, count = MODELS[name]
-    if any(coefficients[count:]):
+    if any(coefficients[NUM_COEFFICIENTS:]):
         raise ValueError(
-            f"{name} with coefficients after the first {count} is not supported, got "
+            f"{name} with coefficients after the first {NUM_COEFFICIENTS} is not supported, got "
             f"{fields.shortened(coefficients)}"
         )
+    model, left_out = MODELS[name]
     center = [value + fields.OPENCV_TO_CONTINUOUS for value in (cx, cy)]
-    return model(width, height, fx, fy, *center, *left_out, *coefficients[:count])
+    return model(width, height, fx, fy, *center, *left_out, *coefficients[:NUM_COEFFICIENTS])
 
 
 def _distortion_model(entry: Mapping[str, Any], coefficients: list[float]) -> str:
@@ -64,12 +64,9 @@ def _distortion_model(entry: Mapping[str, Any], coefficients: list[float]) -> st
             raise fields.unsupported(wanted, ", ".join(MODELS))
         return name
     if "fisheye_model" in entry:
-        return (
-            "fisheye"
-            if fields.real_number(entry["fisheye_model"], "fisheye_model")
-            else "plumb_bob"
-        )
-    if len(coefficients) == 4 and any(coefficients):
+        is_fisheye = fields.real_number(entry["fisheye_model"], "fisheye_model")
+        return "fisheye" if is_fisheye else "plumb_bob"
+    if len(coefficients) == NUM_COEFFICIENTS and any(coefficients):
         raise ValueError(
             f"four {COEFFICIENTS} are those of a fisheye or of a perspective lens; add "
             "'distortion_model: equidistant' or 'distortion_model: plumb_bob'"
