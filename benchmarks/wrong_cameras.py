@@ -51,7 +51,8 @@ def main() -> int:
     options = parser.parse_args()
     print(
         f"{'kind':27} {'moved: ok':>9} {'doubted':>8} {'rotation':>9} {'R, t error':>12} "
-        f"{'over sigma':>12} {'with doubt':>12} {'turned: ok':>11} {'doubted':>8} {'rotation':>9}"
+        f"{'over sigma':>12} {'with doubt':>12} {'other pose':>12} {'turned: ok':>11} "
+        f"{'doubted':>8} {'rotation':>9}"
     )
     for name, kind in KINDS.items():
         print(_row(name, kind, options.trials, options.seed), flush=True)
@@ -60,7 +61,7 @@ def main() -> int:
 
 def _row(name: str, kind: Kind, trials: int, seed: int) -> str:
     counts = {"moved": [0, 0, 0], "turned": [0, 0, 0]}  # accepted, doubted, only turned
-    errors, stated, told = [], [], []
+    errors, stated, told, others = [], [], [], []
     for index in range(trials):
         rng = np.random.Generator(np.random.PCG64([seed, zlib.crc32(name.encode()), index]))
         for how, count in counts.items():
@@ -79,22 +80,29 @@ def _row(name: str, kind: Kind, trials: int, seed: int) -> str:
             count[1] += later.success and later.warnings != result.warnings
             count[2] += later.status == "pure_rotation"
             if how == "moved":
-                errors.append(_errors(result, pose))
+                errors.append(_errors(result.cam2_from_cam1, pose))
                 stated.append(errors[-1] / pose_sigmas_deg(result))
-                told.append(errors[-1] / pose_sigmas_deg(later))
-    error, before, after = (
+                told.append(_errors(later.cam2_from_cam1, pose) / pose_sigmas_deg(later))
+                if later.warnings != result.warnings:
+                    others.append(_errors(_other_pose(result, later), pose))
+    error, before, after, other = (
         ", ".join(f"{value:.2f}" for value in np.median(each, axis=0)) if each else "-"
-        for each in (errors, stated, told)
+        for each in (errors, stated, told, others)
     )
     moved, turned = counts["moved"], counts["turned"]
     return (
         f"{name:27} {moved[0]:9} {moved[1]:8} {moved[2]:9} {error:>12} {before:>12} {after:>12} "
-        f"{turned[0]:11} {turned[1]:8} {turned[2]:9}"
+        f"{other:>12} {turned[0]:11} {turned[1]:8} {turned[2]:9}"
     )
 
 
-def _errors(result: RelativePoseResult, pose: Pose) -> Array:
-    found = result.cam2_from_cam1
+def _other_pose(given: RelativePoseResult, later: RelativePoseResult) -> Pose:
+    """The pose with other angles, an alternative or the result itself."""
+    new = later.alternatives[len(given.alternatives) :]
+    return new[-1] if new else later.cam2_from_cam1
+
+
+def _errors(found: Pose, pose: Pose) -> Array:
     return np.array([rotation_error_deg(found, pose), translation_error_deg(found, pose)])
 
 

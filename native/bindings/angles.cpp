@@ -37,6 +37,14 @@ PairAngles to_angles(const Bearings& b1, const Bearings& b2, const Model& model1
           is_one_camera};
 }
 
+Changes to_changes(const Weights& changes, const PairAngles& angles) {
+  const int count = angles.num_changes();
+  if (changes.shape(0) != static_cast<std::size_t>(count)) {
+    throw nb::value_error("there must be as many changes as these cameras have");
+  }
+  return Eigen::Map<const Eigen::VectorXd>(changes.data(), count);
+}
+
 nb::object rows_of(const std::vector<double>& values, std::size_t rows) {
   return copied(values.data(), rows, values.size() / rows);
 }
@@ -47,10 +55,13 @@ void bind_angles(nb::module_& m) {
   m.def(
       "fit_angle_changes",
       [](const Bearings& b1, const Bearings& b2, const Model& model1, const Model& model2,
-         bool is_one_camera, const Matrix3& rotation, const Vector3& translation, double noise) {
+         bool is_one_camera, const Matrix3& rotation, const Vector3& translation,
+         const Weights& changes, double noise) {
         const PairAngles angles = to_angles(b1, b2, model1, model2, is_one_camera);
         const RelativePose start = to_pose(rotation, translation);
-        const AngleFit fit = unlocked([&] { return fit_angle_changes(angles, start, noise); });
+        const Changes start_changes = to_changes(changes, angles);
+        const AngleFit fit =
+            unlocked([&] { return fit_angle_changes(angles, start, start_changes, noise); });
         const std::size_t count = fit.residuals.size();
         return nb::make_tuple(
             matrix(fit.cam2_from_cam1.R), vector(fit.cam2_from_cam1.t),
@@ -60,7 +71,7 @@ void bind_angles(nb::module_& m) {
             nb::make_tuple(rows_of(fit.bearings1, count), rows_of(fit.bearings2, count)));
       },
       "bearings1"_a, "bearings2"_a, "model1"_a, "model2"_a, "is_one_camera"_a, "rotation"_a,
-      "translation"_a, "noise"_a);
+      "translation"_a, "changes"_a, "noise"_a);
   m.def(
       "changed_by_a_turn",
       [](const Bearings& b1, const Bearings& b2, const Model& model1, const Model& model2,

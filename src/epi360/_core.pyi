@@ -47,6 +47,7 @@ def fit_angle_changes(
     is_one_camera: bool,
     rotation: _Array,
     translation: _Array,
+    changes: _Array,
     noise: float,
 ) -> tuple[
     _Array, _Array, _Array, float, _Array, _Array, tuple[_Array, _Array], tuple[_Array, _Array]

@@ -68,8 +68,8 @@ struct Linearised {
 
 class PoseFit {
  public:
-  PoseFit(const PairAngles& angles, const RelativePose& start)
-      : angles_(angles), pose_(start), changes_(Changes::Zero(angles.num_changes())) {}
+  PoseFit(const PairAngles& angles, const RelativePose& start, const Changes& start_changes)
+      : angles_(angles), pose_(start), changes_(start_changes) {}
 
   const RelativePose& pose() const { return pose_; }
   const Changes& changes() const { return changes_; }
@@ -148,8 +148,9 @@ double median_of(std::vector<double> values) {
 
 }  // namespace
 
-AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start, double noise) {
-  PoseFit fit(angles, start);
+AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start,
+                           const Changes& start_changes, double noise) {
+  PoseFit fit(angles, start, start_changes);
   std::vector<double> before;
   fit.linearise([&](const Linearised& at) { before.push_back(at.residual); });
   for (int step = 0; step < kOfPose.num_steps; ++step) {

@@ -30,16 +30,17 @@ using Changes = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 2 * kMostChanges, 1>
 struct AngleFit {
   RelativePose cam2_from_cam1;
   Changes changes;
-  // Of the robust log-likelihood of the matches that agreed with the pose and the angles as they
-  // were given: among wrong matches, other angles always find some that agree.
+  // Of the robust log-likelihood of the matches that agreed with the pose and the changes at the
+  // start: among wrong matches, other angles always find some that agree.
   double gain;
   std::vector<double> residuals, jacobian;  // (N), (N, K): by the pose and by the changes
   std::vector<double> gradients1, gradients2, bearings1, bearings2;  // (N, 3) each
 };
 
-// Refines a pose, whose translation has length 1, together with the changes. `noise` is the
-// standard deviation of the residuals of the inliers, in radians.
-AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start, double noise);
+// Refines a pose, whose translation has length 1, together with the changes, from those of its
+// start. `noise` is the standard deviation of the residuals of the inliers, in radians.
+AngleFit fit_angle_changes(const PairAngles& angles, const RelativePose& start,
+                           const Changes& start_changes, double noise);
 
 // The changes with which a rotation near `rotation` explains most matches; none if no rotation
 // does, or only with one of the largest changes.

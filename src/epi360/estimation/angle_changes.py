@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.cameras.changed_angles import changes_of, models_of
+from epi360.epipolar.residuals import tangent_basis
 from epi360.estimation.covariance import shared_error_covariance
 from epi360.poses import Pose
 
@@ -37,9 +38,10 @@ _SINGULAR = 1e12  # condition of normal equations that determine no change
 class AngleChange(NamedTuple):
     """What would have to be multiplied by 1 + ``change``, with its standard deviation.
 
-    ``direction`` is "radial", the angle from the optical axis, or "horizontal" or "vertical",
-    longitude and latitude of a panorama, or "middle", whose latitude is lower by ``change``
-    radians; ``view`` is 1 or 2, or 0 for one camera in both views.
+    ``direction`` is "radial", the angle from the optical axis, or "curve", by which times its
+    square in radians that angle is larger; or "horizontal" or "vertical", longitude and latitude of
+    a panorama, or "middle", whose latitude is lower by ``change`` radians. ``view`` is 1 or 2, or 0
+    for one camera in both views.
     """
 
     view: int
@@ -53,7 +55,7 @@ class ChangedAngles:
     """The changes with which the matches agree best, the pose with these, and what both gain.
 
     ``gain`` is that of the robust log-likelihood of the matches that agreed with the pose and the
-    angles as they were given: among wrong matches, other angles always find some that agree.
+    changes at the start: among wrong matches, other angles always find some that agree.
     """
 
     names: tuple[tuple[int, str], ...]
@@ -62,12 +64,25 @@ class ChangedAngles:
     gain: float
     _fitted: FittedMatches
 
+    @property
+    def residuals(self) -> Array:
+        """Residuals (N,) of the matches that were fitted, in radians."""
+        return self._fitted.residuals
+
     @cached_property
     def changes(self) -> tuple[AngleChange, ...]:
         """The changes with their standard deviations, NaN where the matches determine none."""
         sigmas = self._fitted.sigmas_of_changes()
         found = zip(self.names, self.sizes.tolist(), sigmas.tolist(), strict=True)
         return tuple(AngleChange(*name, *numbers) for name, *numbers in found)
+
+    def pose_covariance(self, translation_basis: Array) -> Array:
+        """Covariance (5, 5) of the pose because the changes are uncertain, in such a basis."""
+        covariance = self._fitted.pose_covariance_of_changes()
+        other_basis = tangent_basis(self.cam2_from_cam1.translation)
+        to_basis = np.eye(5)
+        to_basis[3:, 3:] = translation_basis.T @ other_basis
+        return np.asarray(to_basis @ covariance @ to_basis.T)
 
 
 class FittedMatches(NamedTuple):
@@ -85,16 +100,31 @@ class FittedMatches(NamedTuple):
 
     def sigmas_of_changes(self) -> Array:
         """Standard deviations (k,): those of an M-estimator, and what neighbours share."""
-        num_changes = self.J.shape[1] - 5
-        weights = 1.0 / (1.0 + (self.residuals / (REACH * self.noise)) ** 2) ** 2
-        information = (self.J.T * weights) @ self.J
-        if not np.linalg.cond(information) < _SINGULAR:
-            return np.full(num_changes, np.nan)
-        inverse = np.linalg.pinv(information, hermitian=True)
-        pulls = self.J.T * (weights * self.residuals)
-        alone = inverse @ (pulls @ pulls.T) @ inverse
-        variances = np.diag(alone + self._shared_error())[5:]
+        variances = np.diag(self._covariance_of_changes())
         return np.sqrt(np.where(variances > 0.0, variances, np.nan))
+
+    def pose_covariance_of_changes(self) -> Array:
+        """Covariance (5, 5) of the pose because the changes are uncertain."""
+        information = self._information()
+        moved = np.linalg.pinv(information[:5, :5], hermitian=True) @ information[:5, 5:]
+        return np.asarray(moved @ self._covariance_of_changes() @ moved.T)
+
+    def _weights(self) -> Array:
+        return 1.0 / (1.0 + (self.residuals / (REACH * self.noise)) ** 2) ** 2
+
+    def _information(self) -> Array:
+        return np.asarray((self.J.T * self._weights()) @ self.J)
+
+    def _covariance_of_changes(self) -> Array:
+        """Covariance (k, k), NaN where the matches determine no change."""
+        num_changes = self.J.shape[1] - 5
+        information = self._information()
+        if not np.linalg.cond(information) < _SINGULAR:
+            return np.full((num_changes, num_changes), np.nan)
+        inverse = np.linalg.pinv(information, hermitian=True)
+        pulls = self.J.T * (self._weights() * self.residuals)
+        alone = inverse @ (pulls @ pulls.T) @ inverse
+        return np.asarray((alone + self._shared_error())[5:, 5:])
 
     def _shared_error(self) -> Array:
         """Covariance of what neighbouring inliers are wrong by together."""
@@ -111,6 +141,12 @@ class FittedMatches(NamedTuple):
         )
 
 
+def robust_loss(residuals: Array, noise: float) -> Array:
+    """Geman-McClure loss of residuals (N,), whose scale is 3 noises; both in radians."""
+    squares = (residuals / (REACH * noise)) ** 2
+    return np.asarray(0.5 * REACH**2 * squares / (1.0 + squares))
+
+
 def fit_angle_changes(
     cam2_from_cam1: Pose,
     bearings: tuple[Array, Array],
@@ -118,6 +154,8 @@ def fit_angle_changes(
     noise_deg: float,
     *,
     only: int = 0,
+    is_curved: bool = False,
+    start: Array | None = None,
 ) -> ChangedAngles:
     """Refine a pose together with what the cameras' angles are multiplied by.
 
@@ -131,6 +169,10 @@ def fit_angle_changes(
         Standard deviation of the Sampson residuals of the inliers.
     only : int
         1 or 2 if nothing changes in the other view.
+    is_curved : bool
+        Whether the curves of lenses change too.
+    start : ndarray, shape (k,), optional
+        Changes that the pose was estimated with; default: none.
 
     Notes
     -----
@@ -144,20 +186,21 @@ def fit_angle_changes(
     known = np.isfinite(bearings[0]).all(axis=1) & np.isfinite(bearings[1]).all(axis=1)
     some = np.flatnonzero(known)
     some = some[:: 1 + len(some) // _MOST_MATCHES]
-    models, is_one = models_of(cameras, only=only)
+    models, is_one = models_of(cameras, is_curved=is_curved, only=only)
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
-    start = cam2_from_cam1
+    names, _ = changes_of(models, is_one)
+    pose = cam2_from_cam1
     R, t, sizes, gain, residuals, J, gradients, changed = _core.fit_angle_changes(
         bearings[0][some],
         bearings[1][some],
         *models,
         is_one,
-        start.rotation,
-        start.translation / np.linalg.norm(start.translation),
+        pose.rotation,
+        pose.translation / np.linalg.norm(pose.translation),
+        np.zeros(len(names)) if start is None else start,
         noise,
     )
     fitted = FittedMatches(residuals, J, gradients, changed, noise)
-    names, _ = changes_of(models, is_one)
     return ChangedAngles(names, sizes, Pose(R, t), gain, fitted)
 
 
@@ -168,13 +211,14 @@ def changed_by_a_turn(
     noise_deg: float,
     *,
     only: int = 0,
+    is_curved: bool = True,
 ) -> Array | None:
     """Return the changes of the angles with which the camera has only turned.
 
     ``rotation`` is near the true one, and ``bearings``, (N, 3) each, are the inliers of a pose with
     residuals of ``noise_deg``. The changes are those of `PairOfAngles`, the curves of lenses
-    included, or of one view ``only``; None if no rotation fits, or only with a change of
-    ``LARGEST_CHANGE``.
+    included unless ``is_curved`` is false, or of one view ``only``; None if no rotation fits, or
+    only with a change of ``LARGEST_CHANGE``.
 
     Notes
     -----
@@ -182,7 +226,7 @@ def changed_by_a_turn(
     noises.
     """
     some = slice(None, None, 1 + len(bearings[0]) // MOST_OF_TURN)
-    models, is_one = models_of(cameras, is_curved=True, only=only)
+    models, is_one = models_of(cameras, is_curved=is_curved, only=only)
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
     return _core.changed_by_a_turn(
         np.ascontiguousarray(bearings[0][some]),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras.changed_angles import PairOfAngles
 from epi360.epipolar.essential import essential_from_pose, skew
 from epi360.epipolar.residuals import tangent_basis
-from epi360.estimation.angle_changes import LARGEST_CHANGE, REACH, FittedMatches
+from epi360.estimation.angle_changes import LARGEST_CHANGE, REACH, FittedMatches, robust_loss
 from epi360.poses import Pose, rotation_from_vector
 
 Array = NDArray[np.float64]
@@ -40,13 +40,9 @@ class AngleFit:
             information = (at.J.T * weights) @ at.J
             pull = (at.J.T * weights) @ at.residuals
             self.move(-np.linalg.pinv(information, hermitian=True) @ pull)
-        gained = self._losses(before) - self._losses(self.linearised().residuals)
+        after = self.linearised().residuals
+        gained = robust_loss(before, self._noise) - robust_loss(after, self._noise)
         return float(np.sum(gained[np.abs(before) < REACH * self._noise]))
-
-    def _losses(self, residuals: Array) -> Array:
-        """Geman-McClure loss of residuals (N,) in units of the noise."""
-        squares = (residuals / (REACH * self._noise)) ** 2
-        return 0.5 * REACH**2 * squares / (1.0 + squares)
 
     def linearised(self) -> FittedMatches:
         """Residuals and derivatives at the pose and the changes as they are."""

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a pose says if its matches would agree better with other angles of the cameras."""
+"""What a pose says if its matches agree better with other angles of the cameras."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,26 +11,33 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_angles import PairOfAngles
-from epi360.estimation.angle_changes import (
-    LARGEST_CHANGE,
-    AngleChange,
-    ChangedAngles,
-    changed_by_a_turn,
-    fit_angle_changes,
+from epi360.estimation.angle_changes import LARGEST_CHANGE, AngleChange, changed_by_a_turn
+from epi360.estimation.angle_search import (
+    LEAST_CHANGE,
+    LEAST_MIDDLE_RAD,
+    Bearings,
+    Estimate,
+    OtherAngles,
+    find_other_angles,
+    views_that_may_change,
 )
 from epi360.estimation.copies import Indices, distinct_rows
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
-from epi360.poses import rotation_error_deg, translation_error_deg, vector_from_rotation
+from epi360.poses import (
+    Pose,
+    rotation_error_deg,
+    translation_error_deg,
+    vector_from_rotation,
+)
 
 Array = NDArray[np.float64]
 
 # What the warning asks, by which it is known.
 CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
-# A change that is worth a word: so large, so many of its standard deviations, so much likelier,
-# and it moves the pose by so many of those that the pose states. Of 98 real pairs with good cameras
-# none is so.
-_LEAST_CHANGE, _LEAST_DEVIATIONS, _LEAST_GAIN, _LEAST_MOVE = 0.01, 3.0, 8.0, 1.0
-_LEAST_MIDDLE_RAD = 0.02  # of the latitude of the middle row
+# The pose must move by so many of the standard deviations that it states; if it moves by more than
+# a pose whose direction, or rotation, is known at all, it is the result.
+_LEAST_MOVE = 1.0
+_MOST_TURNED_DEG, _MOST_MOVED_DEG = 10.0, 10.0
 _FEWEST_INLIERS = 20
 _IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
 
@@ -46,7 +52,7 @@ class _Turn(NamedTuple):
 
 # Of angles that are wrong by a sixth, and of one of two panoramas whose lowest fifth was cut off.
 # Smaller changes of one alone show no more parallax than many a step, nor do larger ones of both.
-_TURN_OF_BOTH, _TURN_OF_ONE = _Turn(12.0, _LEAST_CHANGE, 0.25), _Turn(25.0, 0.04, LARGEST_CHANGE)
+_TURN_OF_BOTH, _TURN_OF_ONE = _Turn(12.0, LEAST_CHANGE, 0.25), _Turn(25.0, 0.04, LARGEST_CHANGE)
 # By how much more than a cut at one end a change may lower the middle of a panorama.
 _MOST_OF_CUT = 1.3
 # With the right angles a turn leaves the inliers of the step a median residual, over their noise,
@@ -58,15 +64,17 @@ _MOST_LEFT, _MUCH_PARALLAX, _MOST_LEFT_OF_MUCH = 1.35, 50.0, 3.0
 
 def with_calibration_doubt(
     result: RelativePoseResult,
-    bearings: tuple[Array, Array],
+    bearings: Bearings,
     cameras: tuple[Camera, Camera],
-    estimate: Callable[[Array, Array], RelativePoseResult],
+    estimate: Estimate,
 ) -> RelativePoseResult:
-    """Return the result with a warning, and a larger covariance, if the cameras may be wrong.
+    """Return the result, or another one with a warning, if the cameras' angles seem to be wrong.
 
     ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
-    What a change of the cameras' angles would move the pose by is added to its covariance. If with
-    such a change a rotation explains as many matches, by ``estimate``, that is the result.
+    If with other angles a rotation explains as many matches, by ``estimate``, that is the result.
+    Or else, if they agree clearly better with a pose and other angles, that pose is an alternative,
+    and what it differs by is added to the covariance, for the result belongs to the cameras that
+    were given. Where it would say nothing of the pose then, the other pose is the result.
     """
     if not result.success:
         return result
@@ -76,36 +84,22 @@ def with_calibration_doubt(
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
         return turned
-    found = _best_changes(result, (bearings[0][distinct], bearings[1][distinct]), cameras)
-    if found.gain < _LEAST_GAIN or not _moves(result, found):
-        return result
-    doubts = [each for each in found.changes if _is_clear(each)]
-    if not doubts:
-        return result
-    sentences = tuple(
-        f"the matches agree better if {_in_words(each, cameras[max(each.view, 1) - 1])}: "
-        f"{CALIBRATION_QUESTION}"
-        for each in doubts
-    )
-    return replace(
-        result,
-        warnings=(*result.warnings, *sentences),
-        covariance=result.covariance + _second_moment(result, found),
-    )
+    other = find_other_angles(result, bearings, distinct, cameras, estimate)
+    return result if other is None else _with_other_angles(result, other, cameras)
 
 
 def _turned(
     result: RelativePoseResult,
-    bearings: tuple[Array, Array],
+    bearings: Bearings,
     distinct: Indices,
     cameras: tuple[Camera, Camera],
-    estimate: Callable[[Array, Array], RelativePoseResult],
+    estimate: Estimate,
 ) -> RelativePoseResult | None:
     """The answer with other angles, if these show that the camera has only turned."""
     inliers = distinct[result.inlier_mask[distinct]]
     agreeing = bearings[0][inliers], bearings[1][inliers]
     rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
-    for only in _views_that_may_change(cameras):
+    for only in views_that_may_change(cameras):
         limits = _TURN_OF_ONE if only else _TURN_OF_BOTH
         if result.parallax_deg > limits.parallax_deg:
             continue
@@ -132,7 +126,7 @@ def _may_be_of_a_cut(changes: Array, camera: Camera) -> bool:
         return True
     _, higher, lowered = np.abs(changes)
     most = _MOST_OF_CUT * higher * np.radians(camera.vertical_fov_deg) / 2.0
-    return bool(lowered <= max(most, _LEAST_MIDDLE_RAD))
+    return bool(lowered <= max(most, LEAST_MIDDLE_RAD))
 
 
 def _is_as_good(
@@ -160,55 +154,53 @@ def _with_turn(
     return replace(answer, warnings=(*answer.warnings, sentence))
 
 
-def _views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
-    """Both (0), and of panoramas, either of which may be cut or stretched, one alone."""
-    are_panoramas = all(isinstance(camera, Equirectangular) for camera in cameras)
-    return (0, 2, 1) if are_panoramas else (0,)
-
-
-def _best_changes(
-    result: RelativePoseResult, bearings: tuple[Array, Array], cameras: tuple[Camera, Camera]
-) -> ChangedAngles:
-    """The changes that gain most; those of one view must gain clearly more than those of both."""
-    pose, noise_deg = result.cam2_from_cam1, result.noise_deg
-    both, *alone = (
-        fit_angle_changes(pose, bearings, cameras, noise_deg, only=only)
-        for only in _views_that_may_change(cameras)
+def _with_other_angles(
+    given: RelativePoseResult, other: OtherAngles, cameras: tuple[Camera, Camera]
+) -> RelativePoseResult:
+    answer, doubts = other.answer, other.clear_changes()
+    poses = given.cam2_from_cam1, answer.cam2_from_cam1
+    turned, moved = rotation_error_deg(*poses), translation_error_deg(*poses)
+    turn_sigma, direction_sigma = pose_sigmas_deg(given)
+    if turned < _LEAST_MOVE * turn_sigma and moved < _LEAST_MOVE * direction_sigma:
+        return given
+    changes = " and ".join(dict.fromkeys(_in_words(each, other, cameras) for each in doubts))
+    distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
+    if turned > _MOST_TURNED_DEG or moved > _MOST_MOVED_DEG:
+        sentence = (
+            f"the matches agree better if {changes}, and this is the pose that they say then; with "
+            f"the angles as they were given it would be {distance}: {CALIBRATION_QUESTION}"
+        )
+        uncertain = other.found.pose_covariance(answer.translation_basis)
+        return replace(
+            answer,
+            warnings=(*answer.warnings, sentence),
+            covariance=answer.covariance + uncertain,
+        )
+    sentence = (
+        f"the matches agree better if {changes}, with a pose that is {distance}: "
+        f"{CALIBRATION_QUESTION}"
     )
-    best = max(alone, key=lambda each: each.gain, default=both)
-    return best if best.gain > max(both.gain, 0.0) + _LEAST_GAIN else both
-
-
-def _is_clear(each: AngleChange) -> bool:
-    size = abs(each.change)
-    return _least_change(each) < size < LARGEST_CHANGE and size > _LEAST_DEVIATIONS * each.sigma
-
-
-def _least_change(each: AngleChange) -> float:
-    return _LEAST_MIDDLE_RAD if each.direction == "middle" else _LEAST_CHANGE
-
-
-def _moves(result: RelativePoseResult, found: ChangedAngles) -> bool:
-    """Whether the pose with other angles is another one."""
-    rotation_deg, direction_deg = pose_sigmas_deg(result)
-    poses = result.cam2_from_cam1, found.cam2_from_cam1
-    return bool(
-        rotation_error_deg(*poses) > _LEAST_MOVE * rotation_deg
-        or translation_error_deg(*poses) > _LEAST_MOVE * direction_deg
+    return replace(
+        given,
+        warnings=(*given.warnings, sentence),
+        covariance=given.covariance + _second_moment(given, answer.cam2_from_cam1),
+        alternatives=(*given.alternatives, answer.cam2_from_cam1),
     )
 
 
-def _second_moment(result: RelativePoseResult, found: ChangedAngles) -> Array:
-    """Outer product of the five numbers by which the pose with other angles differs."""
-    pose, other = result.cam2_from_cam1, found.cam2_from_cam1
-    turn = vector_from_rotation(other.rotation @ pose.rotation.T)
-    moved = np.concatenate([turn, result.translation_basis.T @ other.translation])
+def _second_moment(given: RelativePoseResult, pose: Pose) -> Array:
+    """Outer product of the five numbers by which another pose differs."""
+    turn = vector_from_rotation(pose.rotation @ given.cam2_from_cam1.rotation.T)
+    moved = np.concatenate([turn, given.translation_basis.T @ pose.translation])
     return np.outer(moved, moved)
 
 
-def _in_words(each: AngleChange, camera: Camera) -> str:
+def _in_words(each: AngleChange, other: OtherAngles, cameras: tuple[Camera, Camera]) -> str:
     """What is changed, and by how much, of one or both images."""
-    images = _IMAGES[each.view]
+    images, camera = _IMAGES[each.view], cameras[max(each.view, 1) - 1]
+    own = [one for one in other.found.changes if one.view == each.view]
+    if any(one.direction == "curve" for one in own):
+        return _meant(each.view, camera, np.array([one.change for one in own]))
     if not isinstance(camera, Equirectangular):
         what = "larger" if each.change > 0.0 else "smaller"
         amount = f"{abs(each.change):.1%} {what} (1 sigma {each.sigma:.1%})"

@@ -115,8 +115,9 @@ class RelativePoseResult(ShortRepr):
     explanations : Explanations
         Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose
-        Other poses that explain the matches about as well. Where the pose is refused because it is
-        not probable enough or its inliers do not determine it: the pose that was found, first.
+        Other poses that explain the matches about as well, or better with other angles of the
+        cameras, which a warning names. Where the pose is refused because it is not probable enough
+        or its inliers do not determine it: the pose that was found, first.
     warnings : tuple of str
         Sentences for a person; empty when there is nothing to say.
     """

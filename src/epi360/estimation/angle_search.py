@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Search for other angles of the cameras with which more matches agree, and more closely.
+
+With wrong angles the pose is biased, and so are its inliers. So pose and angles are estimated in
+turn: the pose by the robust estimator from all matches, with the angles as they are by then, and
+both together by a fit from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.changed_angles import PairOfAngles, changes_of, models_of
+from epi360.estimation.angle_changes import (
+    LARGEST_CHANGE,
+    SMALLEST_NOISE_RAD,
+    AngleChange,
+    ChangedAngles,
+    changed_by_a_turn,
+    fit_angle_changes,
+    robust_loss,
+)
+from epi360.estimation.copies import Indices
+from epi360.estimation.result import RelativePoseResult
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Bearings = tuple[Array, Array]
+Estimate = Callable[[Array, Array], RelativePoseResult]
+
+# A change that is worth a word is so large, and so many of its standard deviations; if a factor is
+# larger than that of any camera, the search went astray.
+LEAST_CHANGE, _MOST_CHANGE, _LEAST_DEVIATIONS = 0.01, 0.3, 3.0
+LEAST_MIDDLE_RAD = 0.02  # of the latitude of the middle row
+# What is clearly better. Gains are of the robust log-likelihood, some of them for each inlier; the
+# inliers that are left and their noise are in units of those before. Panoramas, of which more may
+# change, must gain more. Of 98 real pairs with good cameras none has such changes that also move
+# the pose.
+_LEAST_GAIN, _LEAST_GAIN_OF_FORMER = 8.0, 0.04
+_LEAST_GAIN_OF_ALL, _MANY, _MOST_LOSS, _SOME = 20.0, 0.25, 0.1, 0.1
+_GAIN_OF_PANORAMAS = 0.35
+_LEFT_OF_FORMER, _LEFT, _LEFT_OF_CLEAR, _CLEAR = 0.8, 0.9, 0.5, 0.2
+_AS_CLOSE, _MUCH_CLOSER = 1.1, 0.8
+# What a fit from the pose must gain for each inlier to be worth a search; right cameras seldom do.
+_GAIN_NEAR, _GAIN_NEAR_OF_PANORAMAS = 0.05, 0.2
+# Where that fit goes astray, the panoramas may have lost such a share of their height at one end.
+_CUT, _GAIN_OF_CUT = 0.15, 0.1
+_MOST_ROUNDS = 20
+_GAIN_OF_ROUND = 2.0  # less ends the search
+_MOST_LOSS_AT_START = 1.5  # for each inlier
+_MOST_MATCHES = 800
+# Where there is little parallax, a turn with other angles may explain most of the matches, to such
+# a share of the parallax.
+_MOST_PARALLAX_DEG, _LEFT_OF_PARALLAX = 25.0, 0.25
+
+
+class OtherAngles(NamedTuple):
+    """The pose with changed angles, the changes, and the log-likelihood that both gain.
+
+    ``only`` is 1 or 2 if nothing changes in the other view; ``is_curved`` if curves of lenses do.
+    """
+
+    answer: RelativePoseResult
+    found: ChangedAngles
+    gain: float
+    only: int
+    is_curved: bool
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether no change is larger than that of any camera."""
+        return _are_possible(self.found.changes)
+
+    def clear_changes(self) -> list[AngleChange]:
+        """Those of the changes that are worth a word."""
+        return [each for each in self.found.changes if _is_clear(each)]
+
+
+def views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
+    """Both (0), and of panoramas, either of which may be cut or stretched, one alone."""
+    return (0, 2, 1) if are_panoramas(cameras) else (0,)
+
+
+def are_panoramas(cameras: tuple[Camera, Camera]) -> bool:
+    """Whether both cameras take panoramas, whole or in part."""
+    return all(isinstance(camera, Equirectangular) for camera in cameras)
+
+
+def find_other_angles(
+    given: RelativePoseResult,
+    bearings: Bearings,
+    distinct: Indices,
+    cameras: tuple[Camera, Camera],
+    estimate: Estimate,
+) -> OtherAngles | None:
+    """Return what explains the matches clearly better than a pose with the angles as given.
+
+    ``distinct`` are the rows of ``bearings``, (N, 3) each, that are no copies. Those changes of one
+    view must gain clearly more than those of both. Of many matches some hundreds are searched,
+    evenly spaced, and what is found in them is tried on all.
+    """
+    known = distinct[np.isfinite(given.residuals_rad[distinct])]
+    some = known[:: 1 + len(known) // _MOST_MATCHES]
+    best = _Search(given, bearings, some, cameras, estimate).best()
+    if best is None:
+        return None
+    every = _Search(given, bearings, np.arange(len(bearings[0])), cameras, estimate)
+    other = every.from_start(best.found.sizes, best.only, is_curved=best.is_curved)
+    return other if other is not None and every.is_better(other) else None
+
+
+class _Search:
+    """Matches of a pair, and the pose that they say with the angles as they were given."""
+
+    def __init__(
+        self,
+        given: RelativePoseResult,
+        bearings: Bearings,
+        rows: Indices,
+        cameras: tuple[Camera, Camera],
+        estimate: Estimate,
+    ) -> None:
+        self._given, self._cameras, self._estimate = given, cameras, estimate
+        self._bearings = bearings[0][rows], bearings[1][rows]
+        self._residuals, self._agree = given.residuals_rad[rows], given.inlier_mask[rows]
+        self._noise_deg = max(given.noise_deg, float(np.degrees(SMALLEST_NOISE_RAD)))
+        self._count = max(int(self._agree.sum()), 1)
+        self._are_panoramas = are_panoramas(cameras)
+        self._least_gain_near = _GAIN_NEAR_OF_PANORAMAS if self._are_panoramas else _GAIN_NEAR
+
+    def best(self) -> OtherAngles | None:
+        """What gains most of all that is better, from any start."""
+        best: OtherAngles | None = None
+        for only in views_that_may_change(self._cameras):
+            for start in self._starts(only):
+                other = self.from_start(start, only)
+                if other is None or not self.is_better(other):
+                    continue
+                if best is None or other.gain > best.gain + _LEAST_GAIN:
+                    best = other
+                break
+        if best is None or self._are_panoramas:
+            return best
+        return self._with_curves(best)
+
+    def from_start(
+        self, changes: Array, only: int, *, is_curved: bool = False
+    ) -> OtherAngles | None:
+        """Pose and changes in turn, as long as both gain."""
+        angles = PairOfAngles.of(self._cameras, self._bearings, is_curved=is_curved, only=only)
+        best: OtherAngles | None = None
+        for _ in range(_MOST_ROUNDS):
+            first, second = angles.changed(changes)
+            answer = self._estimate(first.bearings, second.bearings)
+            if not answer.success:
+                break
+            noise_deg = min(self._noise_deg, answer.noise_deg)
+            gain = self._gain(answer.residuals_rad, noise_deg)
+            least = -_MOST_LOSS_AT_START * self._count if best is None else best.gain
+            if gain < least + _GAIN_OF_ROUND:
+                break
+            found = fit_angle_changes(
+                answer.cam2_from_cam1,
+                self._bearings,
+                self._cameras,
+                answer.noise_deg,
+                only=only,
+                is_curved=is_curved,
+                start=changes,
+            )
+            best = OtherAngles(answer, found, gain, only, is_curved)
+            changes = found.sizes
+        return best
+
+    def is_better(self, other: OtherAngles) -> bool:
+        """Whether former inliers agree better, or many more do, or all do much more closely."""
+        count = self._count
+        least = _GAIN_OF_PANORAMAS * count if self._are_panoramas else 0.0
+        if other.gain < least or not (other.is_possible and other.clear_changes()):
+            return False
+        left = other.answer.num_inliers / count
+        noise = other.answer.noise_deg / self._noise_deg
+        former = self._gain(other.answer.residuals_rad, self._noise_deg, self._agree)
+        least_left = _LEFT_OF_CLEAR if former > _CLEAR * count else _LEFT_OF_FORMER
+        least = max(_LEAST_GAIN, _LEAST_GAIN_OF_FORMER * count)
+        if former > least and left > least_left and noise < 1.0:
+            return True
+        if left < _LEFT or other.gain < _LEAST_GAIN_OF_ALL:
+            return False
+        many_more = other.gain > _MANY * count and former > -_MOST_LOSS * count
+        return (many_more and noise < _AS_CLOSE) or (
+            other.gain > _SOME * count and noise < _MUCH_CLOSER
+        )
+
+    def _starts(self, only: int) -> Iterator[Array]:
+        """Changes that may be near the true ones, if these are not small."""
+        given = self._given
+        near = fit_angle_changes(
+            given.cam2_from_cam1, self._bearings, self._cameras, given.noise_deg, only=only
+        )
+        if not _is_large(near.names, near.sizes):
+            return
+        gain = self._gain(near.residuals, self._noise_deg) / self._count
+        if gain > self._least_gain_near:
+            yield near.sizes
+        if self._are_panoramas and gain > _GAIN_OF_CUT and not _are_possible(near.changes):
+            yield from _cuts(near.names)
+        if given.parallax_deg > _MOST_PARALLAX_DEG:
+            return
+        turned = changed_by_a_turn(
+            given.cam2_from_cam1.rotation,
+            (self._bearings[0][self._agree], self._bearings[1][self._agree]),
+            self._cameras,
+            max(given.noise_deg, _LEFT_OF_PARALLAX * given.parallax_deg),
+            only=only,
+            is_curved=False,
+        )
+        if turned is not None and _is_large(near.names, turned):
+            yield turned
+
+    def _with_curves(self, straight: OtherAngles) -> OtherAngles:
+        """The same, or what is found if the curves of lenses change too, if that gains clearly."""
+        models, is_one = models_of(self._cameras, is_curved=True, only=straight.only)
+        names, _ = changes_of(models, is_one)
+        sizes = dict(zip(straight.found.names, straight.found.sizes.tolist(), strict=True))
+        start = np.array([sizes.get(name, 0.0) for name in names])
+        bent = self.from_start(start, straight.only, is_curved=True)
+        least = straight.gain + max(_LEAST_GAIN, _SOME * self._count)
+        return bent if bent and bent.gain > least and self.is_better(bent) else straight
+
+    def _gain(self, residuals: Array, noise_deg: float, some: Mask | None = None) -> float:
+        """Robust log-likelihood that all matches gain, or some, by such a noise."""
+        noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+        gained = robust_loss(self._residuals, noise) - robust_loss(residuals, noise)
+        return float(np.nansum(gained if some is None else gained[some]))
+
+
+def _is_large(names: tuple[tuple[int, str], ...], changes: Array) -> bool:
+    """Whether one of the changes would be worth a word."""
+    pairs = zip(names, changes.tolist(), strict=True)
+    return any(abs(change) > _least_change(direction) for (_, direction), change in pairs)
+
+
+def _are_possible(changes: Sequence[AngleChange]) -> bool:
+    return all(abs(each.change) < _most_change(each.direction) for each in changes)
+
+
+def _cuts(names: tuple[tuple[int, str], ...]) -> Iterator[Array]:
+    """Changes of panoramas of which the lowest or the highest part is missing."""
+    for middle in (-np.pi / 2.0, np.pi / 2.0):
+        parts = {"horizontal": 0.0, "vertical": -1.0, "middle": middle}
+        yield _CUT * np.array([parts[direction] for _, direction in names])
+
+
+def _is_clear(each: AngleChange) -> bool:
+    size = abs(each.change)
+    return size > _least_change(each.direction) and size > _LEAST_DEVIATIONS * each.sigma
+
+
+def _most_change(direction: str) -> float:
+    return LARGEST_CHANGE if direction == "middle" else _MOST_CHANGE
+
+
+def _least_change(direction: str) -> float:
+    return LEAST_MIDDLE_RAD if direction == "middle" else LEAST_CHANGE
