@@ -37,15 +37,10 @@ Estimate = Callable[[Array, Array], RelativePoseResult]
 # larger than that of any camera, the search went astray.
 LEAST_CHANGE, _MOST_CHANGE, _LEAST_DEVIATIONS = 0.01, 0.3, 3.0
 LEAST_MIDDLE_RAD = 0.02  # of the latitude of the middle row
-# What is clearly better. Gains are of the robust log-likelihood, some of them for each inlier; the
-# inliers that are left and their noise are in units of those before. Panoramas, of which more may
-# change, must gain more. Of 98 real pairs with good cameras none has such changes that also move
-# the pose.
-_LEAST_GAIN, _LEAST_GAIN_OF_FORMER = 8.0, 0.04
-_LEAST_GAIN_OF_ALL, _MANY, _MOST_LOSS, _SOME = 20.0, 0.25, 0.1, 0.1
-_GAIN_OF_PANORAMAS = 0.35
-_LEFT_OF_FORMER, _LEFT, _LEFT_OF_CLEAR, _CLEAR = 0.8, 0.9, 0.5, 0.2
-_AS_CLOSE, _MUCH_CLOSER = 1.1, 0.8
+# Gains are of the robust log-likelihood; these are the least ones of former inliers and of all.
+_LEAST_GAIN, _LEAST_GAIN_OF_ALL = 8.0, 20.0
+# Panoramas, of which more may change, must gain more for each inlier.
+_GAIN_OF_PANORAMAS, _GAIN_OF_CURVES = 0.35, 0.1
 # What a fit from the pose must gain for each inlier to be worth a search; right cameras seldom do.
 _GAIN_NEAR, _GAIN_NEAR_OF_PANORAMAS = 0.05, 0.2
 # Where that fit goes astray, the panoramas may have lost such a share of their height at one end.
@@ -57,6 +52,39 @@ _MOST_MATCHES = 800
 # Where there is little parallax, a turn with other angles may explain most of the matches, to such
 # a share of the parallax.
 _MOST_PARALLAX_DEG, _LEFT_OF_PARALLAX = 25.0, 0.25
+
+
+class _Better(NamedTuple):
+    """What is clearly better than the pose with the angles as given.
+
+    Gains of the former inliers and of all matches, for each inlier; which share of the inliers'
+    number is left at least, and of their noise at most.
+    """
+
+    former: float
+    every: float
+    left: float
+    noise: float
+
+    def holds(self, former: float, every: float, count: int, left: float, noise: float) -> bool:
+        """Whether both gains, of ``count`` inliers, are large enough, and what is left."""
+        least_former = max(self.former * count, _LEAST_GAIN if self.former > 0.0 else -np.inf)
+        least_of_all = max(self.every * count, _LEAST_GAIN_OF_ALL if self.every > 0.0 else -np.inf)
+        return bool(
+            former > least_former
+            and every > least_of_all
+            and left > self.left
+            and noise < self.noise
+        )
+
+
+# Of 98 real pairs with good cameras none is better by changes that also move the pose.
+_BETTER = (
+    _Better(former=0.04, every=0.0, left=0.8, noise=1.0),  # those that agreed agree better
+    _Better(former=0.1, every=0.0, left=0.5, noise=1.0),  # clearly so
+    _Better(former=-0.1, every=0.25, left=0.9, noise=1.1),  # many more agree
+    _Better(former=-np.inf, every=0.1, left=0.9, noise=0.8),  # they agree much more closely
+)
 
 
 class OtherAngles(NamedTuple):
@@ -183,19 +211,10 @@ class _Search:
         least = _GAIN_OF_PANORAMAS * count if self._are_panoramas else 0.0
         if other.gain < least or not (other.is_possible and other.clear_changes()):
             return False
+        former = self._gain(other.answer.residuals_rad, self._noise_deg, self._agree)
         left = other.answer.num_inliers / count
         noise = other.answer.noise_deg / self._noise_deg
-        former = self._gain(other.answer.residuals_rad, self._noise_deg, self._agree)
-        least_left = _LEFT_OF_CLEAR if former > _CLEAR * count else _LEFT_OF_FORMER
-        least = max(_LEAST_GAIN, _LEAST_GAIN_OF_FORMER * count)
-        if former > least and left > least_left and noise < 1.0:
-            return True
-        if left < _LEFT or other.gain < _LEAST_GAIN_OF_ALL:
-            return False
-        many_more = other.gain > _MANY * count and former > -_MOST_LOSS * count
-        return (many_more and noise < _AS_CLOSE) or (
-            other.gain > _SOME * count and noise < _MUCH_CLOSER
-        )
+        return any(each.holds(former, other.gain, count, left, noise) for each in _BETTER)
 
     def _starts(self, only: int) -> Iterator[Array]:
         """Changes that may be near the true ones, if these are not small."""
@@ -230,7 +249,7 @@ class _Search:
         sizes = dict(zip(straight.found.names, straight.found.sizes.tolist(), strict=True))
         start = np.array([sizes.get(name, 0.0) for name in names])
         bent = self.from_start(start, straight.only, is_curved=True)
-        least = straight.gain + max(_LEAST_GAIN, _SOME * self._count)
+        least = straight.gain + max(_LEAST_GAIN, _GAIN_OF_CURVES * self._count)
         return bent if bent and bent.gain > least and self.is_better(bent) else straight
 
     def _gain(self, residuals: Array, noise_deg: float, some: Mask | None = None) -> float:
