@@ -160,7 +160,7 @@ def same_floor() -> Pair:
 def wrong_calibration() -> Pair:
     """A fisheye pair with the focal length of another lens."""
     lens = KannalaBrandt(480, 480, 150.0, 150.0, 240.0, 240.0)
-    other = KannalaBrandt(480, 480, 110.0, 110.0, 240.0, 240.0)
+    other = KannalaBrandt(480, 480, 95.0, 95.0, 240.0, 240.0)
     return seen(
         scene("living_room"), standing(0.2, 0.3), standing(0.6, 0.7, 25.0), lens, taken_for=other
     )

@@ -21,7 +21,7 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
-from epi360.estimation.calibration_doubt import with_calibration_doubt
+from epi360.estimation.calibration_doubt import is_of_other_angles, with_calibration_doubt
 from epi360.estimation.options import check_threshold
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
@@ -154,7 +154,9 @@ def relative_pose_of_images(
     if not best.success:
         return best
     best = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
-    if not (best.success and all(can_be_compared(view.camera) for view in views)):
+    if not best.success or is_of_other_angles(best):  # with the given ones nothing would look right
+        return best
+    if not all(can_be_compared(view.camera) for view in views):
         return best
     say("comparing what both cameras must see")
     with ThreadPoolExecutor(2) as pool:

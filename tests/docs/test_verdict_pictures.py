@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The pairs on the page of the verdicts get the verdicts that it says."""
 
+from dataclasses import replace
+
 import make_pictures
 import pytest
 from verdict_pictures import PAIRS, fixed_to_the_camera_masked
@@ -54,6 +56,15 @@ def test_a_pair_gets_the_verdict_that_the_page_says(name):
         assert error_deg(result.alternatives[0], pair.cam2_from_cam1) > 10.0
     if name == "low_probability":
         assert 0.3 < result.probability < 0.85 and result.inlier_mask.mean() > 0.7
+
+
+@pytest.mark.slow  # renders
+def test_a_lens_that_is_taken_for_quite_another_one_gives_the_right_pose():
+    pair = PAIRS["wrong_calibration"]()
+    result = replace(pair, camera=replace(pair.camera, fx=110.0, fy=110.0)).estimate()
+    assert result.success and error_deg(result.cam2_from_cam1, pair.cam2_from_cam1) < 0.3
+    (warning,) = result.warnings  # and the surroundings, which would look wrong, are not compared
+    assert "26.5% smaller" in warning and "this is the pose that they say then" in warning
 
 
 @pytest.mark.slow  # renders

@@ -39,6 +39,7 @@ CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 _LEAST_MOVE = 1.0
 _MOST_TURNED_DEG, _MOST_MOVED_DEG = 10.0, 10.0
 _FEWEST_INLIERS = 20
+_THEIR_POSE = "this is the pose that they say then"
 _IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
 
 
@@ -86,6 +87,11 @@ def with_calibration_doubt(
         return turned
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
     return result if other is None else _with_other_angles(result, other, cameras)
+
+
+def is_of_other_angles(result: RelativePoseResult) -> bool:
+    """Whether the pose belongs to other angles than those of the cameras that were given."""
+    return any(_THEIR_POSE in warning for warning in result.warnings)
 
 
 def _turned(
@@ -167,8 +173,8 @@ def _with_other_angles(
     distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
     if turned > _MOST_TURNED_DEG or moved > _MOST_MOVED_DEG:
         sentence = (
-            f"the matches agree better if {changes}, and this is the pose that they say then; with "
-            f"the angles as they were given it would be {distance}: {CALIBRATION_QUESTION}"
+            f"the matches agree better if {changes}, and {_THEIR_POSE}; with the angles as they "
+            f"were given it would be {distance}: {CALIBRATION_QUESTION}"
         )
         uncertain = other.found.pose_covariance(answer.translation_basis)
         return replace(
