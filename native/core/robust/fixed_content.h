@@ -19,9 +19,9 @@ namespace epi360 {
 // Matches that both views see in the same direction, to the tolerance of stitched or bent content.
 std::vector<std::size_t> standing_still(const Matches& m, double gate);
 
-// Matches that an answer without a pose rests on, if most of its inliers stand still, or that may be
-// one of two poses: they may be fixed to the camera. None where the others do not surround it more
-// than they do.
+// Matches that an answer without a pose rests on, if most of its inliers stand still, or that may
+// be one of two poses: they may be fixed to the camera. None where the others do not surround it
+// more than they do.
 std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer);
 
 // The other matches of a pair, their rows in it, and what is known of them.
