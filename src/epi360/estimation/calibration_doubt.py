@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 
 # What the warning asks, by which it is known.
 CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
-# The pose must move by so many of the standard deviations that it states; if it moves by more than
-# a pose whose direction, or rotation, is known at all, it is the result.
+# The pose with other angles must be so many of the stated standard deviations away. If it is so far
+# away that the pose as given is wrong, it is the result.
 _LEAST_MOVE = 1.0
 _MOST_TURNED_DEG, _MOST_MOVED_DEG = 10.0, 10.0
 _FEWEST_INLIERS = 20
@@ -163,6 +163,7 @@ def _with_turn(
 def _with_other_angles(
     given: RelativePoseResult, other: OtherAngles, cameras: tuple[Camera, Camera]
 ) -> RelativePoseResult:
+    """The result with the other pose as an alternative, or that pose, if it is far away."""
     answer, doubts = other.answer, other.clear_changes()
     poses = given.cam2_from_cam1, answer.cam2_from_cam1
     turned, moved = rotation_error_deg(*poses), translation_error_deg(*poses)
