@@ -189,14 +189,14 @@ def fit_angle_changes(
     models, is_one = models_of(cameras, is_curved=is_curved, only=only)
     noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
     names, _ = changes_of(models, is_one)
-    pose = cam2_from_cam1
+    translation = cam2_from_cam1.translation
     R, t, sizes, gain, residuals, J, gradients, changed = _core.fit_angle_changes(
         bearings[0][some],
         bearings[1][some],
         *models,
         is_one,
-        pose.rotation,
-        pose.translation / np.linalg.norm(pose.translation),
+        cam2_from_cam1.rotation,
+        translation / np.linalg.norm(translation),
         np.zeros(len(names)) if start is None else start,
         noise,
     )

@@ -8,7 +8,7 @@ both together by a fit from there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,7 @@ from epi360.estimation.result import RelativePoseResult
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Bearings = tuple[Array, Array]
+Names = tuple[tuple[int, str], ...]  # view and direction of each change
 Estimate = Callable[[Array, Array], RelativePoseResult]
 
 # A change that is worth a word is so large, and so many of its standard deviations; if a factor is
@@ -102,7 +103,7 @@ class OtherAngles(NamedTuple):
     @property
     def is_possible(self) -> bool:
         """Whether no change is larger than that of any camera."""
-        return _are_possible(self.found.changes)
+        return _are_possible(self.found.names, self.found.sizes)
 
     def clear_changes(self) -> list[AngleChange]:
         """Those of the changes that are worth a word."""
@@ -227,7 +228,11 @@ class _Search:
         gain = self._gain(near.residuals, self._noise_deg) / self._count
         if gain > self._least_gain_near:
             yield near.sizes
-        if self._are_panoramas and gain > _GAIN_OF_CUT and not _are_possible(near.changes):
+        if (
+            self._are_panoramas
+            and gain > _GAIN_OF_CUT
+            and not _are_possible(near.names, near.sizes)
+        ):
             yield from _cuts(near.names)
         if given.parallax_deg > _MOST_PARALLAX_DEG:
             return
@@ -259,17 +264,19 @@ class _Search:
         return float(np.nansum(gained if some is None else gained[some]))
 
 
-def _is_large(names: tuple[tuple[int, str], ...], changes: Array) -> bool:
+def _is_large(names: Names, changes: Array) -> bool:
     """Whether one of the changes would be worth a word."""
     pairs = zip(names, changes.tolist(), strict=True)
     return any(abs(change) > _least_change(direction) for (_, direction), change in pairs)
 
 
-def _are_possible(changes: Sequence[AngleChange]) -> bool:
-    return all(abs(each.change) < _most_change(each.direction) for each in changes)
+def _are_possible(names: Names, changes: Array) -> bool:
+    """Whether no change is larger than that of any camera."""
+    pairs = zip(names, changes.tolist(), strict=True)
+    return all(abs(change) < _most_change(direction) for (_, direction), change in pairs)
 
 
-def _cuts(names: tuple[tuple[int, str], ...]) -> Iterator[Array]:
+def _cuts(names: Names) -> Iterator[Array]:
     """Changes of panoramas of which the lowest or the highest part is missing."""
     for middle in (-np.pi / 2.0, np.pi / 2.0):
         parts = {"horizontal": 0.0, "vertical": -1.0, "middle": middle}

@@ -23,12 +23,7 @@ from epi360.estimation.angle_search import (
 )
 from epi360.estimation.copies import Indices, distinct_rows
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
-from epi360.poses import (
-    Pose,
-    rotation_error_deg,
-    translation_error_deg,
-    vector_from_rotation,
-)
+from epi360.poses import Pose, rotation_error_deg, translation_error_deg, vector_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -36,8 +31,7 @@ Array = NDArray[np.float64]
 CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 # The pose with other angles must be so many of the stated standard deviations away. If it is so far
 # away that the pose as given is wrong, it is the result.
-_LEAST_MOVE = 1.0
-_MOST_TURNED_DEG, _MOST_MOVED_DEG = 10.0, 10.0
+_LEAST_MOVE, _MOST_MOVE_DEG = 1.0, 10.0
 _FEWEST_INLIERS = 20
 _THEIR_POSE = "this is the pose that they say then"
 _IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
@@ -172,7 +166,7 @@ def _with_other_angles(
         return given
     changes = " and ".join(dict.fromkeys(_in_words(each, other, cameras) for each in doubts))
     distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
-    if turned > _MOST_TURNED_DEG or moved > _MOST_MOVED_DEG:
+    if max(turned, moved) > _MOST_MOVE_DEG:
         sentence = (
             f"the matches agree better if {changes}, and {_THEIR_POSE}; with the angles as they "
             f"were given it would be {distance}: {CALIBRATION_QUESTION}"
@@ -226,7 +220,7 @@ def _in_words(each: AngleChange, other: OtherAngles, cameras: tuple[Camera, Came
 
 
 def _meant(view: int, camera: Camera, changes: Array) -> str:
-    """What the angles of one or both images must be for a turn."""
+    """What all angles of one or both images must be."""
     images = _IMAGES[view]
     if isinstance(camera, Equirectangular):
         given = np.array([camera.horizontal_fov_deg, camera.vertical_fov_deg])
