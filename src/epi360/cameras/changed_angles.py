@@ -20,7 +20,7 @@ _NEAR_POLE = 1e-6  # cosine of a latitude
 
 
 class AngleModel(NamedTuple):
-    """Which angles of a camera change: "fixed" (none), "radial", "curved" or "panorama".
+    """Which angles of a camera change: "fixed" (none), "radial", "curved", "bent" or "panorama".
 
     ``longitude`` and ``down`` are those of the middle of a panorama, in radians; 0 of a lens.
     """
@@ -30,12 +30,12 @@ class AngleModel(NamedTuple):
     down: float = 0.0
 
     @classmethod
-    def of(cls, camera: Camera, *, is_curved: bool = False) -> AngleModel:
-        """If ``is_curved``, the curve of a lens changes, too."""
+    def of(cls, camera: Camera, *, is_curved: bool = False, is_bent: bool = False) -> AngleModel:
+        """If ``is_curved``, the curve of a lens changes, too; if ``is_bent``, also at its edge."""
         if isinstance(camera, Equirectangular):
             middle = camera.center_longitude_deg, -camera.center_latitude_deg
             return cls("panorama", *map(math.radians, middle))
-        return cls("curved" if is_curved else "radial")
+        return cls("bent" if is_bent else "curved" if is_curved else "radial")
 
     @property
     def directions(self) -> tuple[str, ...]:
@@ -48,6 +48,7 @@ _DIRECTIONS = {
     "fixed": (),
     "radial": ("radial",),
     "curved": ("radial", "curve"),
+    "bent": ("radial", "curve", "edge"),
     "panorama": ("horizontal", "vertical", "middle"),
 }
 
@@ -92,7 +93,7 @@ class _Radial:
     """Bearings by their angles from the optical axis.
 
     An angle a (radians) is multiplied by 1 + the first change, if there is one, plus a^2 times the
-    second one if the curve of the lens may change, too.
+    second one if the curve of the lens may change, too, plus a^4 times the third one.
     """
 
     def __init__(self, bearings: Array) -> None:
@@ -104,7 +105,7 @@ class _Radial:
 
     def changed(self, changes: Array) -> ChangedBearings:
         """Bearings with other angles."""
-        exponents = np.array([0.0, 2.0])[: len(changes)]
+        exponents = np.array([0.0, 2.0, 4.0])[: len(changes)]
         powers = self._angle[:, None] ** exponents
         factor = 1.0 + powers @ changes
         larger = self._angle * factor
@@ -187,6 +188,18 @@ class PairOfAngles:
         views = [angles_of(*each) for each in zip(models, bearings, strict=True)]
         names, columns = changes_of(models, is_one)
         return cls(names, views, columns)
+
+    @classmethod
+    def shared(
+        cls,
+        models: Sequence[AngleModel],
+        columns: Sequence[slice],
+        bearings: tuple[Array, Array],
+    ) -> PairOfAngles:
+        """Angles of bearings (N, 3) each; each view has its ``columns`` of all changes."""
+        views = [angles_of(*each) for each in zip(models, bearings, strict=True)]
+        first, second = columns
+        return cls((), views, (first, second))
 
     def changed(self, changes: Array) -> tuple[ChangedBearings, ChangedBearings]:
         """Both views with changed angles."""

@@ -282,6 +282,7 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     """Lines for people: what registered, what did not and why, and how long it took."""
     from epi360.report.match_table import (
         branch_sentence,
+        describe_agreed,
         describe_level,
         describe_noise,
         describe_others,
@@ -318,7 +319,7 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     lines += [f"not used     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
-    for describe in (describe_noise, describe_level, describe_others):
+    for describe in (describe_noise, describe_agreed, describe_level, describe_others):
         lines += describe(run.matched)
     lines += run.remarks
     return "\n".join(lines)

@@ -43,6 +43,9 @@ class MatchInput:
     """Calibration file of the images (Kalibr, ROS, basalt, COLMAP, OpenSfM or own YAML);
     FILE:NAME where it holds several cameras and all images are of one. Without it, images are
     panoramas."""
+    keep_cameras: Flag = False
+    """Keep the angles of cameras as they are given, even where many pairs agree that they are other
+    ones. epi360 map always keeps those of panoramas."""
     mask: Path | None = None
     """Mask for all images, or a folder with one for each; white = use."""
     mask_nadir_deg: float = 0.0
@@ -194,6 +197,7 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
             max_features=work.max_features,
             mask_nadir_deg=given.mask_nadir_deg,
             upright_deg=given.upright,
+            keep_cameras=given.keep_cameras,
             seed=work.seed,
             num_threads=work.num_threads,
         )

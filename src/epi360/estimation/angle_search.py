@@ -267,13 +267,13 @@ class _Search:
 def _is_large(names: Names, changes: Array) -> bool:
     """Whether one of the changes would be worth a word."""
     pairs = zip(names, changes.tolist(), strict=True)
-    return any(abs(change) > _least_change(direction) for (_, direction), change in pairs)
+    return any(abs(change) > least_change(direction) for (_, direction), change in pairs)
 
 
 def _are_possible(names: Names, changes: Array) -> bool:
     """Whether no change is larger than that of any camera."""
     pairs = zip(names, changes.tolist(), strict=True)
-    return all(abs(change) < _most_change(direction) for (_, direction), change in pairs)
+    return all(abs(change) < most_change(direction) for (_, direction), change in pairs)
 
 
 def _cuts(names: Names) -> Iterator[Array]:
@@ -285,12 +285,14 @@ def _cuts(names: Names) -> Iterator[Array]:
 
 def _is_clear(each: AngleChange) -> bool:
     size = abs(each.change)
-    return size > _least_change(each.direction) and size > _LEAST_DEVIATIONS * each.sigma
+    return size > least_change(each.direction) and size > _LEAST_DEVIATIONS * each.sigma
 
 
-def _most_change(direction: str) -> float:
+def most_change(direction: str) -> float:
+    """The largest change of any camera."""
     return LARGEST_CHANGE if direction == "middle" else _MOST_CHANGE
 
 
-def _least_change(direction: str) -> float:
+def least_change(direction: str) -> float:
+    """The smallest change that is worth a word."""
     return LEAST_MIDDLE_RAD if direction == "middle" else LEAST_CHANGE

@@ -82,7 +82,7 @@ def match_page(
 ) -> Page:
     """Return the page of a folder, with its map where it was mapped."""
     shown = _Images(
-        images.cameras,
+        run.cameras,
         {image.name: image.camera for image in images.images},
         {image.name: image.path for image in images.images},
     )

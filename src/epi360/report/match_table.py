@@ -166,6 +166,7 @@ def describe_judged(judged: JudgedPairs) -> list[str]:
     """Lines that say what all pairs together have told, and what they could not tell."""
     return [
         *describe_noise(judged),
+        *describe_agreed(judged),
         *describe_calibration(judged),
         *describe_level(judged),
         *describe_others(judged),
@@ -195,6 +196,17 @@ def describe_calibration(judged: JudgedPairs) -> list[str]:
     return [
         f"{count:,} of {counted(len(accepted), 'accepted pair')} would agree better with other "
         f"angles of the cameras: {CALIBRATION_QUESTION} Their warnings say by how much."
+    ]
+
+
+def describe_agreed(judged: JudgedPairs) -> list[str]:
+    """Lines that say which cameras are other ones than were given."""
+    if not judged.agreed:
+        return []
+    return [
+        *(f"The pairs agree on other angles of {what}." for what in judged.agreed),
+        "They were matched again by these, which cameras.json in the output has; --keep-cameras "
+        "keeps those that were given.",
     ]
 
 

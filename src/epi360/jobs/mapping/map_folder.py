@@ -8,13 +8,14 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from epi360.cameras import Equirectangular
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.features.warped_patches import Panorama, remembered
@@ -132,7 +133,8 @@ def map_images(
     ``restart``, pairs that were matched with other options are thrown away instead of refusing
     them.
 
-    Cameras and rigs stay as they are given. Pairs go in with their inliers and poses where the
+    Panoramas and rigs stay as they are given, and lenses, unless pairs agree on other angles of
+    theirs. Pairs go in with their inliers and poses where the
     verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches.
     Ambiguous pairs join no groups of images that others do not join, as rooms may have the same
     carpet. A pair that two or more triangles contradict, or that `check_graph` refuses, stays out:
@@ -173,11 +175,12 @@ def map_images(
     matched = match_images(
         images,
         output,
-        options.match,
+        _match_options(images, options.match),
         first_pairs=_first_pairs(images, options.match, tracked),
         restart=restart,
         progress=progress,
     )
+    images = replace(images, cameras=dict(matched.cameras))
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
@@ -204,6 +207,12 @@ def map_images(
         was_mapped,
         _branches(graph, models),
     )
+
+
+def _match_options(images: ImageSet, given: MatchOptions) -> MatchOptions:
+    """Options that keep panoramas as they are: of one that is not whole COLMAP has no camera."""
+    has_panoramas = any(isinstance(each, Equirectangular) for each in images.cameras.values())
+    return replace(given, keep_cameras=given.keep_cameras or has_panoramas)
 
 
 def _first_pairs(

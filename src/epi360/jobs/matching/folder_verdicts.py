@@ -43,6 +43,7 @@ class JudgedPairs:
     unreadable: Mapping[str, str] = field(default_factory=dict)  # image and why it was of no use
     kept: tuple[tuple[str, str], ...] = ()  # images of the pairs that had a pose, and no verdict
     questioned: tuple[tuple[str, str], ...] = ()  # those whose pose others or its inliers refuse
+    agreed: tuple[str, ...] = ()  # what is said of cameras that are other ones than were given
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level

@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from epi360.cameras import Camera
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.matching.agreed_cameras import CameraSearch
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
@@ -69,6 +71,7 @@ class MatchOptions:
     max_features: int = 10000  # the strongest of each image are kept
     mask_nadir_deg: float = 0.0  # ignored around straight down
     upright_deg: float | None = None  # panoramas that stand upright to so many degrees, one sigma
+    keep_cameras: bool = False  # even where pairs agree that their angles are other ones
     seed: int = 0
     num_threads: int | None = None  # one per core; the results do not depend on it
 
@@ -100,6 +103,7 @@ class MatchRun(JudgedPairs):
 
     folder: AnyPath  # what `load_matches` takes
     num_found: int  # pairs that an earlier run had finished
+    cameras: Mapping[str, Camera]  # those that pairs were matched by
 
 
 def match_images(
@@ -124,6 +128,9 @@ def match_images(
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them
     match well. So do ``first_pairs``, the `trajectory_pairs` of a sequence, where nearly all match.
+
+    Where accepted pairs agree that the angles of a camera are other ones than were given, see
+    `CameraSearch`, all pairs are matched once more by these, unless ``keep_cameras``.
 
     Every image has one list of key points, strongest first. A pair is matched with the stronger
     ones, those of SIFT at a contrast of 0.02, and with all where that settles nothing or leaves a
@@ -151,9 +158,15 @@ def match_images(
         If the output cannot be written.
     """
     check_engine(engine)
+    search = CameraSearch(images, keep_cameras=options.keep_cameras)
     work = _open_work(images, path_of(output), options, restart)
-    with open_engine(work, engine, address) as opened:
-        return _match(images, MatchJob(work, opened, progress), options, first_pairs)
+    while True:
+        with open_engine(work, engine, address) as opened:
+            job = MatchJob(work, opened, progress)
+            chosen = _chosen(search.images, job, options, first_pairs)
+            if not search.goes_on(job, chosen.pairs, chosen.finished):
+                return _judged(search, job, chosen, options)
+        work = _open_work(search.images, path_of(output), options, restart=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +180,10 @@ class _Chosen:
     is_sequence: bool  # neighbours, nearly all of which match
 
 
-def _match(
-    images: ImageSet, job: MatchJob, options: MatchOptions, first_pairs: Sequence[Pair]
+def _judged(
+    search: CameraSearch, job: MatchJob, chosen: _Chosen, options: MatchOptions
 ) -> MatchRun:
-    chosen = _chosen(images, job, options, first_pairs)
+    images = search.images
     judged = judge_folder(
         job,
         chosen.pairs,
@@ -190,6 +203,8 @@ def _match(
         num_gained=judged.num_gained,
         num_lost=judged.num_lost,
         num_not_compared=judged.num_not_compared,
+        cameras=images.cameras,
+        agreed=search.told(),
     )
 
 

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cameras that give the bearings of others with changed angles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from epi360.cameras.base import Array, Camera, FocalCamera
+from epi360.cameras.changed_angles import AngleModel, angles_of
+from epi360.cameras.equirectangular import Equirectangular
+from epi360.cameras.kannala_brandt import KannalaBrandt
+
+_GRID = 41  # pixels along each side that the curve of a lens is fitted to
+_MOST_ERROR_PX = 0.5
+
+
+def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular:
+    """Panorama whose longitudes and latitudes are changed, as far as the sphere goes.
+
+    ``changes`` (3,) are those of `AngleModel.directions`.
+    """
+    around = min(camera.horizontal_fov_deg * (1.0 + float(changes[0])), 360.0)
+    high = min(camera.vertical_fov_deg * (1.0 + float(changes[1])), 180.0)
+    room = 90.0 - high / 2.0
+    middle = camera.center_latitude_deg - float(np.degrees(changes[2]))
+    return replace(
+        camera,
+        horizontal_fov_deg=around,
+        vertical_fov_deg=high,
+        center_latitude_deg=min(max(middle, -room), room),
+    )
+
+
+def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
+    """Lens of the same principal point whose angles from the axis are changed, and their curve.
+
+    ``changes`` (1 or 2,) are those of `AngleModel.directions`. None if no `KannalaBrandt` is within
+    half a pixel of the changed rays, or the camera is no lens.
+    """
+    if not isinstance(camera, FocalCamera):
+        return None
+    across, down = (
+        np.linspace(0.5, size - 0.5, _GRID, dtype=np.float64)
+        for size in (camera.width, camera.height)
+    )
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    bearings = camera.bearings_from_pixels(pixels)
+    seen = np.isfinite(bearings).all(axis=1)
+    model = AngleModel.of(camera, is_bent=True)
+    x, y, z = angles_of(model, bearings[seen]).changed(changes).bearings.T
+    angles = np.arctan2(np.hypot(x, y), z)
+    middle, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
+    radii = np.hypot(*((pixels[seen] - middle) / focal).T)
+    powers = angles[:, None] ** np.arange(1, 10, 2)
+    solved = np.linalg.lstsq(powers, radii, rcond=None)[0]
+    scale, errors = float(solved[0]), powers @ solved - radii
+    if not (scale > 0.0 and np.abs(errors).max() * focal.max() < _MOST_ERROR_PX):
+        return None
+    k1, k2, k3, k4 = (solved[1:] / scale).tolist()
+    return KannalaBrandt(
+        camera.width,
+        camera.height,
+        camera.fx * scale,
+        camera.fy * scale,
+        camera.cx,
+        camera.cy,
+        k1,
+        k2,
+        k3,
+        k4,
+        max_angle_deg=float(np.degrees(min(angles.max() * (1.0 + 1e-9), np.pi))),
+    )
