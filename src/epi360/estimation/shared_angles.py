@@ -134,9 +134,9 @@ def fit_shared_angles(
     -----
     Gauss-Newton steps on all poses and changes under a Geman-McClure loss whose scale falls from 12
     to 3 noises; the poses are eliminated from the normal equations. Then each pose is estimated
-    anew with the angles as they are by then, and so on while the matches gain. The covariance of
-    the changes is the sandwich of White (Econometrica 1982) over pairs: what the matches of a pair
-    are wrong by together counts once.
+    anew with the angles as they are by then, and so on while the matches gain. The standard
+    deviations of the changes are those of a jackknife over pairs, by what each pair pulls at them
+    (Efron, The Jackknife, SIAM 1982): what the matches of a pair are wrong by together counts once.
     """
     straight = _Problem(matched, cameras, is_bent=False)
     bent = _Problem(matched, cameras, is_bent=True)
@@ -277,11 +277,12 @@ class _Problem:
     def _sigmas(self, fit: _Fit) -> Array:
         """Standard deviations of the changes, NaN where nothing determines them."""
         parts = self._eliminated(fit, 1.0)
-        inverse = np.linalg.pinv(sum(part.information for part in parts), hermitian=True)
-        pulls = np.array([part.pull for part in parts])
-        freedom = max(len(parts) - len(fit.changes), 1)
-        spread = pulls.T @ pulls * (len(parts) / freedom)
-        variances = np.diag(inverse @ spread @ inverse)
+        information = np.sum([part.information for part in parts], axis=0)
+        without = [
+            np.linalg.pinv(information - part.information, hermitian=True) @ part.pull
+            for part in parts
+        ]
+        variances = np.sum(np.square(without), axis=0) * (len(parts) - 1) / len(parts)
         return np.sqrt(np.where(variances > 0.0, variances, np.nan))
 
     def _eliminated(self, fit: _Fit, wider: float) -> list[_Eliminated]:

@@ -39,7 +39,8 @@ _FIRST_PAIRS, _MOST_PAIRS = (
 )  # that are looked at first, and if they gain half as much as all must
 _FIRST_SHARE = 0.5
 _MOST_ROUNDS = 3
-_LEAST_LEFT = 0.75  # of the accepted pairs; some of those with the wrong cameras were wrong
+# Of accepted pairs, some of which were wrong with the wrong cameras, and of their median noise.
+_LEAST_LEFT, _MOST_NOISE = 0.75, 1.05
 # A panorama to which so little is missing is whole, or reaches the pole.
 _FROM_WHOLE_DEG, _FROM_POLE_DEG = 3.6, 1.8
 _ANGLES_DEG = (30, 60, 90)  # from the axis of a lens, to say what they are
@@ -54,18 +55,20 @@ class CameraSearch:
     def __init__(self, images: ImageSet, *, keep_cameras: bool) -> None:
         self.given = self.images = images
         self._rounds_left = 0 if keep_cameras else _MOST_ROUNDS
-        self._before, self._num_accepted = images, 0
+        self._before = images
+        self._accepted: list[Verdict] = []  # by these
 
     def goes_on(
         self, job: MatchJob, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
     ) -> bool:
         """Whether the folder shall be matched once more, by other cameras than it was.
 
-        Where far fewer pairs are accepted than by the cameras before, it shall be by these.
+        Where far fewer pairs are accepted than by the cameras before, or their matches agree less
+        closely, it shall be by these.
         """
-        num_accepted = sum(each.accepted for each in finished.values())
-        if num_accepted < _LEAST_LEFT * self._num_accepted:
-            self.images, self._rounds_left, self._num_accepted = self._before, 0, 0
+        accepted = [each for each in finished.values() if each.accepted]
+        if self._accepted and _are_worse(accepted, self._accepted):
+            self.images, self._rounds_left, self._accepted = self._before, 0, []
             return True
         if not self._rounds_left:
             return False
@@ -74,7 +77,7 @@ class CameraSearch:
         changed = _agreed_cameras(self.images, job, pairs, finished, limits)
         if not changed:
             return False
-        self._before, self._num_accepted = self.images, num_accepted
+        self._before, self._accepted = self.images, accepted
         self.images = replace(self.images, cameras={**self.images.cameras, **changed})
         return True
 
@@ -83,6 +86,16 @@ class CameraSearch:
         cameras = self.given.cameras.items()
         pairs = ((name, given, self.images.cameras[name]) for name, given in cameras)
         return tuple(f"{name}: {_told(given, now)}" for name, given, now in pairs if given != now)
+
+
+def _are_worse(accepted: Sequence[Verdict], before: Sequence[Verdict]) -> bool:
+    """Whether far fewer pairs are accepted than before, or their matches agree less closely."""
+    if len(accepted) < _LEAST_LEFT * len(before):
+        return True
+    noise, noise_before = (
+        np.median([each.noise_deg for each in some]) for some in (accepted, before)
+    )
+    return bool(noise > _MOST_NOISE * noise_before)
 
 
 def _agreed_cameras(
@@ -123,7 +136,7 @@ def _agreed_cameras(
     first = fitted(_FIRST_PAIRS)
     if np.median(first.gains) < _FIRST_SHARE * limits.gain:
         return {}
-    shared = fitted(_MOST_PAIRS, first)
+    shared = fitted(_MOST_PAIRS, first) if len(wanted) > _FIRST_PAIRS else first
     if not shared.are_clear(limits):
         return {}
     found = zip(images.cameras.items(), shared.changes, strict=True)
