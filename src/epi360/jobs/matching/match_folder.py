@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -103,7 +103,8 @@ class MatchRun(JudgedPairs):
 
     folder: AnyPath  # what `load_matches` takes
     num_found: int  # pairs that an earlier run had finished
-    cameras: Mapping[str, Camera]  # those that pairs were matched by
+    # Those that pairs were matched by.
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
 
 
 def match_images(
