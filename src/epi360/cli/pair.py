@@ -159,7 +159,7 @@ def _check_pair_words(
 
 def _files_read(image1: Path | None, image2: Path | None, given: PairInput) -> dict[str, Path]:
     """List every file that the command reads, by the name a message calls it."""
-    from epi360.jobs.folder.given_cameras import camera_file
+    from epi360.cameras.calibration import camera_file
 
     files = {"the first image": image1, "the second image": image2}
     for name in ("mask", "mask1", "mask2", "camera", "camera1", "camera2"):

@@ -68,7 +68,8 @@ class CameraChoice:
     width: int | None = None
     """Width of the panoramas, twice their height; 1024 by default."""
     camera: Path | None = None
-    """Calibration file of another camera, a fisheye for example, instead of a panorama."""
+    """Calibration file of another camera, a fisheye for example, instead of a panorama; FILE:NAME
+    where it holds several."""
     supersample: int = 2
     """Rays per axis in pixels at edges."""
 

@@ -2,7 +2,7 @@
 """Calibration files to cameras; the content of a file says which format it is."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -83,19 +83,39 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Return the one camera of a calibration file, whose ``path`` is as in `load_cameras`.
+    """Return the one camera of a calibration file, or that of a name, ``FILE:NAME``.
+
+    The file is as in `load_cameras`.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     ValueError
-        If the file cannot be read, or holds several cameras.
+        If the file cannot be read, holds several cameras, or none of that name.
     """
-    cameras = load_cameras(path)
+    file, name = camera_file(path)
+    cameras = load_cameras(file)
+    if name is not None:
+        return camera_of_name(file, cameras, name)
     if len(cameras) > 1:
         raise ValueError(
-            f"calibration file {path} must hold one camera, got {len(cameras)}: "
-            f"{', '.join(cameras)}; take one with load_cameras"
+            f"calibration file {file} must hold one camera, got {len(cameras)}: "
+            f"{', '.join(cameras)}; name one as {file}:NAME"
         )
     return next(iter(cameras.values()))
+
+
+def camera_file(source: str | os.PathLike[str]) -> tuple[Path, str | None]:
+    """File and name of ``FILE`` or ``FILE:NAME``; a file whose name has a colon comes first."""
+    file, colon, name = os.fspath(source).rpartition(":")
+    if not colon or Path(source).exists():
+        return Path(source), None
+    return Path(file), name
+
+
+def camera_of_name(file: Path, cameras: Mapping[str, Camera], name: str) -> Camera:
+    """Return the camera of a name; ValueError where the file has none of that name."""
+    if name not in cameras:
+        raise ValueError(f"{file} has no camera {name!r}; it holds {', '.join(cameras)}")
+    return cameras[name]

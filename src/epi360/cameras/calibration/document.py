@@ -30,10 +30,22 @@ def read_document(path: Path) -> Any:
     if lines and COLMAP_LINE.match(lines[0]):
         return lines
     try:
-        return json.loads(text) if text.lstrip().startswith(("{", "[")) else _yaml(text)
+        return _json(text) if text.lstrip().startswith(("{", "[")) else _yaml(text)
     except (ValueError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"calibration file {path} must be YAML or JSON: {reason}") from None
+
+
+def _json(text: str) -> Any:
+    """Content of a JSON file, or of a YAML file that begins like one."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        try:
+            return _yaml(text)
+        except ValueError:
+            pass
+        raise
 
 
 def _yaml(text: str) -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from epi360.cameras import Camera, load_cameras, load_rig
+from epi360.cameras.calibration import camera_file, camera_of_name
 from epi360.poses import Pose
 from epi360.runs.input_files import read_text
 
@@ -31,14 +31,6 @@ class GivenCameras:
         return next(iter(self.cameras.values()))
 
 
-def camera_file(source: str) -> tuple[Path, str | None]:
-    """File and name of ``FILE`` or ``FILE:NAME``; a file whose name has a colon comes first."""
-    file, colon, name = source.rpartition(":")
-    if not colon or Path(source).exists():
-        return Path(source), None
-    return Path(file), name
-
-
 def read_given_cameras(source: str) -> GivenCameras:
     """Cameras of ``FILE`` or ``FILE:NAME``, a file that `load_cameras` reads.
 
@@ -53,9 +45,7 @@ def read_given_cameras(source: str) -> GivenCameras:
     path, name = camera_file(source)
     cameras = load_cameras(path)
     if name is not None:
-        if name not in cameras:
-            raise ValueError(f"{path} has no camera {name!r}; it holds {', '.join(cameras)}")
-        return GivenCameras(source, {name: cameras[name]})
+        return GivenCameras(source, {name: camera_of_name(path, cameras, name)})
     if len(cameras) == 1:
         return GivenCameras(source, cameras)
     try:
