@@ -111,8 +111,27 @@ def test_files_that_are_no_text_or_not_there_say_so(tmp_path):
 def test_single_camera_of_a_file_with_several_is_refused_by_their_names(written):
     entry = {"model": "Equirectangular", "width": 1024, "height": 512}
     path = written({"cameras": {"cam0": entry, "cam1": entry}})
-    with pytest.raises(ValueError, match="must hold one camera, got 2: cam0, cam1; take one with"):
+    with pytest.raises(ValueError, match="must hold one camera, got 2: cam0, cam1; name one as"):
         load_camera(str(path))
+
+
+def test_one_of_several_cameras_is_named_after_a_colon(written):
+    entry = {"model": "Equirectangular", "width": 1024, "height": 512}
+    path = written({"cameras": {"cam0": entry, "cam1": {**entry, "width": 2048}}})
+    assert load_camera(f"{path}:cam1").width == 2048
+    with pytest.raises(ValueError, match="has no camera 'cam2'; it holds cam0, cam1"):
+        load_camera(f"{path}:cam2")
+    with pytest.raises(FileNotFoundError, match=r"nowhere:10:cam0 does not exist"):
+        load_camera("nowhere:10:cam0")
+
+
+def test_a_yaml_file_may_begin_with_a_brace(tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text("{model: Equirectangular, width: 1024, height: 512}\n")
+    assert load_camera(path) == Equirectangular(1024, 512)
+    path.write_text('{"model": Equirectangular, "width": ')
+    with pytest.raises(ValueError, match="must be YAML or JSON: Expecting value"):
+        load_camera(path)
 
 
 def kalibr(camera_model, intrinsics, distortion_model="none", coefficients=()):

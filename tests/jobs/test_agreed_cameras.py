@@ -2,16 +2,18 @@
 """A folder whose pairs agree on other angles than those of its camera is matched by these."""
 
 import json
+import re
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from mapped_room import room_poses, write_picture
 
-from epi360.cameras import Equirectangular, KannalaBrandt, load_cameras
+from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole, load_cameras
+from epi360.cameras.changed_camera import changed_lens
 from epi360.cli import SUCCESS, main
 from epi360.estimation.angle_changes import AngleChange
-from epi360.estimation.shared_angles import SharedAngles
+from epi360.estimation.shared_angles import OF_GIVEN, SharedAngles
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching import agreed_cameras, pair_work
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
@@ -126,13 +128,14 @@ def test_cameras_by_which_matches_agree_less_closely_are_given_up(narrow, tmp_pa
     none = [AngleChange(1, name, 0.0, 0.001) for name in ("vertical", "middle")]
 
     def misled(*_):
-        return SharedAngles([[worse, *none]], np.ones(9))
+        return SharedAngles([[worse, *none]], np.ones(9), [(0, 0)] * 9)
 
     monkeypatch.setattr(agreed_cameras, "fit_shared_angles", misled)
     run = match_images(find_images(folder, camera=camera), tmp_path / "out")
     assert run.cameras["camera"].horizontal_fov_deg == 350.0
     assert run.agreed == ()
     assert any(each.accepted for each in run.verdicts)
+    assert run.num_found == 0
 
 
 def test_the_command_says_so_and_can_be_told_not_to(narrow, tmp_path, capsys):
@@ -171,6 +174,70 @@ def test_a_lens_gets_its_focal_length_and_its_curve(lens_folder, tmp_path):
     x, _, z = run.cameras["camera"].bearings_from_pixels(TRUE_LENS.pixels_from_bearings(rays)).T
     assert np.arctan2(x, z) == pytest.approx(angles, rel=0.01)
     assert np.median(errors_deg(run, truth), axis=0).max() < 0.5
+    (said,) = run.agreed
+    assert re.fullmatch(r"camera: \d\d\.\d and \d\d\.\d degrees from the axis, not 60 and 30", said)
+
+
+def test_the_lens_of_a_map_is_the_one_that_the_pairs_agree_on(lens_folder, tmp_path):
+    pytest.importorskip("pycolmap")
+    from epi360.jobs.mapping.map_folder import map_images
+
+    camera = write_camera(tmp_path / "lens.json", TRUE_LENS, fx=120.0, fy=120.0)
+    run = map_images(find_images(lens_folder[0], camera=camera), tmp_path / "out")
+    assert run.matched.agreed
+    (mapped,) = run.models[0].reconstruction.cameras.values()
+    assert mapped.fx == pytest.approx(TRUE_LENS.fx, rel=0.01)
+    assert mapped == run.matched.cameras["camera"] or mapped.fx == pytest.approx(
+        run.matched.cameras["camera"].fx
+    )
+
+
+def test_other_images_are_replaced_with_wrong_cameras_too(narrow, lens_folder, tmp_path):
+    folder, _, camera = narrow
+    lens = write_camera(tmp_path / "lens.json", TRUE_LENS)
+    match_images(find_images(lens_folder[0], camera=lens), tmp_path / "out")
+    images = find_images(folder, camera=camera)
+    run = match_images(images, tmp_path / "out", restart=True)
+    assert run.agreed
+
+
+NARROW_LENSES = [
+    Pinhole(1080, 1440, 1100.0, 1100.0, 540.0, 720.0),
+    Pinhole(1000, 750, 1200.0, 1200.0, 500.0, 375.0),
+    Pinhole(1000, 750, 6000.0, 6000.0, 500.0, 375.0),
+]
+
+
+@pytest.mark.parametrize("given", NARROW_LENSES, ids=lambda each: f"{each.width}-{each.fx:.0f}")
+def test_a_narrow_lens_is_told_by_angles_that_it_sees(given):
+    now = changed_lens(given, np.array([0.05, 0.0, 0.0]))
+    assert "degrees from the axis, not" in agreed_cameras._told(given, now)
+
+
+def changes_of(**sizes):
+    names = ("horizontal", "vertical", "middle")
+    return [AngleChange(1, name, sizes.get(name, 0.0), 1e-4) for name in names]
+
+
+@pytest.mark.parametrize(
+    ("given", "sizes", "expected"),
+    [
+        ((360, 180, 0), {"horizontal": -0.028}, (349.92, 180, 0)),
+        ((350, 180, 0), {"horizontal": 0.0271}, (360, 180, 0)),
+        ((360, 180, 0), {"vertical": -0.053, "middle": -0.066}, (360, 171.45, 4.28)),
+        ((358, 178, 0), {"vertical": -0.06}, (358, 167.32, 0)),
+        ((340, 178, 0), {"horizontal": 0.03}, (350.2, 178, 0)),
+        ((340, 151.3, -2.3), {"horizontal": 0.03}, (350.2, 151.3, -2.3)),
+    ],
+)
+def test_what_is_nearly_whole_is_whole_and_what_is_not_asked_for_stays(given, sizes, expected):
+    camera = Equirectangular(512, 256, *given[:2], 0.0, given[2])
+    found = agreed_cameras._changed(camera, changes_of(**sizes), OF_GIVEN)
+    got = found.horizontal_fov_deg, found.vertical_fov_deg, found.center_latitude_deg
+    assert got == pytest.approx(expected, abs=0.01)
+    told = agreed_cameras._told(camera, found)
+    assert ("around" in told) == (got[0] != given[0])
+    assert ("latitude" in told) == (abs(got[2] - given[2]) > 1e-6)
 
 
 def test_panoramas_are_mapped_as_they_are_given(narrow, tmp_path, monkeypatch):

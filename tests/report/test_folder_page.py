@@ -77,6 +77,7 @@ def make_run(tmp_path, monkeypatch):
             verdicts=tuple(verdicts),
             unreadable={},
             num_found=0,
+            cameras={"c": camera},
         )
         return run, ImageSet(tmp_path, {"c": camera}, sources)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -36,8 +37,8 @@ def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular
 def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
     """Lens of the same principal point whose angles from the axis are changed, and their curve.
 
-    ``changes`` (1 or 2,) are those of `AngleModel.directions`. None if no `KannalaBrandt` is within
-    half a pixel of the changed rays, or the camera is no lens.
+    ``changes`` (1, 2 or 3,) are those of `AngleModel.directions` of a bent lens. None if no
+    `KannalaBrandt` is within half a pixel of the changed rays, or the camera is no lens.
     """
     if not isinstance(camera, FocalCamera):
         return None
@@ -58,17 +59,19 @@ def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
     scale, errors = float(solved[0]), powers @ solved - radii
     if not (scale > 0.0 and np.abs(errors).max() * focal.max() < _MOST_ERROR_PX):
         return None
-    k1, k2, k3, k4 = (solved[1:] / scale).tolist()
+    # Rounded to a millionth of a pixel, so that another processor makes no other camera.
+    k1, k2, k3, k4 = np.round(solved[1:] / scale, 9).tolist()
+    edge_deg = min(math.degrees(angles.max()) + 1e-6, 180.0)
     return KannalaBrandt(
         camera.width,
         camera.height,
-        camera.fx * scale,
-        camera.fy * scale,
+        round(camera.fx * scale, 6),
+        round(camera.fy * scale, 6),
         camera.cx,
         camera.cy,
         k1,
         k2,
         k3,
         k4,
-        max_angle_deg=float(np.degrees(min(angles.max() * (1.0 + 1e-9), np.pi))),
+        max_angle_deg=round(edge_deg, 6),
     )

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_angles import FIXED, AngleModel, PairOfAngles
 from epi360.estimation.angle_changes import (
-    LARGEST_CHANGE,
     REACH,
     SMALLEST_NOISE_RAD,
     AngleChange,
@@ -30,7 +30,7 @@ from epi360.poses import Pose
 
 Array = NDArray[np.float64]
 Bearings = tuple[Array, Array]
-Estimate = Callable[[Array, Array], RelativePoseResult]
+Estimate = Callable[..., RelativePoseResult]
 Direction = tuple[int, str]  # number of a camera, and what changes
 
 _NUM_STEPS, _ANNEALED, _WIDEST = 9, 6, 4.0  # all steps of a fit, and those of a wider loss
@@ -39,7 +39,10 @@ _MOST_ROUNDS = 10
 _SETTLED = 3e-4  # largest change of a round that ends the search
 _SHARE_OF_CURVES = 0.2  # of the least gain
 _LEAST_DEVIATIONS = 5.0  # of a change that is clear
-_LEAST_SHARE = 0.75  # of the pairs must gain
+_LEAST_SHARE = 0.6  # of the pairs must gain; wrong poses do not
+# Many pairs may say more than one does; larger changes are no small errors of a lens.
+_LARGEST_CHANGE, _MOST_CHANGE_OF_LENS = 0.5, 0.45
+_AT_POLE, _NEAR_POLE = 1e-6, np.radians(1.8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +50,19 @@ class PosedMatches:
     """Matches of two images: their cameras by number, bearings (N, 3) each, and what they say.
 
     The bearings, by the cameras as they are given, are those of all matches, wrong ones included;
-    ``noise_deg`` is that of the inliers, as of `RelativePoseResult`.
+    ``noise_deg`` is that of the inliers, as of `RelativePoseResult`, and ``max_noise_deg`` the
+    largest one of a pose that is accepted.
     """
 
     cameras: tuple[int, int]
     bearings: Bearings
     cam2_from_cam1: Pose
     noise_deg: float
+    max_noise_deg: float
 
 
 class Limits(NamedTuple):
-    """What changes are worth to be made: so much of those worth a word, by so large a gain."""
+    """Which changes are made: how large, as a share of those worth a word, by how large a gain."""
 
     share_of_large: float
     gain: float  # of half of the pairs, for each inlier
@@ -80,31 +85,41 @@ class SharedAngles(NamedTuple):
     """What must be changed in the angles of each camera, and what the matches gain by that.
 
     ``changes`` has one list for each camera, in the order of `AngleModel.directions`; their
-    standard deviations are those by which pairs differ. ``gains`` (P,) are those of the robust
-    log-likelihood of each pair, for each of its inliers.
+    ``view`` is the number of the camera, from 1, and their standard deviations are those by which
+    pairs differ. ``gains`` (P,) are those of the robust log-likelihood of each pair, for each of
+    its inliers, and ``cameras`` the numbers of the cameras of each pair, from 0.
     """
 
     changes: list[list[AngleChange]]
     gains: Array
+    cameras: list[tuple[int, int]]
 
     @property
     def sizes(self) -> dict[Direction, float]:
-        """The changes by the number of the camera and their direction."""
+        """The changes by the number of the camera, from 0, and their direction."""
         return {
             (camera, each.direction): each.change
             for camera, changes in enumerate(self.changes)
             for each in changes
         }
 
-    def are_clear(self, limits: Limits) -> bool:
-        """Whether most pairs gain clearly by changes that are large and possible."""
-        every = [each for changes in self.changes for each in changes]
+    def gain_of(self, camera: int) -> float:
+        """What the median pair of a camera gains; NaN where it took none."""
+        gains = self._gains_of(camera)
+        return float(np.median(gains)) if len(gains) else np.nan
+
+    def is_clear(self, camera: int, limits: Limits) -> bool:
+        """Whether the pairs of a camera gain clearly by changes that are large and possible."""
+        changes = self.changes[camera]
         return bool(
-            any(map(limits.is_clear, every))
-            and all(abs(each.change) < most_change(each.direction) for each in every)
-            and np.mean(self.gains > 0.0) >= _LEAST_SHARE
-            and np.median(self.gains) > limits.gain
+            any(map(limits.is_clear, changes))
+            and all(abs(each.change) < _most_change(each.direction) for each in changes)
+            and np.mean(self._gains_of(camera) > 0.0) >= _LEAST_SHARE
+            and self.gain_of(camera) > limits.gain
         )
+
+    def _gains_of(self, camera: int) -> Array:
+        return self.gains[[camera in pair for pair in self.cameras]]
 
 
 def fit_shared_angles(
@@ -112,7 +127,7 @@ def fit_shared_angles(
     cameras: Sequence[Camera | None],
     estimate: Estimate,
     limits: Limits = OF_GIVEN,
-    start: SharedAngles | None = None,
+    start: Mapping[Direction, float] | None = None,
 ) -> SharedAngles:
     """Find the changes of the cameras' angles, and poses of all pairs, that suit all matches best.
 
@@ -124,11 +139,16 @@ def fit_shared_angles(
         Those that took their images; None for one that does not change. The curves of lenses change
         too, if that gains clearly.
     estimate : callable
-        Robust estimator of the pose of bearings (N, 3) each.
+        Robust estimator of the pose of bearings (N, 3) each; it also takes ``max_noise_deg``.
     limits : Limits
         What the changes are worth.
-    start : SharedAngles, optional
-        What was found from some of the pairs.
+    start : mapping, optional
+        Changes to begin with, as `SharedAngles.sizes` has them.
+
+    Raises
+    ------
+    ValueError
+        If no camera may change.
 
     Notes
     -----
@@ -140,17 +160,60 @@ def fit_shared_angles(
     """
     straight = _Problem(matched, cameras, is_bent=False)
     bent = _Problem(matched, cameras, is_bent=True)
-    begun = {} if start is None else start.sizes
+    if not straight.directions:
+        raise ValueError("cameras must have one that may change, got None for each")
+    begun = {} if start is None else start
+    tied = _Tied(cameras, estimate)
     if not begun.keys() <= set(straight.directions):
-        return bent.told(bent.refined(bent.begun(begun, estimate), estimate))
+        return tied.told(bent, bent.refined(bent.begun(begun, estimate), estimate))
     fit = straight.refined(straight.begun(begun, estimate), estimate)
     if bent.directions == straight.directions:
-        return straight.told(fit)
+        return tied.told(straight, fit)
     sizes = dict(zip(straight.directions, fit.changes.tolist(), strict=True))
     later = bent.refined(_Fit(bent.changes_of(sizes), fit.poses, fit.noises), estimate)
     if bent.gain(later) > straight.gain(fit) + _SHARE_OF_CURVES * limits.gain:
-        return bent.told(later)
-    return straight.told(fit)
+        return tied.told(bent, later)
+    return tied.told(straight, fit)
+
+
+class _Tied(NamedTuple):
+    """What is known of panoramas that end at a pole: they do not go beyond it.
+
+    Where the changes leave an end of a panorama at its pole, or nearly so, the middle moves with
+    the height.
+    """
+
+    cameras: Sequence[Camera | None]
+    estimate: Estimate
+
+    def told(self, problem: _Problem, fit: _Fit) -> SharedAngles:
+        """The changes of the fit, or of one in which the ends stay at their poles."""
+        blocks = [
+            _free_changes(camera, fit.changes[own])
+            for camera, own in zip(self.cameras, problem.columns, strict=True)
+        ]
+        problem.free = block_diag(*blocks)
+        if problem.free.shape[1] < len(fit.changes):
+            start = problem.free @ np.linalg.lstsq(problem.free, fit.changes, rcond=None)[0]
+            fit = problem.refined(fit._replace(changes=start), self.estimate)
+        return problem.told(fit)
+
+
+def _free_changes(camera: Camera | None, changes: Array) -> Array:
+    """The combinations (k, q) of the changes (k,) of a camera that may change."""
+    if not isinstance(camera, Equirectangular):
+        return np.eye(len(changes))
+    half, middle = np.radians([camera.vertical_fov_deg / 2.0, -camera.center_latitude_deg])
+    ends = np.array([-1.0, 1.0])  # the highest latitude and the lowest one
+    room = np.pi / 2.0 - ends * (middle + ends * half)
+    left = np.pi / 2.0 - ends * (middle + ends * half * (1.0 + changes[1]) + changes[2])
+    stay = (room < _AT_POLE) & (left < _NEAR_POLE)
+    free = [[1.0, 0.0, 0.0]]
+    if not stay.any():
+        free += [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    elif not stay.all():
+        free += [[0.0, 1.0, half if stay[0] else -half]]
+    return np.transpose(free)
 
 
 class _Fit(NamedTuple):
@@ -170,6 +233,7 @@ class _Pair:
         known = np.isfinite(given.bearings[0]).all(axis=1)
         rows = np.flatnonzero(known & np.isfinite(given.bearings[1]).all(axis=1))
         some = rows[:: 1 + len(rows) // _MOST_MATCHES]
+        self.cameras, self.max_noise_deg = given.cameras, given.max_noise_deg
         own = [models[camera] for camera in given.cameras]
         own_columns = [columns[camera] for camera in given.cameras]
         first, second = given.bearings
@@ -198,11 +262,12 @@ class _Problem:
             for camera in cameras
         ]
         ends = np.cumsum([len(model.directions) for model in models]).tolist()
-        self._columns = [slice(*each) for each in zip([0, *ends], ends, strict=False)]
+        self.columns = [slice(*each) for each in zip([0, *ends], ends, strict=False)]
         self.directions: list[Direction] = [
             (camera, name) for camera, model in enumerate(models) for name in model.directions
         ]
-        self._pairs = [_Pair(each, models, self._columns) for each in matched]
+        self._pairs = [_Pair(each, models, self.columns) for each in matched]
+        self.free = np.eye(len(self.directions))  # combinations of the changes that may change
 
     def begun(self, sizes: Mapping[Direction, float], estimate: Estimate) -> _Fit:
         """Poses as they were given, or with some changes of the angles."""
@@ -240,13 +305,15 @@ class _Problem:
                 self.directions, fit.changes, sigmas, strict=True
             )
         ]
-        return SharedAngles([changes[own] for own in self._columns], self._gains(fit))
+        cameras = [pair.cameras for pair in self._pairs]
+        return SharedAngles([changes[own] for own in self.columns], self._gains(fit), cameras)
 
     def _estimated(self, fit: _Fit, estimate: Estimate) -> _Fit:
         """The same with poses that are estimated anew; they stay where none is accepted."""
         poses, noises = list(fit.poses), list(fit.noises)
         for index, pair in enumerate(self._pairs):
-            result = estimate(*(view.bearings for view in pair.every.changed(fit.changes)))
+            views = pair.every.changed(fit.changes)
+            result = estimate(*(view.bearings for view in views), max_noise_deg=pair.max_noise_deg)
             if result.success:
                 poses[index], noises[index] = result.cam2_from_cam1, _in_radians(result.noise_deg)
         return _Fit(fit.changes, poses, noises)
@@ -256,10 +323,10 @@ class _Problem:
         for step in range(_NUM_STEPS):
             wider = max(1.0, _WIDEST - (_WIDEST - 1.0) * step / _ANNEALED)
             parts = self._eliminated(fit, wider)
-            information = sum(part.information for part in parts)
-            pull = sum(part.pull for part in parts)
-            move = -np.linalg.pinv(information, hermitian=True) @ pull
-            changes = np.clip(fit.changes + move, -LARGEST_CHANGE, LARGEST_CHANGE)
+            information = self.free.T @ sum(part.information for part in parts) @ self.free
+            pull = self.free.T @ sum(part.pull for part in parts)
+            move = -self.free @ (np.linalg.pinv(information, hermitian=True) @ pull)
+            changes = np.clip(fit.changes + move, -_LARGEST_CHANGE, _LARGEST_CHANGE)
             poses = [
                 moved(pose, part.step(move)) for pose, part in zip(fit.poses, parts, strict=True)
             ]
@@ -277,9 +344,12 @@ class _Problem:
     def _sigmas(self, fit: _Fit) -> Array:
         """Standard deviations of the changes, NaN where nothing determines them."""
         parts = self._eliminated(fit, 1.0)
+        free = self.free
         information = np.sum([part.information for part in parts], axis=0)
         without = [
-            np.linalg.pinv(information - part.information, hermitian=True) @ part.pull
+            free
+            @ np.linalg.pinv(free.T @ (information - part.information) @ free, hermitian=True)
+            @ (free.T @ part.pull)
             for part in parts
         ]
         variances = np.sum(np.square(without), axis=0) * (len(parts) - 1) / len(parts)
@@ -320,6 +390,11 @@ class _Eliminated(NamedTuple):
     def step(self, change: Array) -> Array:
         """What the pose moves by while the changes do so."""
         return -self.pose_step - self.pose_by_changes @ change
+
+
+def _most_change(direction: str) -> float:
+    is_of_lens = direction in ("radial", "curve", "edge")
+    return _MOST_CHANGE_OF_LENS if is_of_lens else most_change(direction)
 
 
 def _in_radians(noise_deg: float) -> float:

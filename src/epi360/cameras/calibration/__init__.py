@@ -109,7 +109,7 @@ def load_camera(path: str | os.PathLike[str]) -> Camera:
 def camera_file(source: str | os.PathLike[str]) -> tuple[Path, str | None]:
     """File and name of ``FILE`` or ``FILE:NAME``; a file whose name has a colon comes first."""
     file, colon, name = os.fspath(source).rpartition(":")
-    if not colon or Path(source).exists():
+    if not colon or Path(source).exists() or not Path(file).exists():
         return Path(source), None
     return Path(file), name
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from epi360.cameras import Equirectangular
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.features.warped_patches import Panorama, remembered
@@ -133,8 +132,9 @@ def map_images(
     ``restart``, pairs that were matched with other options are thrown away instead of refusing
     them.
 
-    Panoramas and rigs stay as they are given, and lenses, unless pairs agree on other angles of
-    theirs. Pairs go in with their inliers and poses where the
+    Panoramas stay as they are given, and so do the places of lenses on a rig. The angles of a lens
+    may change, where pairs agree on that, see `match_images`; then the poses of the odometry, which
+    had the lens as it was given, are not used. Pairs go in with their inliers and poses where the
     verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches.
     Ambiguous pairs join no groups of images that others do not join, as rooms may have the same
     carpet. A pair that two or more triangles contradict, or that `check_graph` refuses, stays out:
@@ -175,12 +175,13 @@ def map_images(
     matched = match_images(
         images,
         output,
-        _match_options(images, options.match),
+        replace(options.match, keep_panoramas=True),  # of a part of one COLMAP has no camera
         first_pairs=_first_pairs(images, options.match, tracked),
         restart=restart,
         progress=progress,
     )
-    images = replace(images, cameras=dict(matched.cameras))
+    if matched.agreed:
+        images, tracked = replace(images, cameras=dict(matched.cameras)), None
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start
@@ -207,12 +208,6 @@ def map_images(
         was_mapped,
         _branches(graph, models),
     )
-
-
-def _match_options(images: ImageSet, given: MatchOptions) -> MatchOptions:
-    """Options that keep panoramas as they are: of one that is not whole COLMAP has no camera."""
-    has_panoramas = any(isinstance(each, Equirectangular) for each in images.cameras.values())
-    return replace(given, keep_cameras=given.keep_cameras or has_panoramas)
 
 
 def _first_pairs(

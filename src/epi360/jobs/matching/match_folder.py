@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -72,6 +72,7 @@ class MatchOptions:
     mask_nadir_deg: float = 0.0  # ignored around straight down
     upright_deg: float | None = None  # panoramas that stand upright to so many degrees, one sigma
     keep_cameras: bool = False  # even where pairs agree that their angles are other ones
+    keep_panoramas: bool = False  # those of panoramas only
     seed: int = 0
     num_threads: int | None = None  # one per core; the results do not depend on it
 
@@ -103,7 +104,7 @@ class MatchRun(JudgedPairs):
 
     folder: AnyPath  # what `load_matches` takes
     num_found: int  # pairs that an earlier run had finished
-    # Those that pairs were matched by.
+    # The cameras that the pairs were matched by.
     cameras: Mapping[str, Camera] = field(default_factory=dict)
 
 
@@ -159,15 +160,22 @@ def match_images(
         If the output cannot be written.
     """
     check_engine(engine)
-    search = CameraSearch(images, keep_cameras=options.keep_cameras)
-    work = _open_work(images, path_of(output), options, restart)
+    search = CameraSearch(
+        images, keep_cameras=options.keep_cameras, keep_panoramas=options.keep_panoramas
+    )
+    folder = path_of(output)
+    extraction = open_match_output(folder, options, restart=restart)
+    if not restart:
+        _check_images(images, folder)
+    num_found = None  # of what an earlier run has finished, not this one by other cameras
     while True:
+        work = _work(search.images, folder, options, extraction)
         with open_engine(work, engine, address) as opened:
             job = MatchJob(work, opened, progress)
             chosen = _chosen(search.images, job, options, first_pairs)
+            num_found = min(chosen.num_found, chosen.num_found if num_found is None else num_found)
             if not search.goes_on(job, chosen.pairs, chosen.finished):
-                return _judged(search, job, chosen, options)
-        work = _open_work(search.images, path_of(output), options, restart=False)
+                return _judged(search, job, replace(chosen, num_found=num_found), options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,11 +275,10 @@ def open_match_output(
     return extraction
 
 
-def _open_work(images: ImageSet, output: AnyPath, options: MatchOptions, restart: bool) -> PairWork:
-    """Open the output folder, or refuse it, and return the work that is done in it."""
-    extraction = open_match_output(output, options, restart=restart)
-    if not restart:
-        _check_images(images, output)
+def _work(
+    images: ImageSet, output: AnyPath, options: MatchOptions, extraction: ExtractionOptions
+) -> PairWork:
+    """The work that is done in the output folder, which is open."""
     inputs = MatchInputs(
         images=dict(enumerate(images.images)),
         cameras=dict(enumerate(images.cameras[image.camera] for image in images.images)),
