@@ -43,9 +43,10 @@ def apart_deg(bearings, others):
 def test_a_factor_of_all_angles_is_exact_for_a_kannala_brandt_lens():
     changes, pixels = np.array([-0.05, 0.0, 0.0]), pixels_of(FISHEYE)
     lens = changed_lens(FISHEYE, changes)
-    assert apart_deg(
-        lens.bearings_from_pixels(pixels), expected(FISHEYE, changes, pixels)
-    ).max() < 1e-6
+    assert (
+        apart_deg(lens.bearings_from_pixels(pixels), expected(FISHEYE, changes, pixels)).max()
+        < 1e-6
+    )
     assert lens.fx == pytest.approx(228.0 / 0.95)
     assert (lens.cx, lens.cy) == (472.0, 308.0)
 

@@ -11,9 +11,9 @@ from epi360.estimation.shared_angles import (
     OF_CHANGED,
     OF_GIVEN,
     Limits,
-    PosedMatches,
     fit_shared_angles,
 )
+from epi360.estimation.shared_angles_fit import PosedMatches
 from epi360.two_view import IMAGE_OPTIONS
 
 NO_CHANGES = {"panorama": (PANORAMA, (0.0, 0.0, 0.0)), "lens": (LENS, (0.0,))}

@@ -83,9 +83,12 @@ def load_cameras(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
-    """Return the one camera of a calibration file, or that of a name, ``FILE:NAME``.
+    """Return the one camera of a calibration file, or one of several.
 
-    The file is as in `load_cameras`.
+    Parameters
+    ----------
+    path : path-like
+        A file as in `load_cameras`, or ``FILE:NAME`` for the camera of that name.
 
     Raises
     ------

@@ -22,12 +22,11 @@ from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
 from epi360.estimation.shared_angles import (
     OF_CHANGED,
     OF_GIVEN,
-    Direction,
     Limits,
-    PosedMatches,
     SharedAngles,
     fit_shared_angles,
 )
+from epi360.estimation.shared_angles_fit import Direction, PosedMatches
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.pairs.pair_selection import Pair
