@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Changes of the cameras' angles that many pairs share."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rooms_by_wrong_cameras import LENS, OTHER_LENS, PANORAMA, errors_deg, estimated, seen
@@ -56,6 +58,17 @@ def test_pairs_say_what_their_camera_is(camera, changes, tolerance):
     shared = fit_shared_angles(pairs_of(camera, changes), [camera], estimate)
     assert sizes(shared)[: len(changes)] == pytest.approx(changes, abs=tolerance)
     assert shared.is_clear(0, OF_GIVEN)
+
+
+def test_the_ends_of_a_panorama_that_are_near_their_poles_stay_there():
+    cut = fit_shared_angles(pairs_of(PANORAMA, (0.0, -0.05, -0.0785)), [PANORAMA], estimate)
+    _, vertical, middle = sizes(cut)
+    assert middle == pytest.approx(0.5 * np.pi * vertical, abs=1e-12)  # the highest one stays
+    narrow = fit_shared_angles(pairs_of(PANORAMA, (-0.028, 0.004, 0.003)), [PANORAMA], estimate)
+    assert sizes(narrow)[1:] == [0.0, 0.0]
+    part = replace(PANORAMA, vertical_fov_deg=120.0)
+    free = fit_shared_angles(pairs_of(PANORAMA, (0.0, 0.05, 0.03)), [part], estimate)
+    assert sizes(free)[1:] == pytest.approx([0.05, 0.03], abs=0.005)
 
 
 @pytest.mark.parametrize("kind", NO_CHANGES)

@@ -2,7 +2,8 @@
 """A folder whose poses say that it is level: pairs in doubt are looked at again with that known."""
 
 import csv
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,10 +13,12 @@ from level_views import (
     NAMES,
     doubted,
     judge_otherwise,
+    pictures,
     truth,
     world_from_cam,
     write_tour,
 )
+from rendered_views import write_png
 
 from epi360.cameras import KannalaBrandt
 from epi360.cameras.upright import elevation_deg, tilt_deg
@@ -274,6 +277,24 @@ def test_upright_panoramas_are_known_from_the_first_look(tour, tmp_path, priors)
     assert all(verdict.accepted for verdict in run.verdicts)
     with pytest.raises(ValueError, match=r"made with upright 0\.7, now it is None"):
         match_images(tour, tmp_path)
+
+
+def test_parts_of_panoramas_are_level_as_well(tmp_path):
+    for name, picture in zip(NAMES, pictures(True), strict=True):
+        write_png(tmp_path / "parts" / name, picture[:240, 6:-6])
+    part = replace(
+        CAMERA,
+        width=500,
+        height=240,
+        horizontal_fov_deg=360 * 500 / 512,
+        vertical_fov_deg=168.75,
+        center_latitude_deg=5.625,
+    )
+    file = tmp_path / "part.json"
+    file.write_text(json.dumps({"model": "Equirectangular", **asdict(part)}))
+    run = match_images(find_images(tmp_path / "parts", camera=str(file)), tmp_path / "out")
+    assert run.level == LEVEL
+    assert run.agreed == ()
 
 
 def test_what_a_file_states_about_its_pitch_comes_first(tmp_path, monkeypatch):

@@ -40,6 +40,11 @@ def is_full_panorama(camera: Camera) -> bool:
     return camera == Equirectangular(camera.width, camera.height)
 
 
+def has_a_vertical(camera: Camera) -> bool:
+    """Whether a camera that stands upright has down in the middle of its lowest rows."""
+    return isinstance(camera, Equirectangular)
+
+
 def tilt_deg(rotation: NDArray[np.float64]) -> float:
     """Angle between the vertical axes of two cameras, by the rotation from one to the other."""
     turned = rotation @ DOWN

@@ -82,7 +82,7 @@ class Level:
 
 
 def find_level(verdicts: Sequence[Verdict]) -> Level | None:
-    """Prior of a level folder, from the verdicts on its pairs of full panoramas; None if not level.
+    """Prior of a level folder, from the verdicts on its pairs of panoramas; None if not level.
 
     A folder is level if at least five poses are confident, and nine in ten of them turn gravity by
     less than 3 degrees, with a median under 1.5; it is of one height if nine in ten also go less

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from epi360.cameras.upright import is_full_panorama
+from epi360.cameras.upright import has_a_vertical
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching.implied_job import find_implied
@@ -90,7 +90,7 @@ def judge_folder(
     gets a second pose, or one that others imply.
     """
     keys = [folder.keys_of(pair) if folder.is_readable(pair) else None for pair in pairs]
-    level = None if is_upright else find_level(_of_full_panoramas(folder, pairs, finished))
+    level = None if is_upright else find_level(_of_panoramas(folder, pairs, finished))
     told = finished if level is None else _with_level(folder, pairs, finished, level)
     named = [_named(folder, *each, told) for each in zip(pairs, keys, strict=True)]
     settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
@@ -126,13 +126,13 @@ def _accepted(keys: Sequence[Keys | None], verdicts: Sequence[PairVerdict]) -> s
     return {each for each, told in zip(keys, verdicts, strict=True) if each and told.accepted}
 
 
-def _of_full_panoramas(
+def _of_panoramas(
     folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
 ) -> list[Verdict]:
     return [
         finished[folder.keys_of(pair)]
         for pair in pairs
-        if folder.is_readable(pair) and are_usable(folder, pair, is_full_panorama)
+        if folder.is_readable(pair) and are_usable(folder, pair, has_a_vertical)
     ]
 
 
@@ -140,7 +140,7 @@ def _with_level(
     folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict], level: Level
 ) -> Mapping[Keys, Verdict]:
     """Verdicts of which some are replaced by those with the prior of the level folder."""
-    usable = readable_pairs(folder, pairs, is_full_panorama)
+    usable = readable_pairs(folder, pairs, has_a_vertical)
     wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
     again = folder.verify_again(wanted, level)
     kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}

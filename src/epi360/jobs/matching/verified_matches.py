@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import is_full_panorama
+from epi360.cameras.upright import has_a_vertical
 from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
@@ -62,7 +62,7 @@ class MatchedViews:
     @property
     def sees_all_around(self) -> bool:
         """Whether both images are full panoramas."""
-        return all(map(is_full_panorama, self.cameras))
+        return all(map(has_a_vertical, self.cameras))
 
     @property
     def pixel_deg(self) -> float:
