@@ -201,15 +201,16 @@ def test_other_images_are_replaced_with_wrong_cameras_too(narrow, lens_folder, t
     assert run.agreed
 
 
-NARROW_LENSES = [
+SOME_LENSES = [
     Pinhole(1080, 1440, 1100.0, 1100.0, 540.0, 720.0),
     Pinhole(1000, 750, 1200.0, 1200.0, 500.0, 375.0),
     Pinhole(1000, 750, 6000.0, 6000.0, 500.0, 375.0),
+    KannalaBrandt(1920, 1080, 300.0, 300.0, 960.0, 540.0, max_angle_deg=95.0),  # a small circle
 ]
 
 
-@pytest.mark.parametrize("given", NARROW_LENSES, ids=lambda each: f"{each.width}-{each.fx:.0f}")
-def test_a_narrow_lens_is_told_by_angles_that_it_sees(given):
+@pytest.mark.parametrize("given", SOME_LENSES, ids=lambda each: f"{each.width}-{each.fx:.0f}")
+def test_a_lens_is_told_by_angles_that_it_sees(given):
     now = changed_lens(given, np.array([0.05, 0.0, 0.0]))
     assert "degrees from the axis, not" in agreed_cameras._told(given, now)
 

@@ -47,6 +47,7 @@ _LEAST_LEFT, _MOST_NOISE = 0.75, 1.05
 _FROM_WHOLE_DEG, _FROM_POLE_DEG = 3.6, 1.8
 _ANGLES_DEG = (90, 60, 30, 15, 5)  # from the axis of a lens, to say what they are
 _SAME_DEG = 1e-9
+_GRID = 41  # pixels along each side, of which some are in the circle of a fisheye
 
 
 class CameraSearch:
@@ -265,8 +266,8 @@ def _told(given: Camera, now: Camera) -> str:
         return ", ".join(
             words.format(*both) for *both, words in parts if abs(both[0] - both[1]) > _SAME_DEG
         )
-    corners = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0], [0.0, 0.5], [0.5, 0.0]])
-    pixels = 1.0 + corners * [given.width - 2.0, given.height - 2.0]
+    across, down = (np.linspace(1.0, size - 1.0, _GRID) for size in (given.width, given.height))
+    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     bearings = given.bearings_from_pixels(pixels)
     widest = bearings[np.nanargmin(bearings[:, 2])]  # towards there most angles are in the picture
     out = np.array([*widest[:2], 0.0]) / np.hypot(*widest[:2])
