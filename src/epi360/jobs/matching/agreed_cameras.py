@@ -275,6 +275,6 @@ def _told(given: Camera, now: Camera) -> str:
     pixels = given.pixels_from_bearings(np.sin(taken) * out + np.cos(taken) * [0.0, 0.0, 1.0])
     x, y, z = now.bearings_from_pixels(pixels).T
     seen = np.degrees(np.arctan2(np.hypot(x, y), z))
-    shown = [each for each in zip(seen, _ANGLES_DEG, strict=True) if np.isfinite(each[0])][:2]
+    shown = [each for each in zip(seen, _ANGLES_DEG, strict=True) if np.isfinite(each[0])][1::-1]
     are = " and ".join(f"{angle:.1f}" for angle, _ in shown)
     return f"{are} degrees from the axis, not {' and '.join(str(angle) for _, angle in shown)}"
