@@ -175,7 +175,7 @@ def test_a_lens_gets_its_focal_length_and_its_curve(lens_folder, tmp_path):
     assert np.arctan2(x, z) == pytest.approx(angles, rel=0.01)
     assert np.median(errors_deg(run, truth), axis=0).max() < 0.5
     (said,) = run.agreed
-    assert re.fullmatch(r"camera: \d\d\.\d and \d\d\.\d degrees from the axis, not 30 and 60", said)
+    assert re.fullmatch(r"camera: \d\d\.\d and \d\d\.\d degrees from the axis, not 60 and 90", said)
 
 
 def test_the_lens_of_a_map_is_the_one_that_the_pairs_agree_on(lens_folder, tmp_path):
