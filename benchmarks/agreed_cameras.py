@@ -56,7 +56,7 @@ def main() -> int:
     parser.add_argument("--pictures", type=Path, help="keep what is rendered in this folder")
     options = parser.parse_args()
     print(
-        f"{'folder':34} {'cameras':8} {'accepted':>8} {'right':>6} {'wrong':>6} {'R, t error':>14}"
+        f"{'folder':36} {'cameras':8} {'accepted':>8} {'right':>6} {'wrong':>6} {'R, t error':>14}"
     )
     with tempfile.TemporaryDirectory() as temporary:
         rendered = options.pictures or Path(temporary)
@@ -171,7 +171,7 @@ def _row(folder: Folder, how: str, work: Path) -> str:
     num_right = int((errors.max(axis=1, initial=0.0) < RIGHT_DEG).sum())
     rotation, direction = np.median(errors, axis=0) if len(errors) else (np.nan, np.nan)
     return (
-        f"{folder.name:34} {how:8} {len(errors):8} {num_right:6} {len(errors) - num_right:6} "
+        f"{folder.name:36} {how:8} {len(errors):8} {num_right:6} {len(errors) - num_right:6} "
         f"{rotation:6.2f}, {direction:6.2f} {'; '.join(run.agreed)}"
     )
 
