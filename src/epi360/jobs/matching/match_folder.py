@@ -164,18 +164,16 @@ def match_images(
         images, keep_cameras=options.keep_cameras, keep_panoramas=options.keep_panoramas
     )
     folder = path_of(output)
-    extraction = open_match_output(folder, options, restart=restart)
-    if not restart:
-        _check_images(images, folder)
+    work = _open_work(images, folder, options, restart=restart)
     num_found = None  # of what an earlier run has finished, not this one by other cameras
     while True:
-        work = _work(search.images, folder, options, extraction)
         with open_engine(work, engine, address) as opened:
             job = MatchJob(work, opened, progress)
             chosen = _chosen(search.images, job, options, first_pairs)
             num_found = min(chosen.num_found, chosen.num_found if num_found is None else num_found)
             if not search.goes_on(job, chosen.pairs, chosen.finished):
                 return _judged(search, job, replace(chosen, num_found=num_found), options)
+        work = _work(search.images, folder, options, work.inputs.cache.options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,6 +271,16 @@ def open_match_output(
     made_with = {**vars(extraction), "seed": options.seed, "upright": options.upright_deg}
     open_output(output, made_with, restart=restart)
     return extraction
+
+
+def _open_work(
+    images: ImageSet, output: AnyPath, options: MatchOptions, *, restart: bool
+) -> PairWork:
+    """Open the output folder, or refuse it, and return the work that is done in it."""
+    extraction = open_match_output(output, options, restart=restart)
+    if not restart:
+        _check_images(images, output)
+    return _work(images, output, options, extraction)
 
 
 def _work(
