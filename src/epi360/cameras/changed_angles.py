@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -185,9 +185,8 @@ class PairOfAngles:
     ) -> PairOfAngles:
         """Angles of bearings (N, 3) each, of which those change that `models_of` says."""
         models, is_one = models_of(cameras, is_curved=is_curved, only=only)
-        views = [angles_of(*each) for each in zip(models, bearings, strict=True)]
         names, columns = changes_of(models, is_one)
-        return cls(names, views, columns)
+        return replace(cls.shared(models, columns, bearings), names=names)
 
     @classmethod
     def shared(

@@ -165,14 +165,14 @@ def match_images(
     )
     folder = path_of(output)
     work = _open_work(images, folder, options, restart=restart)
-    num_found = None  # of what an earlier run has finished, not this one by other cameras
+    found = []  # pairs that were finished before each round; this run finishes some itself
     while True:
         with open_engine(work, engine, address) as opened:
             job = MatchJob(work, opened, progress)
             chosen = _chosen(search.images, job, options, first_pairs)
-            num_found = min(chosen.num_found, chosen.num_found if num_found is None else num_found)
+            found.append(chosen.num_found)
             if not search.goes_on(job, chosen.pairs, chosen.finished):
-                return _judged(search, job, replace(chosen, num_found=num_found), options)
+                return _judged(search, job, replace(chosen, num_found=min(found)), options)
         work = _work(search.images, folder, options, work.inputs.cache.options)
 
 

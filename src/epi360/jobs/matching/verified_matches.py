@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.upright import has_a_vertical
 from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
     estimate_relative_poses,
 )
+from epi360.estimation.angle_search import are_panoramas
 from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.estimation.verdict import noise_in_pixels
@@ -58,11 +58,6 @@ class MatchedViews:
     keys: Keys
     cameras: tuple[Camera, Camera]
     matched: Matched
-
-    @property
-    def sees_all_around(self) -> bool:
-        """Whether both images are full panoramas."""
-        return all(map(has_a_vertical, self.cameras))
 
     @property
     def pixel_deg(self) -> float:
@@ -118,7 +113,7 @@ def _verified(
     result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again)
     result = noise_in_pixels(result, pair.pixel_deg)
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
-    floor = pair.matched.floor_share(result.inlier_mask) if pair.sees_all_around else np.nan
+    floor = pair.matched.floor_share(result.inlier_mask) if are_panoramas(pair.cameras) else np.nan
     verdict = Verdict(
         status=result.status,
         warnings=result.warnings,
