@@ -10,7 +10,7 @@ import pytest
 from mapped_room import room_poses, write_picture
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole, load_cameras
-from epi360.cameras.changed_camera import changed_lens
+from epi360.cameras.changed_camera import changed_lens, what_changed
 from epi360.cli import SUCCESS, main
 from epi360.estimation.angle_changes import AngleChange
 from epi360.estimation.shared_angles import OF_GIVEN, SharedAngles
@@ -212,7 +212,7 @@ SOME_LENSES = [
 @pytest.mark.parametrize("given", SOME_LENSES, ids=lambda each: f"{each.width}-{each.fx:.0f}")
 def test_a_lens_is_told_by_angles_that_it_sees(given):
     now = changed_lens(given, np.array([0.05, 0.0, 0.0]))
-    assert "degrees from the axis, not" in agreed_cameras._told(given, now)
+    assert "degrees from the axis, not" in what_changed(given, now)
 
 
 def changes_of(**sizes):
@@ -236,7 +236,7 @@ def test_what_is_nearly_whole_is_whole_and_what_is_not_asked_for_stays(given, si
     found = agreed_cameras._changed(camera, changes_of(**sizes), OF_GIVEN)
     got = found.horizontal_fov_deg, found.vertical_fov_deg, found.center_latitude_deg
     assert got == pytest.approx(expected, abs=0.01)
-    told = agreed_cameras._told(camera, found)
+    told = what_changed(camera, found)
     assert ("around" in told) == (got[0] != given[0])
     assert ("latitude" in told) == (abs(got[2] - given[2]) > 1e-6)
 

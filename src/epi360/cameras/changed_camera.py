@@ -13,8 +13,10 @@ from epi360.cameras.changed_angles import AngleModel, angles_of
 from epi360.cameras.equirectangular import Equirectangular
 from epi360.cameras.kannala_brandt import KannalaBrandt
 
-_GRID = 41  # pixels along each side that the curve of a lens is fitted to
+_GRID = 41  # pixels along each side, of which some are in the circle of a fisheye
 _MOST_ERROR_PX = 0.5
+_ANGLES_DEG = (90, 60, 30, 15, 5)  # from the axis of a lens, to say what they are
+_SAME_DEG = 1e-9
 
 
 def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular:
@@ -42,11 +44,7 @@ def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
     """
     if not isinstance(camera, FocalCamera):
         return None
-    across, down = (
-        np.linspace(0.5, size - 0.5, _GRID, dtype=np.float64)
-        for size in (camera.width, camera.height)
-    )
-    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    pixels = _pixels_all_over(camera)
     bearings = camera.bearings_from_pixels(pixels)
     seen = np.isfinite(bearings).all(axis=1)
     model = AngleModel.of(camera, is_bent=True)
@@ -75,3 +73,38 @@ def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
         k4,
         max_angle_deg=round(edge_deg, 6),
     )
+
+
+def what_changed(given: Camera, now: Camera) -> str:
+    """What the angles of a camera are now, and not, in words."""
+    if isinstance(given, Equirectangular) and isinstance(now, Equirectangular):
+        parts = [
+            (now.horizontal_fov_deg, given.horizontal_fov_deg, "{:.1f} degrees around, not {:.6g}"),
+            (now.vertical_fov_deg, given.vertical_fov_deg, "{:.1f} degrees high, not {:.6g}"),
+            (
+                now.center_latitude_deg,
+                given.center_latitude_deg,
+                "its middle row at a latitude of {:.1f} degrees, not {:.6g}",
+            ),
+        ]
+        return ", ".join(
+            words.format(*both) for *both, words in parts if abs(both[0] - both[1]) > _SAME_DEG
+        )
+    bearings = given.bearings_from_pixels(_pixels_all_over(given))
+    widest = bearings[np.nanargmin(bearings[:, 2])]  # towards there most angles are in the picture
+    out = np.array([*widest[:2], 0.0]) / np.hypot(*widest[:2])
+    taken = np.radians(_ANGLES_DEG)[:, None]
+    pixels = given.pixels_from_bearings(np.sin(taken) * out + np.cos(taken) * [0.0, 0.0, 1.0])
+    x, y, z = now.bearings_from_pixels(pixels).T
+    seen = np.degrees(np.arctan2(np.hypot(x, y), z))
+    shown = [each for each in zip(seen, _ANGLES_DEG, strict=True) if np.isfinite(each[0])][1::-1]
+    are = " and ".join(f"{angle:.1f}" for angle, _ in shown)
+    return f"{are} degrees from the axis, not {' and '.join(str(angle) for _, angle in shown)}"
+
+
+def _pixels_all_over(camera: Camera) -> Array:
+    across, down = (
+        np.linspace(0.5, size - 0.5, _GRID, dtype=np.float64)
+        for size in (camera.width, camera.height)
+    )
+    return np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)

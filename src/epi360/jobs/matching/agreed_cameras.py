@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.cameras.changed_camera import changed_lens, changed_panorama
+from epi360.cameras.changed_camera import changed_lens, changed_panorama, what_changed
 from epi360.estimation import estimate_relative_pose
 from epi360.estimation.angle_changes import AngleChange
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
@@ -27,8 +27,7 @@ from epi360.estimation.shared_angles import (
     fit_shared_angles,
 )
 from epi360.estimation.shared_angles_fit import Direction, PosedMatches
-from epi360.jobs.folder.image_set import ImageSet
-from epi360.jobs.matching.match_job import MatchJob
+from epi360.jobs.matching.verified_folder import VerifiedFolder
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
@@ -39,86 +38,91 @@ _FIRST_PAIRS, _MOST_PAIRS, _FIRST_SHARE = 16, 60, 0.5
 # Where so many pairs doubt their cameras, lenses whose angles are so much smaller and larger are
 # tried as well.
 _MANY_DOUBTS, _FAR = 0.1, (-0.2, 0.2)
-_MOST_ROUNDS = 3
+MOST_ROUNDS = 3
 # Of pairs that were accepted before, some of which were wrong with the wrong cameras, and of the
 # median noise of those that still are.
 _LEAST_LEFT, _MOST_NOISE = 0.75, 1.05
 # A panorama to which so little is missing is whole, or reaches the pole.
 _FROM_WHOLE_DEG, _FROM_POLE_DEG = 3.6, 1.8
-_ANGLES_DEG = (90, 60, 30, 15, 5)  # from the axis of a lens, to say what they are
-_SAME_DEG = 1e-9
-_GRID = 41  # pixels along each side, of which some are in the circle of a fisheye
 
 
 class CameraSearch:
-    """The images of a folder with cameras that suit its pairs better and better.
+    """Cameras that suit the pairs of a folder better and better.
 
-    ``images`` has those to match with now, and ``given`` those that were given. Panoramas stay as
-    they are if ``keep_panoramas``.
+    ``cameras`` are those to use now, by their names, and ``given`` those that were given.
+    ``of_images`` has the name of the camera of each image, None where it has none. Panoramas stay
+    as they are if ``keep_panoramas``.
     """
 
     def __init__(
-        self, images: ImageSet, *, keep_cameras: bool = False, keep_panoramas: bool = False
+        self,
+        cameras: Mapping[str, Camera],
+        of_images: Sequence[str | None],
+        *,
+        seed: int,
+        most_rounds: int = MOST_ROUNDS,
+        keep_panoramas: bool = False,
     ) -> None:
-        self.given = self.images = images
-        self._rounds_left = 0 if keep_cameras else _MOST_ROUNDS
+        self.given = self.cameras = dict(cameras)
+        self._of_images, self._seed = of_images, seed
+        self._rounds_left = most_rounds
         self._keep_panoramas = keep_panoramas
-        self._before: tuple[ImageSet, dict[Pair, float]] | None = None
+        self._before: tuple[dict[str, Camera], dict[Pair, float]] | None = None
 
     def goes_on(
-        self, job: MatchJob, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
+        self, folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
     ) -> bool:
-        """Whether the folder shall be matched once more, by other cameras than it was.
+        """Whether the pairs shall be verified once more, by other cameras than they were.
 
         Where far fewer of the same pairs are accepted than by the cameras before, or their matches
         agree less closely, it shall be by these.
         """
-        noises = _noises_px(job, pairs, finished)
+        noises = _noises_px(folder, pairs, finished)
         if self._before is not None and _are_worse(noises, self._before[1]):
-            self.images, self._rounds_left, self._before = self._before[0], 0, None
+            self.cameras, self._rounds_left, self._before = self._before[0], 0, None
             return True
         if not self._rounds_left:
             return False
         self._rounds_left -= 1
-        changed = self._agreed(job, pairs, finished)
+        changed = self._agreed(folder, pairs, finished)
         if not changed:
             return False
-        self._before = self.images, noises
-        self.images = replace(self.images, cameras={**self.images.cameras, **changed})
+        self._before = self.cameras, noises
+        self.cameras = {**self.cameras, **changed}
         return True
 
     def told(self) -> tuple[str, ...]:
         """What each camera is, and is not, that is another one than was given."""
-        cameras = self.given.cameras.items()
-        pairs = ((name, given, self.images.cameras[name]) for name, given in cameras)
-        return tuple(f"{name}: {_told(given, now)}" for name, given, now in pairs if given != now)
+        pairs = ((name, given, self.cameras[name]) for name, given in self.given.items())
+        return tuple(
+            f"{name}: {what_changed(given, now)}" for name, given, now in pairs if given != now
+        )
 
     def _agreed(
-        self, job: MatchJob, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
+        self, folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
     ) -> dict[str, Camera]:
         """Other cameras on which accepted pairs agree clearly, by name."""
-        images = self.images
+        cameras = self.cameras
         accepted = {
             keys: pair
             for pair in pairs
-            if job.is_readable(pair) and finished[keys := job.keys_of(pair)].accepted
+            if folder.is_readable(pair) and finished[keys := folder.keys_of(pair)].accepted
         }
-        pairs_of = _pairs_by_camera(images, accepted)
+        pairs_of = self._pairs_by_camera(accepted)
         names = [
             name
-            for name, camera in images.cameras.items()
+            for name, camera in cameras.items()
             if name in pairs_of
             and not (self._keep_panoramas and isinstance(camera, Equirectangular))
         ]
         if not names:
             return {}
-        may_change = [camera if name in names else None for name, camera in images.cameras.items()]
+        may_change = [camera if name in names else None for name, camera in cameras.items()]
         limits = {
-            name: OF_GIVEN if images.cameras[name] == self.given.cameras[name] else OF_CHANGED
-            for name in names
+            name: OF_GIVEN if cameras[name] == self.given[name] else OF_CHANGED for name in names
         }
-        numbers = {name: number for number, name in enumerate(images.cameras)}
-        estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS, seed=job.work.inputs.seed)
+        numbers = {name: number for number, name in enumerate(cameras)}
+        estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS, seed=self._seed)
 
         def fitted(most: int, start: Mapping[Direction, float] | None) -> SharedAngles:
             some: dict[Keys, Pair] = {}
@@ -126,7 +130,7 @@ class CameraSearch:
                 own = pairs_of[name]
                 step = 1 + (len(own) - 1) // max(most // len(names), _FEWEST_PAIRS)
                 some |= {keys: accepted[keys] for keys in own[::step]}
-            matched = _posed(images, job, some, finished)
+            matched = self._posed(folder, some, finished)
             least = min(limits.values(), key=lambda each: each.gain)
             return fit_shared_angles(matched, may_change, estimate, least, start)
 
@@ -142,25 +146,62 @@ class CameraSearch:
         shared = fitted(_MOST_PAIRS, first.sizes)
         changed = {}
         for name in names:
-            number, camera = numbers[name], images.cameras[name]
+            number, camera = numbers[name], cameras[name]
             if shared.is_clear(number, limits[name]):
                 changed[name] = _changed(camera, shared.changes[number], limits[name])
         return {
-            name: camera
-            for name, camera in changed.items()
-            if camera not in (None, images.cameras[name])
+            name: camera for name, camera in changed.items() if camera not in (None, cameras[name])
         }
+
+    def _pairs_by_camera(self, accepted: Mapping[Keys, Pair]) -> dict[str, list[Keys]]:
+        """Pairs of each camera that took enough of them, and enough images of them."""
+        pairs_of: dict[str, dict[Keys, Pair]] = defaultdict(dict)
+        images_of: dict[str, set[int]] = defaultdict(set)
+        for keys, pair in accepted.items():
+            for index in pair:
+                name = self._name_of_camera(index)
+                pairs_of[name][keys] = pair
+                images_of[name].add(index)
+        return {
+            name: list(found)
+            for name, found in pairs_of.items()
+            if len(found) >= _FEWEST_PAIRS and len(images_of[name]) >= _FEWEST_IMAGES
+        }
+
+    def _posed(
+        self, folder: VerifiedFolder, some: Mapping[Keys, Pair], finished: Mapping[Keys, Verdict]
+    ) -> list[PosedMatches]:
+        """Matches and poses of some pairs, in their order."""
+        numbers = {name: number for number, name in enumerate(self.cameras)}
+        posed = {}
+        for each in folder.settled_pairs(some, finished, None):
+            first, second = some[each.keys]
+            rows1, rows2 = each.matches.T
+            posed[each.keys] = PosedMatches(
+                (numbers[self._name_of_camera(first)], numbers[self._name_of_camera(second)]),
+                (folder.bearings_of(first)[rows1], folder.bearings_of(second)[rows2]),
+                each.verdict.cam2_from_cam1,
+                each.verdict.noise_deg,
+                MAX_NOISE_PX
+                * smallest_pixel_deg((folder.camera_of(first), folder.camera_of(second))),
+            )
+        return [posed[keys] for keys in some]
+
+    def _name_of_camera(self, index: int) -> str:
+        name = self._of_images[index]
+        assert name is not None  # the image is in a pair that was verified
+        return name
 
 
 def _noises_px(
-    job: MatchJob, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
+    folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
 ) -> dict[Pair, float]:
     """Noise of the pairs in pixels, NaN of those that are not accepted."""
     noises = {}
     for pair in pairs:
-        if job.is_readable(pair):
-            verdict = finished[job.keys_of(pair)]
-            pixel_deg = smallest_pixel_deg((job.camera_of(pair[0]), job.camera_of(pair[1])))
+        if folder.is_readable(pair):
+            verdict = finished[folder.keys_of(pair)]
+            pixel_deg = smallest_pixel_deg((folder.camera_of(pair[0]), folder.camera_of(pair[1])))
             noises[pair] = verdict.noise_deg / pixel_deg if verdict.accepted else np.nan
     return noises
 
@@ -194,41 +235,6 @@ def _all_larger(cameras: Sequence[Camera | None], change: float) -> dict[Directi
     }
 
 
-def _pairs_by_camera(images: ImageSet, accepted: Mapping[Keys, Pair]) -> dict[str, list[Keys]]:
-    """Pairs of each camera that took enough of them, and enough images of them."""
-    pairs_of: dict[str, dict[Keys, Pair]] = defaultdict(dict)
-    images_of: dict[str, set[int]] = defaultdict(set)
-    for keys, pair in accepted.items():
-        for index in pair:
-            name = images.images[index].camera
-            pairs_of[name][keys] = pair
-            images_of[name].add(index)
-    return {
-        name: list(found)
-        for name, found in pairs_of.items()
-        if len(found) >= _FEWEST_PAIRS and len(images_of[name]) >= _FEWEST_IMAGES
-    }
-
-
-def _posed(
-    images: ImageSet, job: MatchJob, some: Mapping[Keys, Pair], finished: Mapping[Keys, Verdict]
-) -> list[PosedMatches]:
-    """Matches and poses of some pairs, in their order."""
-    numbers = {name: number for number, name in enumerate(images.cameras)}
-    posed = {}
-    for each in job.settled_pairs(some, finished, None):
-        first, second = some[each.keys]
-        rows1, rows2 = each.matches.T
-        posed[each.keys] = PosedMatches(
-            (numbers[images.images[first].camera], numbers[images.images[second].camera]),
-            (job.bearings_of(first)[rows1], job.bearings_of(second)[rows2]),
-            each.verdict.cam2_from_cam1,
-            each.verdict.noise_deg,
-            MAX_NOISE_PX * smallest_pixel_deg((job.camera_of(first), job.camera_of(second))),
-        )
-    return [posed[keys] for keys in some]
-
-
 def _changed(camera: Camera, changes: Sequence[AngleChange], limits: Limits) -> Camera | None:
     """The camera with its clear changes; None if there is no such camera.
 
@@ -249,32 +255,3 @@ def _changed(camera: Camera, changes: Sequence[AngleChange], limits: Limits) -> 
         middle = (highest + lowest) / 2.0
         found = replace(found, vertical_fov_deg=highest - lowest, center_latitude_deg=middle)
     return found
-
-
-def _told(given: Camera, now: Camera) -> str:
-    """What a camera is, and not, in words."""
-    if isinstance(given, Equirectangular) and isinstance(now, Equirectangular):
-        parts = [
-            (now.horizontal_fov_deg, given.horizontal_fov_deg, "{:.1f} degrees around, not {:.6g}"),
-            (now.vertical_fov_deg, given.vertical_fov_deg, "{:.1f} degrees high, not {:.6g}"),
-            (
-                now.center_latitude_deg,
-                given.center_latitude_deg,
-                "its middle row at a latitude of {:.1f} degrees, not {:.6g}",
-            ),
-        ]
-        return ", ".join(
-            words.format(*both) for *both, words in parts if abs(both[0] - both[1]) > _SAME_DEG
-        )
-    across, down = (np.linspace(1.0, size - 1.0, _GRID) for size in (given.width, given.height))
-    pixels = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
-    bearings = given.bearings_from_pixels(pixels)
-    widest = bearings[np.nanargmin(bearings[:, 2])]  # towards there most angles are in the picture
-    out = np.array([*widest[:2], 0.0]) / np.hypot(*widest[:2])
-    taken = np.radians(_ANGLES_DEG)[:, None]
-    pixels = given.pixels_from_bearings(np.sin(taken) * out + np.cos(taken) * [0.0, 0.0, 1.0])
-    x, y, z = now.bearings_from_pixels(pixels).T
-    seen = np.degrees(np.arctan2(np.hypot(x, y), z))
-    shown = [each for each in zip(seen, _ANGLES_DEG, strict=True) if np.isfinite(each[0])][1::-1]
-    are = " and ".join(f"{angle:.1f}" for angle, _ in shown)
-    return f"{are} degrees from the axis, not {' and '.join(str(angle) for _, angle in shown)}"

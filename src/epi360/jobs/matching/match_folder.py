@@ -18,7 +18,7 @@ from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
-from epi360.jobs.matching.agreed_cameras import CameraSearch
+from epi360.jobs.matching.agreed_cameras import MOST_ROUNDS, CameraSearch
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
@@ -161,7 +161,11 @@ def match_images(
     """
     check_engine(engine)
     search = CameraSearch(
-        images, keep_cameras=options.keep_cameras, keep_panoramas=options.keep_panoramas
+        images.cameras,
+        [image.camera for image in images.images],
+        seed=options.seed,
+        most_rounds=0 if options.keep_cameras else MOST_ROUNDS,
+        keep_panoramas=options.keep_panoramas,
     )
     folder = path_of(output)
     work = _open_work(images, folder, options, restart=restart)
@@ -169,11 +173,13 @@ def match_images(
     while True:
         with open_engine(work, engine, address) as opened:
             job = MatchJob(work, opened, progress)
-            chosen = _chosen(search.images, job, options, first_pairs)
+            chosen = _chosen(images, job, options, first_pairs)
             found.append(chosen.num_found)
             if not search.goes_on(job, chosen.pairs, chosen.finished):
-                return _judged(search, job, replace(chosen, num_found=min(found)), options)
-        work = _work(search.images, folder, options, work.inputs.cache.options)
+                chosen = replace(chosen, num_found=min(found))
+                return _judged(images, job, chosen, options, search.told())
+        images = replace(images, cameras=search.cameras)
+        work = _work(images, folder, options, work.inputs.cache.options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,9 +194,12 @@ class _Chosen:
 
 
 def _judged(
-    search: CameraSearch, job: MatchJob, chosen: _Chosen, options: MatchOptions
+    images: ImageSet,
+    job: MatchJob,
+    chosen: _Chosen,
+    options: MatchOptions,
+    agreed: tuple[str, ...],
 ) -> MatchRun:
-    images = search.images
     judged = judge_folder(
         job,
         chosen.pairs,
@@ -211,7 +220,7 @@ def _judged(
         num_lost=judged.num_lost,
         num_not_compared=judged.num_not_compared,
         cameras=images.cameras,
-        agreed=search.told(),
+        agreed=agreed,
     )
 
 
