@@ -195,7 +195,7 @@ def test_angles_refuse_other_shapes_by_name():
 
 
 def test_pose_composes_only_with_poses():
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match="two poses, got ndarray; points .* are moved by points @"):
         random_pose(0) @ np.eye(4)
     with pytest.raises(TypeError):
         np.eye(4) @ random_pose(0)

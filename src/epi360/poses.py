@@ -84,7 +84,10 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         """Return the pose ``a_from_c`` of this ``a_from_b`` and the other's ``b_from_c``."""
         if not isinstance(other, Pose):
-            return NotImplemented
+            raise TypeError(
+                f"pose @ other must have two poses, got {type(other).__name__}; points (N, 3) are "
+                "moved by points @ pose.rotation.T + pose.translation"
+            )
         translation = self.rotation @ other.translation + self.translation
         return Pose(self.rotation @ other.rotation, translation)
 

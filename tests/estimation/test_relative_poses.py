@@ -191,7 +191,7 @@ def test_wrong_joined_arrays_are_refused(change, message):
         ({"weights": [np.ones(3)]}, "weights must have one array for each of 8 pairs, got 1"),
         ({"match_scores": []}, "match_scores must have one array for each of 8 pairs, got 0"),
         ({"weights": [np.ones(3)] * 8}, r"pair 0: weights must have shape \(200,\), got \(3,\)"),
-        ({"bearings2": np.ones((3, 3))}, "bearings2 needs offsets"),
+        ({"bearings2": np.ones((3, 3))}, "bearings2 must come with offsets"),
         ({"residual": "tangent_sampson"}, "its Jacobians go with estimate_relative_pose"),
         ({"residual": "l2"}, "residual must be one of .* got 'l2'"),
         ({"inlier_threshold_deg": 90.0}, r"inlier_threshold_deg must be \"auto\" or in \(0, 45\]"),

@@ -304,6 +304,13 @@ def test_flipped_bytes_never_give_another_error(features, matches):
     assert refused > 0
 
 
+def test_swapped_files_are_told(features, matches):
+    with pytest.raises(ValueError, match=r"holds matches, not key points; were the two files sw"):
+        read_hloc(matches, features)
+    with pytest.raises(ValueError, match=r"holds key points, not matches; were the two files sw"):
+        read_hloc(features, features)
+
+
 def test_a_features_file_without_key_points_is_refused(features, matches, tmp_path):
     with h5py.File(features, "a") as file:
         file["global.jpg/global_descriptor"] = np.zeros(8)

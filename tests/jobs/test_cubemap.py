@@ -405,7 +405,7 @@ class TestExport:
             export_cubemap(folder, source, out)
         assert victim.read_bytes() == b"theirs"
 
-    def test_a_vanished_or_another_image_is_named_and_the_finished_faces_stay(self, tmp_path):
+    def test_a_vanished_or_another_image_is_named_before_anything_is_written(self, tmp_path):
         from epi360.jobs.cubes.cubemap import export_cubemap
 
         folder, source = two_panoramas(tmp_path)
@@ -413,10 +413,10 @@ class TestExport:
         (folder / "b.png").unlink()
         with pytest.raises(FileNotFoundError, match=r"b\.png"):
             export_cubemap(folder, source, out)
-        assert (out / "images" / "a_front.jpg").exists()
         write_png(folder / "b.png", np.zeros((64, 128, 3), np.uint8))
         with pytest.raises(ValueError, match=r"b\.png is 128x64 but its camera is 256x128"):
             export_cubemap(folder, source, out)
+        assert not out.exists()
 
     def test_mixed_sizes_get_one_camera_each(self, tmp_path):
         from epi360.interop.colmap_model import read_colmap_model

@@ -200,7 +200,10 @@ def estimate_relative_poses(
         )
     if offsets is None:
         if bearings2 is not None:
-            raise ValueError("bearings2 needs offsets; without them give pairs of arrays")
+            raise ValueError(
+                "bearings2 must come with offsets; without them give a list of pairs, "
+                "[(bearings1, bearings2), ...]"
+            )
         pairs = listed_pairs(bearings1)
         scores_of = values_per_pair(match_scores, len(pairs), "match_scores")
         weights_of = values_per_pair(weights, len(pairs), "weights")

@@ -25,6 +25,10 @@ HLOC_TO_CONTINUOUS = 0.5  # hloc puts the centre of the first pixel at 0
 
 LARGEST_DATASET = 2**28  # numbers, as many as in 2^20 descriptors of length 256
 
+# The dataset that every group of either file has, and what such a file holds.
+_KEYPOINTS, _MATCHES = "keypoints", "matches0"
+_HOLDS = {_KEYPOINTS: "key points", _MATCHES: "matches"}
+
 # For each pair the path of its group, and whether the group has the images in the other order.
 PairGroups = dict[tuple[str, str], tuple[str, bool]]
 
@@ -59,7 +63,7 @@ def reading(path: Path) -> Iterator[None]:
 
 def image_names(file: Any, path: Path) -> list[str]:
     """Return the paths of the groups with key points, sorted; they are the image names."""
-    names = _groups_with("keypoints", file, path, "extract local features again")
+    names = _groups_with(_KEYPOINTS, file, path, "extract local features again")
     if not names:
         raise ValueError(f"{path} has no images; extract local features again")
     return names
@@ -67,7 +71,7 @@ def image_names(file: Any, path: Path) -> list[str]:
 
 def pair_groups(file: Any, path: Path) -> list[str]:
     """Return the paths of the groups of a matches file, sorted."""
-    return _groups_with("matches0", file, path, "match again")
+    return _groups_with(_MATCHES, file, path, "match again")
 
 
 def own_group(file: Any, name: str, path: Path) -> str:
@@ -111,6 +115,11 @@ def _groups_with(needed: str, file: Any, path: Path, remedy: str) -> list[str]:
     groups = {name.rpartition("/")[0] for name in names}
     datasets = [name.rpartition("/") for name in names if name not in groups]
     complete = {group for group, _, name in datasets if name == needed}
+    held = _HOLDS.keys() & {name for _, _, name in datasets}
+    if held and not complete:
+        raise ValueError(
+            f"{path} holds {_HOLDS[held.pop()]}, not {_HOLDS[needed]}; were the two files swapped?"
+        )
     for group, _, name in datasets:
         if group not in complete:
             raise ValueError(

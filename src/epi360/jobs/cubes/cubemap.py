@@ -200,8 +200,8 @@ class _Cutter:
     ) -> None:
         """Make the output folder, or check it and remove faces that have another camera or mask.
 
-        Nothing is written before all names have been looked at, and no face is removed before all
-        images and masks have been.
+        Nothing is written or removed before all names have been looked at, and the images and masks
+        of all faces that have to be cut.
         """
         if self.output.resolve() == self.folder.resolve():
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
@@ -213,15 +213,16 @@ class _Cutter:
             self._face_file(face)
             self._mask_files(face)
         changed = {
-            face
+            (panorama, face)
             for (panorama, _), face in names.items()
             if made_before.get(panorama) != record["made_from"][panorama]
         }
-        if any(self._face_file(face).exists() for face in changed):
-            for image in reconstruction.images:
+        of_changed = {panorama for panorama, _ in changed}
+        for image in reconstruction.images:
+            if image.name in of_changed:
                 self._check_sizes(image.name, reconstruction.cameras[str(image.camera)])
         self.output.mkdir(parents=True, exist_ok=True)
-        self._remove(changed)
+        self._remove(face for _, face in changed)
         # Panoramas that left the model stay in the record until their faces are removed.
         self._left = set(names_before.values()) - set(names.values())
         both = {**record, "made_from": {**made_before, **record["made_from"]}}
