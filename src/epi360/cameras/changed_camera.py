@@ -15,6 +15,7 @@ from epi360.cameras.kannala_brandt import KannalaBrandt
 
 _GRID = 41  # pixels along each side, of which some are in the circle of a fisheye
 _MOST_ERROR_PX = 0.5
+_EDGES = (1.0, 0.9, 0.8, 0.75)  # of the widest angle
 _ANGLES_DEG = (90, 60, 30, 15, 5)  # from the axis of a lens, to say what they are
 _SAME_DEG = 1e-9
 
@@ -39,8 +40,9 @@ def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular
 def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
     """Lens of the same principal point whose angles from the axis are changed, and their curve.
 
-    ``changes`` (1, 2 or 3,) are those of `AngleModel.directions` of a bent lens. None if no
-    `KannalaBrandt` is within half a pixel of the changed rays, or the camera is no lens.
+    ``changes`` (1, 2 or 3,) are those of `AngleModel.directions` of a bent lens. It may end up to a
+    quarter before the given one, as that of a calibration that does not say where the lens ends.
+    None if no `KannalaBrandt` is within half a pixel of the changed rays, or the camera is no lens.
     """
     if not isinstance(camera, FocalCamera):
         return None
@@ -52,14 +54,18 @@ def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
     angles = np.arctan2(np.hypot(x, y), z)
     middle, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
     radii = np.hypot(*((pixels[seen] - middle) / focal).T)
-    powers = angles[:, None] ** np.arange(1, 10, 2)
-    solved = np.linalg.lstsq(powers, radii, rcond=None)[0]
-    scale, errors = float(solved[0]), powers @ solved - radii
-    if not (scale > 0.0 and np.abs(errors).max() * focal.max() < _MOST_ERROR_PX):
+    for edge in angles.max() * np.array(_EDGES):
+        inside = angles <= edge
+        powers = angles[inside, None] ** np.arange(1, 10, 2)
+        solved = np.linalg.lstsq(powers, radii[inside], rcond=None)[0]
+        scale, errors = float(solved[0]), powers @ solved - radii[inside]
+        if scale > 0.0 and np.abs(errors).max() * focal.max() < _MOST_ERROR_PX:
+            break
+    else:
         return None
     # Rounded to a millionth of a pixel, so that another processor makes no other camera.
     k1, k2, k3, k4 = np.round(solved[1:] / scale, 9).tolist()
-    edge_deg = min(math.degrees(angles.max()) + 1e-6, 180.0)
+    edge_deg = min(math.degrees(edge) + 1e-6, 180.0)
     return KannalaBrandt(
         camera.width,
         camera.height,
