@@ -22,7 +22,9 @@ from epi360.cameras import Camera, Equirectangular, KannalaBrandt
 from epi360.features import read_image
 from epi360.features.picture_writing import encode_picture
 from epi360.jobs.folder.image_set import find_images
-from epi360.jobs.matching.match_folder import MatchOptions, MatchRun, match_images
+from epi360.jobs.matching.folder_verdicts import JudgedPairs
+from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
+from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
 from epi360_scenes.paths import handheld_path
 from epi360_scenes.room import scene
@@ -48,20 +50,28 @@ class Folder:
 
 
 def main() -> int:
-    """Print three rows for each folder: kept, agreed on, and by the right camera."""
+    """Print rows for each folder: kept, agreed on, and by the right camera.
+
+    With ``--matches`` also what `verify_pairs` makes of the same matches, as of another program,
+    without and with other cameras.
+    """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--seed", type=int, default=0, help="of the first home and film (0)")
     parser.add_argument("--homes", type=int, default=1, help="level ones, and tilted ones (1)")
     parser.add_argument("--films", type=int, default=2, help="through a fisheye lens (2)")
     parser.add_argument("--pictures", type=Path, help="keep what is rendered in this folder")
+    parser.add_argument(
+        "--matches", action="store_true", help="also judge the matches as those of others"
+    )
     options = parser.parse_args()
+    ways = ("kept", "agreed", "right", *(("judged", "changed") if options.matches else ()))
     print(
         f"{'folder':36} {'cameras':8} {'accepted':>8} {'right':>6} {'wrong':>6} {'R, t error':>14}"
     )
     with tempfile.TemporaryDirectory() as temporary:
         rendered = options.pictures or Path(temporary)
         for folder in _folders(rendered, options.seed, options.homes, options.films):
-            for how in ("kept", "agreed", "right"):
+            for how in ways:
                 print(_row(folder, how, Path(temporary) / "work"), flush=True)
     return 0
 
@@ -166,7 +176,10 @@ def _row(folder: Folder, how: str, work: Path) -> str:
     images = find_images(folder.pictures, camera=str(file))
     options = MatchOptions(keep_cameras=how != "agreed")
     with tempfile.TemporaryDirectory(dir=work) as output:
-        run = match_images(images, output, options)
+        run: JudgedPairs = match_images(images, output, options)
+        if how in ("judged", "changed"):
+            given = without_geometries(load_matches(output))
+            run = verify_pairs(given, pictures=folder.pictures, change_cameras=how == "changed")
     errors = _errors_deg(run, folder.truth)
     num_right = int((errors.max(axis=1, initial=0.0) < RIGHT_DEG).sum())
     rotation, direction = np.median(errors, axis=0) if len(errors) else (np.nan, np.nan)
@@ -176,7 +189,7 @@ def _row(folder: Folder, how: str, work: Path) -> str:
     )
 
 
-def _errors_deg(run: MatchRun, truth: Truth) -> NDArray[np.float64]:
+def _errors_deg(run: JudgedPairs, truth: Truth) -> NDArray[np.float64]:
     errors = []
     for each in run.verdicts:
         if each.accepted:

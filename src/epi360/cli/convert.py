@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FILES, SUCCESS, Flag, app, options_as_typed
+from epi360.cli.command import FAILURE, FILES, SUCCESS, Flag, app, options_as_typed
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ class Verdicts:
     COLMAP's mapper and its triangulation use verified pairs only."""
     verify_again: Flag = False
     """The same for all pairs of matches, also for those that have a pose."""
+    change_cameras: Flag = False
+    """Verify by other angles of the lenses, where many pairs agree on them, and write these.
+    Without it the command only says what they agree on."""
     table: Path | None = None
     """Write a row for each pair that was judged, with the columns that epi360 match gives its
     pairs.csv: verdict, reason, pose, sigmas and probability; .csv."""
@@ -84,7 +87,8 @@ def convert(
     Reconstructions: COLMAP model (folder), OpenSfM project (folder) or its reconstruction.json
     alone, nerfstudio transforms.json, TUM trajectory (.txt or .tum). Matches: COLMAP database
     (.db), hloc (.h5) and, to read, what epi360 match wrote. The output folder of epi360 map is the
-    one or the other, as the target needs. Nothing that is there is replaced.
+    one or the other, as the target needs. Nothing that is there is replaced. Exit code 0 when the
+    target is written, 1 if it is and pairs were judged of which none has a pose, 2 for wrong use.
 
     Parameters
     ----------
@@ -99,8 +103,8 @@ def convert(
         not have it, the paths of nerfstudio do. An OpenSfM project gets links to its pictures. With
         --verify their pictures tell rooms apart that look alike.
     camera
-        Calibration file for images whose camera the source does not know (TUM, hloc); FILE:NAME
-        where it holds several.
+        Calibration file for images whose camera the source does not know (TUM, hloc), or, with
+        --verify, in place of a database's own; FILE:NAME where it holds several.
     output_format
         Format of the target where its name does not say it: opensfm-folder for an OpenSfM project
         with observations, colmap-text for a model in text files.
@@ -115,7 +119,12 @@ def convert(
     fps
         Frames a second: times for a TUM trajectory of images without, in the order of their names.
     """
-    from epi360.cli.convert_matches import judged_matches, tell_of_matches, write_verdicts
+    from epi360.cli.convert_matches import (
+        check_nothing_verified,
+        judged_matches,
+        tell_of_matches,
+        write_verdicts,
+    )
     from epi360.interop.convert import files_written, write_matches, write_reconstruction
     from epi360.interop.formats import format_of_name
     from epi360.interop.reconstruction import Reconstruction
@@ -128,7 +137,7 @@ def convert(
         _check_kinds(source, source_name, target, target_name)
         verify = verdicts.are_wanted
         named = None if verify else images  # pictures to compare, not a part of the target
-        _check_options((source_name, target_name), named, camera, features, pairs)
+        _check_options((source_name, target_name), named, camera, features, pairs, verify=verify)
         if fps is not None and target_name != "tum":
             raise ValueError("--fps is for a TUM trajectory, whose rows have times")
         _check_match_options(target_name, verify=verify, no_descriptors=no_descriptors)
@@ -137,7 +146,15 @@ def convert(
         _check_free(outputs, target_name)
         keeps_descriptors = not no_descriptors
         content = _read(
-            file, source_name, target_name, folder, camera, features, pairs, keeps_descriptors
+            file,
+            source_name,
+            target_name,
+            folder,
+            camera,
+            features,
+            pairs,
+            keeps_descriptors,
+            for_poses=verify,
         )
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
@@ -146,8 +163,16 @@ def convert(
             write_reconstruction(target, target_name, content, images=images, fps=fps)
         print(_summary(target, target_name, content))
         return SUCCESS
+    changes = (camera is not None and source_name == "colmap-database", verdicts.change_cameras)
+    if any(changes) and not verdicts.verify_again:
+        check_nothing_verified(content, "--camera" if changes[0] else "--change-cameras")
     graph, verified = judged_matches(
-        content, target_name, images=images, verify=verify, again=verdicts.verify_again
+        content,
+        target_name,
+        images=images,
+        verify=verify,
+        again=verdicts.verify_again,
+        change_cameras=verdicts.change_cameras,
     )
     descriptors = _descriptors(source, source_name, keeps_descriptors)
     write_matches(
@@ -157,6 +182,8 @@ def convert(
     tell_of_matches(content, graph, verified, (source_name, target_name), images)
     if verified is not None:
         write_verdicts(verified, verdicts.table, verdicts.report, images, source)
+        if verified.verdicts and not any(verdict.accepted for verdict in verified.verdicts):
+            return FAILURE
     return SUCCESS
 
 
@@ -181,6 +208,8 @@ def _check_verdicts(verdicts: Verdicts, source_name: str, images: str | None) ->
     if not verdicts.are_wanted:
         if verdicts.files:
             raise ValueError("--table and --report are for --verify, which judges the pairs")
+        if verdicts.change_cameras:
+            raise ValueError("--change-cameras is for --verify, which judges the pairs")
         return
     if verdicts.table is not None:
         if verdicts.table.suffix.lower() != ".csv":
@@ -213,13 +242,17 @@ def _read(
     features: Path | None,
     pairs: Path | None,
     keeps_descriptors: bool,
+    *,
+    for_poses: bool,
 ) -> MatchGraph | Reconstruction:
     from epi360.interop.formats import FORMATS
 
     wanted = FORMATS[target_name]
     if wanted.kind == "matches":
         with_descriptors = keeps_descriptors and "descriptors" in wanted.keeps
-        return _read_matches(source, name, camera, features, pairs, with_descriptors)
+        return _read_matches(
+            source, name, camera, features, pairs, with_descriptors, for_poses=for_poses
+        )
     return _read_reconstruction(source, name, images, camera)
 
 
@@ -274,6 +307,8 @@ def _check_options(
     camera: str | None,
     features: Path | None,
     pairs: Path | None,
+    *,
+    verify: bool,
 ) -> None:
     """Raise where an option is missing or says nothing about these formats."""
     if images is not None and "nerfstudio" not in names and names[1] != "opensfm-folder":
@@ -287,8 +322,11 @@ def _check_options(
         raise ValueError("--pairs is for hloc, which puts '-' for '/' into the names of pairs")
     if features is None and "hloc" in names:
         raise ValueError("hloc keeps key points in a file of their own; name it with --features")
-    if camera is not None and names[0] in ("colmap-database", MATCH_FOLDER):
-        raise ValueError("--camera is for images without one; those of a database have theirs")
+    keeps_cameras = names[0] == MATCH_FOLDER or (names[0] == "colmap-database" and not verify)
+    if camera is not None and keeps_cameras:
+        raise ValueError(
+            "--camera is for images without one, and for --verify of a database; these have theirs"
+        )
 
 
 def _read_matches(
@@ -298,6 +336,8 @@ def _read_matches(
     features: Path | None,
     pairs: Path | None,
     with_descriptors: bool,
+    *,
+    for_poses: bool,
 ) -> MatchGraph:
     from epi360.interop.convert import read_matches
     from epi360.jobs.folder.given_cameras import read_given_cameras
@@ -312,6 +352,7 @@ def _read_matches(
         pairs=pairs,
         cameras=None if camera is None else read_given_cameras(camera).cameras,
         with_descriptors=with_descriptors,
+        for_poses=for_poses,
     )
 
 

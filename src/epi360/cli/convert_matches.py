@@ -21,8 +21,24 @@ from epi360.report.match_table import describe_verified, pairs_csv
 from epi360.runs.whole_files import write_file
 
 
+def check_nothing_verified(graph: MatchGraph, option: str) -> None:
+    """Raise where pairs would keep poses that are by other cameras than the option gives."""
+    verified = sum(pair.geometry is not None and len(pair.matches) > 0 for pair in graph.pairs)
+    if verified:
+        raise ValueError(
+            f"{option} needs --verify-again: {_pairs_are(verified)} verified by the cameras that "
+            "the source has"
+        )
+
+
 def judged_matches(
-    graph: MatchGraph, target_name: str, *, images: str | None, verify: bool, again: bool
+    graph: MatchGraph,
+    target_name: str,
+    *,
+    images: str | None,
+    verify: bool,
+    again: bool,
+    change_cameras: bool,
 ) -> tuple[MatchGraph, VerifiedGraph | None]:
     """The graph that is written, and what became of its pairs where they were to be judged.
 
@@ -32,7 +48,13 @@ def judged_matches(
     if verify:
         unverified = without_geometries(graph) if again else graph
         with show_bars() as progress:
-            verified = verify_pairs(unverified, pictures=images, progress=progress)
+            verified = verify_pairs(
+                unverified,
+                pictures=images,
+                change_cameras=change_cameras,
+                keep_panoramas=True,  # COLMAP has no part of one
+                progress=progress,
+            )
         graph = verified.graph
     return (without_refused(graph) if target_name == "hloc" else graph), verified
 

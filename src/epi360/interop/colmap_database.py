@@ -184,7 +184,9 @@ def _for_pycolmap(descriptors: Descriptors) -> Any:
     return pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType(kind), stored)
 
 
-def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> MatchGraph:
+def read_colmap_database(
+    path: PathLike, *, with_descriptors: bool = False, for_poses: bool = False
+) -> MatchGraph:
     """Return the match graph of a COLMAP database, which is not changed.
 
     Cameras and frames of rigs are named by their id. Image 1 of a pair has the smaller id. The
@@ -198,6 +200,8 @@ def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> M
         A database of COLMAP 3 or 4, to which nothing may write while it is read.
     with_descriptors : bool
         Whether to read the descriptors too, usually the largest part of the file.
+    for_poses : bool
+        Whether poses shall be estimated by its cameras, so that they must be true ones.
 
     Raises
     ------
@@ -205,9 +209,11 @@ def read_colmap_database(path: PathLike, *, with_descriptors: bool = False) -> M
         If the file does not exist.
     ValueError
         If the file is no COLMAP database, is truncated or damaged, or has a camera with a model
-        that epi360 lacks.
+        that epi360 lacks; or if pycolmap has made up the camera of a panorama, and it is needed.
     """
     with ColmapPairs(path) as pairs:
+        if for_poses:
+            pairs.check_panoramas()
         cam_from_rig, frames = read_rigs(pairs)
         images = {
             name: MatchedImage(

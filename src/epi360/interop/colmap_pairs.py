@@ -42,11 +42,23 @@ class ColmapPairs(ColmapTables):
         """Return the camera of an image."""
         return self.cameras[self.images[name]]
 
-    def guessed_panorama(self) -> str | None:
-        """Name of an image of 2:1, in a pair, whose perspective camera has a guessed focal length.
+    def check_panoramas(self) -> None:
+        """Raise ``ValueError`` where pycolmap has made up the camera of a panorama in a pair.
 
-        None if there is none. pycolmap makes such cameras where nobody tells it of another one.
+        It makes perspective cameras of a guessed focal length where nobody tells it of another one.
         """
+        guessed = self._guessed_panorama()
+        if guessed is not None:
+            camera = self.camera(guessed)
+            raise self.error(
+                f"{guessed} has the shape of a panorama, {camera.width}x{camera.height}, and a "
+                "perspective camera with a focal length that nobody knows, as pycolmap makes one "
+                "up; give the true camera by --camera FILE, or set it in the database (or its "
+                "prior_focal_length to 1)"
+            )
+
+    def _guessed_panorama(self) -> str | None:
+        """Name of an image of 2:1, in a pair, whose camera is perspective and guessed, or None."""
         if not self.has_columns("cameras", "prior_focal_length"):
             return None
         query = "SELECT camera_id FROM cameras WHERE prior_focal_length = 0"

@@ -11,7 +11,7 @@ from epi360.interop.colmap_model import read_colmap_model, write_colmap_model
 from epi360.interop.colmap_model_rigs import keeps_rigs
 from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.formats import FORMATS, colmap_model_folder
-from epi360.interop.hloc import read_hloc, write_hloc
+from epi360.interop.hloc import camera_of_image, read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm, write_opensfm_folder
@@ -77,15 +77,43 @@ def read_matches(
     pairs: PathLike | None = None,
     cameras: Mapping[str, Camera] | None = None,
     with_descriptors: bool = False,
+    for_poses: bool = False,
 ) -> MatchGraph:
-    """Return the match graph in a COLMAP database, or in hloc's matches and features."""
+    """Return the match graph in a COLMAP database, or in hloc's matches and features.
+
+    Given ``cameras`` take the place of those of a database. If it is read ``for_poses``, its
+    cameras must be true ones.
+    """
     if name == "colmap-database":
-        return read_colmap_database(path, with_descriptors=with_descriptors)
+        is_asked = for_poses and not cameras
+        graph = read_colmap_database(path, with_descriptors=with_descriptors, for_poses=is_asked)
+        return with_other_cameras(graph, cameras) if cameras else graph
     if features is None:
         raise ValueError(f"{path} holds hloc's matches; give its features file too")
     return read_hloc(
         features, path, pairs=pairs, cameras=cameras, with_descriptors=with_descriptors
     )
+
+
+def with_other_cameras(graph: MatchGraph, cameras: Mapping[str, Camera]) -> MatchGraph:
+    """Return the graph with given cameras, by the names of images or of their folders.
+
+    Raises ``ValueError`` where an image has none of its size, or two images of one camera of the
+    graph have different ones.
+    """
+    found: dict[str, Camera] = {}
+    for name, image in graph.images.items():
+        if image.camera is None:
+            continue
+        before = graph.cameras[image.camera]
+        camera = camera_of_image(name, (before.width, before.height), cameras)[1]
+        if camera is None or found.setdefault(image.camera, camera) != camera:
+            what = "has none of" if camera is None else "has another one of"
+            raise ValueError(
+                f"{name}, an image of camera {image.camera} of {before.width}x{before.height} "
+                f"pixels, {what} the given cameras: {', '.join(cameras)}"
+            )
+    return replace(graph, cameras={**graph.cameras, **found})
 
 
 def write_matches(

@@ -42,6 +42,13 @@ Row = tuple[str, str]  # label and text
 _MAX_LISTED = 10
 _GROUPS_NAMED = 6
 _FEW_NAMED = 4
+_WITH_AGREED = {
+    "matched": "They were matched again by these, which cameras.json in the output has; "
+    "--keep-cameras keeps those that were given.",
+    "judged": "They were judged by these, which a COLMAP database keeps.",
+    "told": "They were judged by the given ones; --change-cameras takes those of lenses that they "
+    "agree on.",
+}
 _DOUBTED_BY_CHANCE = 0.1  # of accepted pairs whose cameras are right; 0.02 of real ones are
 
 
@@ -205,8 +212,7 @@ def describe_agreed(judged: JudgedPairs) -> list[str]:
         return []
     return [
         *(f"The pairs agree on other angles of {what}." for what in judged.agreed),
-        "They were matched again by these, which cameras.json in the output has; --keep-cameras "
-        "keeps those that were given.",
+        _WITH_AGREED[judged.with_agreed],
     ]
 
 

@@ -38,15 +38,8 @@ def open_colmap(source: MatchSource) -> Iterator[FileMatches]:
     """
     given = cameras_of(source)
     with ColmapPairs(source.path) as database:
-        guessed = None if given else database.guessed_panorama()
-        if guessed is not None:
-            camera = database.camera(guessed)
-            raise database.error(
-                f"{guessed} has the shape of a panorama, {camera.width}x{camera.height}, and a "
-                "perspective camera with a focal length that nobody knows, as pycolmap makes one "
-                "up; give the true camera by --camera FILE, or set it in the database (or its "
-                "prior_focal_length to 1)"
-            )
+        if not given:
+            database.check_panoramas()
 
         def view(image: str) -> tuple[Array, Camera]:
             camera = database.camera(image)

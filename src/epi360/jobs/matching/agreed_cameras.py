@@ -32,7 +32,7 @@ from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
-_FEWEST_PAIRS, _FEWEST_IMAGES = 5, 4  # accepted, of a camera
+_FEWEST_PAIRS, FEWEST_IMAGES = 5, 4  # accepted, of a camera
 # So many pairs are looked at first, and more if those of a camera gain half as much as all must.
 _FIRST_PAIRS, _MOST_PAIRS, _FIRST_SHARE = 16, 60, 0.5
 # Where so many pairs doubt their cameras, lenses whose angles are so much smaller and larger are
@@ -165,7 +165,7 @@ class CameraSearch:
         return {
             name: list(found)
             for name, found in pairs_of.items()
-            if len(found) >= _FEWEST_PAIRS and len(images_of[name]) >= _FEWEST_IMAGES
+            if len(found) >= _FEWEST_PAIRS and len(images_of[name]) >= FEWEST_IMAGES
         }
 
     def _posed(

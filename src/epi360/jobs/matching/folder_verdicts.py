@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from epi360.cameras.upright import has_a_vertical
 from epi360.jobs.graph.graph_check import CONFIRMED
@@ -44,6 +45,8 @@ class JudgedPairs:
     kept: tuple[tuple[str, str], ...] = ()  # images of the pairs that had a pose, and no verdict
     questioned: tuple[tuple[str, str], ...] = ()  # those whose pose others or its inliers refuse
     agreed: tuple[str, ...] = ()  # what is said of cameras that are other ones than were given
+    # Whether the pairs were matched or judged once more by these, or are only told of.
+    with_agreed: Literal["matched", "judged", "told"] = "matched"
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level
