@@ -34,6 +34,8 @@ class TrackInput:
 
     camera: str | None = None
     """Calibration file, FILE or FILE:NAME; without it, frames are panoramas."""
+    keep_cameras: Flag = False
+    """Keep the lens as it is given, even where the tracks agree that its angles are other ones."""
     mask: Path | None = None
     """Mask of all frames, or a folder with one for each; white = use. Large moving things, and
     whoever holds the camera, are best masked."""
@@ -175,6 +177,7 @@ def _options(given: TrackInput, work: TrackWork) -> TrackOptions:
             end_s=given.end,
             odometry=odometry,
             refine=work.refine,
+            keep_cameras=given.keep_cameras,
             seed=work.seed,
         )
 
@@ -190,7 +193,7 @@ def _default_output(source: Path) -> Path:
 
 def _describe(run: TrackRun) -> str:
     """Lines for people: how many frames have a pose, from which one on, and what was odd."""
-    from epi360.report.track_words import why_no_trajectory
+    from epi360.report.track_words import agreed_sentence, why_no_trajectory
 
     counts, results = run.counts, run.results
     tracked = [result for result in results if result.status == "tracked"]
@@ -204,6 +207,8 @@ def _describe(run: TrackRun) -> str:
         lines.append(f"no trajectory: {why_no_trajectory(run)}")
     if run.num_maps > 1:
         lines.append(f"parts        {run.num_maps}; the results are of the one with most frames")
+    if run.agreed:
+        lines.append(f"lens         {agreed_sentence(run)}")
     lines.append(
         f"time         {run.seconds:.1f} s in all; "
         f"{run.frames_per_second:.1f}/s without reading the frames"

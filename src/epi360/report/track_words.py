@@ -57,6 +57,15 @@ def why_no_trajectory(run: TrackRun) -> str:
     return "the camera moves too little"
 
 
+def agreed_sentence(run: TrackRun) -> str:
+    """Return what is said of a lens that is another one than was given."""
+    return (
+        f"The tracks agree on other angles of the lens: {run.agreed}. All frames were tracked "
+        "again by these, which camera.json in the output has; --keep-cameras keeps those that "
+        "were given."
+    )
+
+
 def track_sentences(run: TrackRun) -> list[str]:
     """Return what became of a sequence, the most important first."""
     num_tracked = run.counts["tracked"]
@@ -81,6 +90,7 @@ def track_sentences(run: TrackRun) -> list[str]:
         f"The camera was followed through {num_tracked} of {len(run.results)} frames, from frame "
         f"{first.index} on.{parts}",
         f"The map has {counted(run.num_key_frames, 'key frame')} and {run.num_points} points.",
+        *([agreed_sentence(run)] if run.agreed else []),
         *_way_words(run.results),
         *_loop_words(run.results),
         *_stretch_words(run.results),

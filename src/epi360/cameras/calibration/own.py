@@ -45,6 +45,11 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
     return fields.each(document["cameras"], _camera)
 
 
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """Return what a file of ours says of a camera."""
+    return {"model": type(camera).__name__, **dataclasses.asdict(camera)}
+
+
 def poses(document: Mapping[str, Any]) -> dict[str, Pose]:
     """Return the poses on the rig; a first camera without one is the frame."""
     entries = document["cameras"] if "cameras" in document else {"camera": document}

@@ -14,6 +14,7 @@ import numpy as np
 
 from epi360.cameras import Camera
 from epi360.cameras.calibration import own
+from epi360.cameras.calibration.own import camera_record
 from epi360.extras import package_version
 from epi360.jobs.localization.localization_result import LocalizationOptions, LocalizationResult
 from epi360.jobs.localization.map_views import LocalizationMap
@@ -77,7 +78,7 @@ def write_result(path: Path, result: LocalizationResult) -> None:
     for field in dataclasses.fields(LocalizationResult):
         value = getattr(result, field.name)
         if field.name == "camera":
-            words["camera"] = {"model": type(value).__name__, **dataclasses.asdict(value)}
+            words["camera"] = camera_record(value)
         elif field.name in _POSES:
             poses = [value] if isinstance(value, Pose) else value
             arrays[field.name] = np.array([p.matrix()[:3] for p in poses]).reshape(-1, 3, 4)

@@ -59,9 +59,10 @@ class SharedCameras:
 
 
 def _names_in_words(names: Sequence[str]) -> str:
-    """Name of a camera, and how many are equal to it."""
+    """Name of a camera, which is a number in COLMAP's files, and how many are equal to it."""
     first, *others = names
-    return f"camera {first}" + (f" and {len(others)} that are equal" if others else "")
+    name = f"camera {first}" if first.isdigit() else first
+    return name + (f" and {len(others)} that are equal" if others else "")
 
 
 class GraphFolder:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import cache
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import load_cameras
+from epi360.cameras.calibration.own import camera_record
 from epi360.features.detection import root_sift
 from epi360.features.matching import rounded_descriptors
 from epi360.interop import MatchGraph
@@ -60,10 +60,7 @@ def write_index(
     the ``refused`` ones agree with a pose, and other pairs speak against it. ``implied`` is the
     part of those with another pose than the first one.
     """
-    cameras = {
-        name: {"model": type(camera).__name__, **dataclasses.asdict(camera)}
-        for name, camera in images.cameras.items()
-    }
+    cameras = {name: camera_record(camera) for name, camera in images.cameras.items()}
     listed = [
         {"name": image.name, "camera": image.camera, "frame": image.frame, "key": keys[image.name]}
         for image in images.images

@@ -28,6 +28,7 @@ from epi360.runs.whole_files import write_file
 
 TRAJECTORY, FRAMES, POINTS, LOG = "trajectory.txt", "frames.csv", "points.ply", "track.json"
 MODEL, TRANSFORMS, IMAGES = "sparse/0", "transforms.json", "images"
+CAMERA = "camera.json"  # the lens, if it is another one than was given
 COLUMNS = ("image", "timestamp_s", "status", "num_inliers", "is_keyframe")
 
 

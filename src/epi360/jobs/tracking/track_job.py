@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.calibration.own import camera_record
 from epi360.cameras.upright import DOWN, check_upright, gravity_of
 from epi360.features.images import nadir_mask, read_mask
 from epi360.features.picture_writing import encode_picture
@@ -27,6 +28,7 @@ from epi360.jobs.folder.masks import MaskSource
 from epi360.jobs.frames.frame_source import FrameSource, SourceFrame, check_times, open_frames
 from epi360.jobs.frames.frames_job import content_key
 from epi360.jobs.tracking import track_files as files
+from epi360.jobs.tracking.agreed_camera import AgreedCamera, agreed_camera
 from epi360.jobs.tracking.refine_map import refine_with_colmap
 from epi360.odometry import Odometry, OdometryOptions
 from epi360.odometry.frame_result import FrameResult
@@ -64,6 +66,7 @@ class TrackOptions:
     upright_deg: float | None = None  # gravity is straight down in every frame, to one sigma
     odometry: OdometryOptions = field(default_factory=OdometryOptions)
     refine: bool = False
+    keep_cameras: bool = False  # even where the tracks agree that the lens is another one
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -84,6 +87,7 @@ class TrackRun:
     frames_per_second: float  # of the odometry, reading the frames not counted
     seconds: float
     messages: tuple[str, ...]  # sentences about single frames, with their numbers
+    agreed: str  # what is said of a lens that is another one than was given, or nothing
     written: files.Written
     was_interrupted: bool = False
 
@@ -108,6 +112,10 @@ def track_frames(
     at the end all files are written whole. A frame that cannot be read is counted and named, and
     the run goes on. An interrupted run writes what it has, and hands it to ``interrupted`` before
     it raises KeyboardInterrupt.
+
+    Where the tracks of the key frames agree that the lens is another one than was given, see
+    `agreed_camera`, all frames are tracked once more by that, unless ``keep_cameras``;
+    ``camera.json`` has it. Watchers are shown the frames again.
 
     Raises
     ------
@@ -136,6 +144,10 @@ def track_frames(
     _prepare(output, made_from)
     try:
         run.track(progress)
+        agreed = None if options.keep_cameras else run.agreed_camera()
+        if agreed is not None:
+            run = run.by_another(agreed)
+            run.track(progress)
     except KeyboardInterrupt:
         found = run.finish(progress, interrupted=True)
         if interrupted is not None:
@@ -156,7 +168,7 @@ def _prepare(output: Path, made_from: Mapping[str, str]) -> None:
             )
         _check_source(output, record, made_from)
     output.mkdir(parents=True, exist_ok=True)
-    for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS):
+    for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS, files.CAMERA):
         (output / name).unlink(missing_ok=True)  # of an earlier run
     for folder in (files.MODEL, files.IMAGES):
         shutil.rmtree(output / folder, ignore_errors=True)
@@ -228,6 +240,7 @@ class _Run:
         self._refused: set[str] = set()  # why masks are not used
         self._seconds = 0.0
         self._begun = time.perf_counter()
+        self._agreed = ""  # what is said of a lens that is another one than was given
 
     def track(self, progress: Progress) -> None:
         """Track all frames."""
@@ -254,6 +267,23 @@ class _Run:
         if self._source.ending:
             self._messages.append(self._source.ending)
 
+    def agreed_camera(self) -> AgreedCamera | None:
+        """Another lens on which the tracks agree clearly."""
+        return agreed_camera(self.odometry.key_frames(), self._camera, self._options.seed)
+
+    def by_another(self, agreed: AgreedCamera) -> _Run:
+        """The same sequence by another lens, with no frame tracked."""
+        run = _Run(
+            self._source,
+            agreed.camera,
+            self._output,
+            self._options,
+            self._watchers,
+            self._made_from,
+        )
+        run._agreed, run._begun = agreed.said, self._begun
+        return run
+
     def finish(self, progress: Progress, *, interrupted: bool = False) -> TrackRun:
         """Adjust the map once more, and write all files."""
         written = files.Written()
@@ -276,6 +306,9 @@ class _Run:
         )
         if self.odometry.key_frames():
             self._write_map(written, progress)
+        if self._agreed:
+            camera = camera_record(self._camera)
+            written.attempt(files.CAMERA, lambda: write_record(output / files.CAMERA, camera))
         run = TrackRun(
             self._output,
             tuple(results),
@@ -286,6 +319,7 @@ class _Run:
             len(results) / self._seconds if self._seconds > 0 else 0.0,
             time.perf_counter() - self._begun,
             tuple(self._messages),
+            self._agreed,
             written,
             interrupted,
         )
@@ -411,6 +445,7 @@ def _log(run: TrackRun, made_from: Mapping[str, str], options: TrackOptions) -> 
         "frames_per_second": round(run.frames_per_second, 2),
         "seconds": round(run.seconds, 2),
         "messages": list(run.messages),
+        "agreed": run.agreed,
         "remarks": list(run.written.remarks),
         "options": recorded,
     }
