@@ -13,7 +13,8 @@ from epi360 import Odometry, load_camera
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cli import main
 from epi360.interop.tum import read_tum_trajectory
-from epi360.jobs.tracking.agreed_camera import agreed_camera
+from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching.tracked_lens import agreed_camera
 from epi360.jobs.tracking.track_job import TrackOptions, track_frames
 from epi360.report.track_words import track_sentences
 from epi360_scenes import furnished_room
@@ -65,6 +66,22 @@ def test_a_right_lens_stays(film, tmp_path):
     run = track_frames(film, tmp_path / "track", TrackOptions(camera=camera))
     assert run.agreed == "" and not (tmp_path / "track" / "camera.json").exists()
     assert run.counts["tracked"] == NUM_FRAMES
+
+
+def test_a_map_starts_from_what_that_lens_tracks(film, tmp_path):
+    pytest.importorskip("pycolmap")
+    from epi360.jobs.mapping.map_folder import map_images
+
+    camera, out = write_lens(tmp_path / "lens.json", TOO_WIDE), tmp_path / "map"
+    run = map_images(find_images(film, camera=camera), out)
+    (mapped,) = run.models[0].reconstruction.cameras.values()
+    assert run.matched.agreed and mapped.fx == pytest.approx(TRUE_LENS.fx, rel=0.01)
+    assert len(run.models[0].reconstruction.images) == NUM_FRAMES
+    assert run.attempts[0].num_registered == NUM_FRAMES and "odometry" in run.attempts[0].how
+    assert run.track["num_images"] == NUM_FRAMES
+    before = (out / "tracked-again.json").read_bytes()
+    assert map_images(find_images(film, camera=camera), out).was_mapped
+    assert (out / "tracked-again.json").read_bytes() == before
 
 
 def test_nothing_is_said_before_a_map_begins_and_of_panoramas():

@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +38,13 @@ from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.mapping.sequence_start import (
+    TRACKED_AGAIN,
     SequenceStart,
     has_one_camera,
     may_be_sequence,
     track_sequence,
 )
+from epi360.jobs.matching.agreed_cameras import said_of_cameras
 from epi360.jobs.matching.match_folder import (
     MatchOptions,
     MatchRun,
@@ -133,14 +135,15 @@ def map_images(
     them.
 
     Panoramas stay as they are given, and so do the places of lenses on a rig. The angles of a lens
-    may change, where pairs agree on that, see `match_images`; then the poses of the odometry, which
-    had the lens as it was given, are not used. Pairs go in with their inliers and poses where the
-    verdict is ok, planar_ambiguous or pure_rotation: inliers of all three are right matches.
-    Ambiguous pairs join no groups of images that others do not join, as rooms may have the same
-    carpet. A pair that two or more triangles contradict, or that `check_graph` refuses, stays out:
-    a few of them lead COLMAP's mapper astray. If no pair shows a translation, as of a camera that
-    only turned, there are no models, and no mapper runs. What was matched is not matched again, and
-    what was mapped from the same matches with the same options is not mapped again.
+    may change, where the tracks of a sequence agree on that, see `agreed_camera`, or pairs of
+    images, see `match_images`; then a sequence is tracked once more by the changed lens. Pairs go
+    in with their inliers and poses where the verdict is ok, planar_ambiguous or pure_rotation:
+    inliers of all three are right matches. Ambiguous pairs join no groups of images that others do
+    not join, as rooms may have the same carpet. A pair that two or more triangles contradict, or
+    that `check_graph` refuses, stays out: a few of them lead COLMAP's mapper astray. If no pair
+    shows a translation, as of a camera that only turned, there are no models, and no mapper runs.
+    What was matched is not matched again, and what was mapped from the same matches with the same
+    options is not mapped again.
 
     Raises
     ------
@@ -159,18 +162,24 @@ def map_images(
     output = Path(output)
     record = _read_record(output)
     given = None if initial is None else _poses_of(images, initial)
-    tracked = None
+    track = partial(
+        track_sequence,
+        output=output,
+        video=video,
+        mask=mask,
+        mask_nadir_deg=options.match.mask_nadir_deg,
+        seed=options.match.seed,
+        keep_cameras=options.match.keep_cameras,
+        progress=progress,
+    )
+    as_given, tracked = images, None
     if given is None and _is_tried_as_sequence(images, options, video):
         open_match_output(output, options.match, restart=restart)
-        tracked = track_sequence(
-            images,
-            output,
-            video=video,
-            mask=mask,
-            mask_nadir_deg=options.match.mask_nadir_deg,
-            seed=options.match.seed,
-            progress=progress,
-        )
+        tracked = track(images)
+        if tracked.lens is not None:
+            own = {images.images[0].camera: tracked.lens}  # a sequence has one camera
+            images = replace(images, cameras={**images.cameras, **own})
+            tracked = track(images, record=TRACKED_AGAIN)
     start = time.perf_counter()
     matched = match_images(
         images,
@@ -181,7 +190,9 @@ def map_images(
         progress=progress,
     )
     if matched.agreed:
-        images, tracked = replace(images, cameras=dict(matched.cameras)), None
+        images = replace(images, cameras=dict(matched.cameras))
+        tracked = None if tracked is None else track(images, record=TRACKED_AGAIN)
+    matched = replace(matched, agreed=said_of_cameras(as_given.cameras, images.cameras))
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.calibration import own
+from epi360.cameras.calibration.own import camera_record
 from epi360.extras import package_version
 from epi360.features.images import nadir_mask, read_image, read_mask
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.masks import MaskSource
 from epi360.jobs.frames.frame_source import SourceFrame, open_frames
 from epi360.jobs.frames.frames_job import content_key
+from epi360.jobs.matching.tracked_lens import agreed_camera
 from epi360.jobs.pairs.pair_selection import NUMBERED
 from epi360.jobs.records.match_store import DIGESTS
 from epi360.odometry import Odometry
@@ -28,8 +31,9 @@ from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
 from epi360.runs.made_from import fingerprint, read_record, write_record
 
-STAGE, RECORD = "tracking frames", "tracked.json"
-RULES = 1  # of what counts as a sequence: other rules, other poses
+STAGE = "tracking frames"
+TRACKED, TRACKED_AGAIN = "tracked.json", "tracked-again.json"  # by the lens that pairs agree on
+RULES = 2  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
 _FEWEST_FOLLOWED = 40
@@ -43,7 +47,8 @@ class SequenceStart:
     """What the odometry says of the images of a sequence.
 
     ``depth`` is the median distance of the landmarks around an image, in the unit of the poses.
-    ``reason`` says why there are no poses to start from; it is empty if there are.
+    ``reason`` says why there are no poses to start from; it is empty if there are. ``lens`` is
+    another one on which the tracks agree.
     """
 
     cam_from_world: dict[str, Pose] = field(default_factory=dict)
@@ -52,6 +57,7 @@ class SequenceStart:
     num_tracked: int = 0
     seconds: float = 0.0
     reason: str = ""
+    lens: Camera | None = None
 
     def summary(self) -> dict[str, Any]:
         """What a record says of it."""
@@ -89,23 +95,30 @@ def track_sequence(
     mask: Path | None = None,
     mask_nadir_deg: float = 0.0,
     seed: int = 0,
+    keep_cameras: bool = False,
+    record: str = TRACKED,
     progress: Progress = no_progress,
 ) -> SequenceStart:
-    """Poses of the images of a sequence; ``output`` keeps them for later runs.
+    """Poses of the images of a sequence; ``output`` keeps them in a ``record`` for later runs.
 
     If the images are frames of a ``video``, all its frames are followed up to the last of them,
     with ``mask`` as `MaskSource` takes it. Where points cannot be followed from one image to the
-    next, or too many images stay without a pose, it is no sequence, and the result says so.
+    next, or too many images stay without a pose, it is no sequence, and the result says so. It also
+    says if the tracks agree on another lens, see `agreed_camera`, unless ``keep_cameras``.
     """
     frames = _Frames(images, video, mask)
-    made_from = frames.fingerprint(output, mask_nadir_deg, seed)
-    record = read_record(output / RECORD, remedy="delete it") or {}
-    if record.get("fingerprint") == made_from:
-        return _from_record(record)
-    found = _track(frames, images, mask_nadir_deg, seed, progress)
+    made_from = frames.fingerprint(output, mask_nadir_deg, seed, keep_cameras)
+    before = read_record(output / record, remedy="delete it") or {}
+    if before.get("fingerprint") == made_from:
+        return _from_record(before)
+    found, odometry = _track(frames, images, mask_nadir_deg, seed, progress)
+    if odometry is not None and not keep_cameras:
+        agreed = agreed_camera(odometry.key_frames(), frames.camera, seed)
+        found = replace(found, lens=None if agreed is None else agreed.camera)
     poses = {name: pose.matrix().tolist() for name, pose in found.cam_from_world.items()}
     kept = {**found.summary(), "depth": found.depth, "cam_from_world": poses}
-    write_record(output / RECORD, {"fingerprint": made_from, **kept})
+    kept["lens"] = None if found.lens is None else camera_record(found.lens)
+    write_record(output / record, {"fingerprint": made_from, **kept})
     return found
 
 
@@ -118,6 +131,7 @@ def _from_record(record: dict[str, Any]) -> SequenceStart:
         record["num_tracked"],
         record["seconds"],
         record["reason"],
+        None if record["lens"] is None else own.read(record["lens"])["camera"],
     )
 
 
@@ -133,10 +147,10 @@ class _Frames:
         total = len(images.images) if self._source is None else self._source.num_frames
         self.num_frames = total or 0
 
-    def fingerprint(self, output: Path, mask_nadir_deg: float, seed: int) -> str:
-        """Hash of all that the poses depend on."""
+    def fingerprint(self, output: Path, *options: object) -> str:
+        """Hash of all that the poses depend on, beside what is in the output."""
         digests = FileDigests(output / DIGESTS)
-        rules = (RULES, package_version(), OdometryOptions(), self.camera, mask_nadir_deg, seed)
+        rules = (RULES, package_version(), OdometryOptions(), self.camera, *options)
         pieces: list[object] = [rules]
         pieces.append(b"" if self._video is None else content_key(self._video))
         files: list[tuple[str, Sequence[Path | None]]] = [
@@ -180,7 +194,8 @@ class _Frames:
 
 def _track(
     frames: _Frames, images: ImageSet, mask_nadir_deg: float, seed: int, progress: Progress
-) -> SequenceStart:
+) -> tuple[SequenceStart, Odometry | None]:
+    """Poses of the images, and the odometry that found them; None where it was given up."""
     begun = time.perf_counter()
     usable = nadir_mask(frames.camera, mask_nadir_deg)
     odometry = Odometry(frames.camera, mask=None if usable.all() else usable, seed=seed)
@@ -193,15 +208,16 @@ def _track(
         num_jumps += len(names) > 1 and result < _FEWEST_FOLLOWED
         progress(STAGE, len(names), max(frames.num_frames, len(names)))
         if num_jumps > most_jumps:
-            return SequenceStart(
+            given_up = SequenceStart(
                 num_frames=len(names),
                 seconds=time.perf_counter() - begun,
                 reason="points cannot be followed from image to image",
             )
+            return given_up, None
     if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
         progress(STAGE, len(names), len(names))
     odometry.finish()
-    return _start_from(odometry, names, images, time.perf_counter() - begun)
+    return _start_from(odometry, names, images, time.perf_counter() - begun), odometry
 
 
 def _added(odometry: Odometry, frame: SourceFrame, frames: _Frames) -> int:

@@ -93,10 +93,7 @@ class CameraSearch:
 
     def told(self) -> tuple[str, ...]:
         """What each camera is, and is not, that is another one than was given."""
-        pairs = ((name, given, self.cameras[name]) for name, given in self.given.items())
-        return tuple(
-            f"{name}: {what_changed(given, now)}" for name, given, now in pairs if given != now
-        )
+        return said_of_cameras(self.given, self.cameras)
 
     def _agreed(
         self, folder: VerifiedFolder, pairs: Sequence[Pair], finished: Mapping[Keys, Verdict]
@@ -191,6 +188,12 @@ class CameraSearch:
         name = self._of_images[index]
         assert name is not None  # the image is in a pair that was verified
         return name
+
+
+def said_of_cameras(given: Mapping[str, Camera], now: Mapping[str, Camera]) -> tuple[str, ...]:
+    """What each camera is, and is not, that is another one than was given."""
+    pairs = ((name, before, now[name]) for name, before in given.items())
+    return tuple(f"{name}: {what_changed(*both)}" for name, *both in pairs if both[0] != both[1])
 
 
 def _noises_px(

@@ -27,8 +27,8 @@ from epi360.jobs.folder.given_cameras import read_given_cameras
 from epi360.jobs.folder.masks import MaskSource
 from epi360.jobs.frames.frame_source import FrameSource, SourceFrame, check_times, open_frames
 from epi360.jobs.frames.frames_job import content_key
+from epi360.jobs.matching.tracked_lens import AgreedCamera, agreed_camera
 from epi360.jobs.tracking import track_files as files
-from epi360.jobs.tracking.agreed_camera import AgreedCamera, agreed_camera
 from epi360.jobs.tracking.refine_map import refine_with_colmap
 from epi360.odometry import Odometry, OdometryOptions
 from epi360.odometry.frame_result import FrameResult
