@@ -20,6 +20,7 @@ from epi360.estimation import (
 from epi360.estimation.angle_search import are_panoramas
 from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.result import pose_sigmas_deg
+from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.places.shared_points import floor_share
@@ -110,7 +111,8 @@ def _verified(
         options=IMAGE_OPTIONS,
         seed=seed,
     )
-    result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again)
+    result = with_ground_motion(result, pair.matched.bearings, pair.cameras, again)
+    result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again).result
     result = noise_in_pixels(result, pair.pixel_deg)
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     floor = pair.matched.floor_share(result.inlier_mask) if are_panoramas(pair.cameras) else np.nan
