@@ -75,7 +75,9 @@ def _row(name: str, kind: Kind, trials: int, seed: int) -> str:
             result = estimate(*bearings)
             if not result.success:
                 continue
-            later = with_calibration_doubt(result, bearings, (kind.camera, kind.camera), estimate)
+            later = with_calibration_doubt(
+                result, bearings, (kind.camera, kind.camera), estimate
+            ).result
             count[0] += 1
             count[1] += later.success and later.warnings != result.warnings
             count[2] += later.status == "pure_rotation"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -21,8 +21,9 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
-from epi360.estimation.calibration_doubt import is_of_other_angles, with_calibration_doubt
+from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.options import check_threshold
+from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
     Features,
@@ -153,15 +154,16 @@ def relative_pose_of_images(
     assert best is not None
     if not best.success:
         return best
-    best = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
-    if not best.success or is_of_other_angles(best):  # with the given ones nothing would look right
+    best, (camera1, camera2) = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
+    if not best.success or camera1 is None or camera2 is None:
         return best
-    if not all(can_be_compared(view.camera) for view in views):
+    if not (can_be_compared(camera1) and can_be_compared(camera2)):
         return best
     say("comparing what both cameras must see")
+    seen = replace(view1, camera=camera1), replace(view2, camera=camera2)
     with ThreadPoolExecutor(2) as pool:
-        panorama1, panorama2 = pool.map(_View.panorama, views)
-    return look_around(best, (view1.camera, view2.camera), (panorama1, panorama2))
+        panorama1, panorama2 = pool.map(_View.panorama, seen)
+    return look_around(best, (camera1, camera2), (panorama1, panorama2))
 
 
 @dataclass(frozen=True)
@@ -211,14 +213,16 @@ def _with_calibration_doubt(
     result: ImagePairResult,
     cameras: tuple[Camera, Camera],
     estimate: Callable[..., RelativePoseResult],
-) -> ImagePairResult:
+) -> tuple[ImagePairResult, tuple[Camera | None, Camera | None]]:
+    """The result, and the cameras that its pose belongs to; see `with_calibration_doubt`."""
     bearings1 = cameras[0].bearings_from_pixels(result.keypoints1)
     bearings2 = cameras[1].bearings_from_pixels(result.keypoints2)
     again = partial(estimate, max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras))
-    told = with_calibration_doubt(result, (bearings1, bearings2), cameras, again)
+    grounded = with_ground_motion(result, (bearings1, bearings2), cameras, again)
+    told, changed = with_calibration_doubt(grounded, (bearings1, bearings2), cameras, again)
     if isinstance(told, ImagePairResult):
-        return told
-    return _with_keypoints(told, result.keypoints1, result.keypoints2)
+        return told, changed
+    return _with_keypoints(told, result.keypoints1, result.keypoints2), changed
 
 
 def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:

@@ -16,7 +16,7 @@ from rooms_by_wrong_cameras import (
 
 import epi360
 from epi360 import estimate_relative_pose
-from epi360.cameras import Equirectangular
+from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of
 from epi360.epipolar.residuals import tangent_basis
 from epi360.estimation.angle_changes import (
@@ -265,3 +265,33 @@ def test_derivatives_are_those_of_the_bearings(camera):
     expected = np.linalg.svd(spans, compute_uv=False)[:, :2].prod(axis=1)
     areas = np.linalg.norm(np.cross(*np.moveaxis(changed.by_measured, 2, 0)), axis=1)
     np.testing.assert_allclose(areas, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_beyond"),
+    [
+        ((0.0, 0.0, 0.0), False),
+        ((-0.1, -0.1, 0.0), False),
+        ((0.0, -0.1, 0.15), False),  # the lowest tenth was cut off
+        ((0.0, -0.1, 0.3), True),  # what is lowest would lie beyond the nadir
+        ((0.05, 0.0, 0.0), True),
+        ((0.0, 0.2, 0.0), True),
+    ],
+)
+def test_no_panorama_shows_more_than_a_sphere(changes, is_beyond):
+    panorama = Equirectangular(2000, 1000)
+    pixels = np.random.default_rng(0).uniform(0.0, [2000.0, 1000.0], (2000, 2))
+    bearings = panorama.bearings_from_pixels(pixels)
+    smaller = Equirectangular(1000, 500)  # of another camera, so that it changes by itself
+    for only, own in ((0, (*changes, 0.0, 0.0, 0.0)), (1, changes), (2, changes)):
+        angles = PairOfAngles.of((panorama, smaller), (bearings, bearings), only=only)
+        assert (angles.share_beyond(np.array(own)) > 0.01) == is_beyond
+
+
+def test_no_lens_looks_farther_than_behind_itself():
+    lens = KannalaBrandt(800, 800, 250.0, 250.0, 400.0, 400.0)
+    angles = np.radians([30.0, 90.0, 150.0])
+    bearings = np.column_stack([np.sin(angles), 0.0 * angles, np.cos(angles)])
+    pair = PairOfAngles.of((lens, lens), (bearings, bearings))
+    assert pair.share_beyond(np.array([0.1])) == 0.0
+    assert pair.share_beyond(np.array([0.3])) == pytest.approx(1 / 3)

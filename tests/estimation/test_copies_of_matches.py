@@ -109,7 +109,7 @@ def doubted(made, rows):
     bearings = made.bearings1[rows], made.bearings2[rows]
     camera = Equirectangular(1024, 512)
     result = estimate_relative_pose(*bearings)
-    return with_calibration_doubt(result, bearings, (camera, camera), estimate_relative_pose)
+    return with_calibration_doubt(result, bearings, (camera, camera), estimate_relative_pose).result
 
 
 def test_the_distinct_rows_is_named_for_each_row():

@@ -71,6 +71,8 @@ def shown(*args, **values):
 
 
 CAP = grid().directions[:, 1] > 0.3
+HIGH = grid().directions[:, 1] < -0.8
+DOWN, UP = np.array([0.0, 0.8, 0.6]), np.array([0.0, -0.6, 0.8])
 
 
 def test_a_whole_surface_has_few_edges_and_a_frayed_one_many():
@@ -153,16 +155,36 @@ def test_where_nothing_grows_nothing_speaks_for_the_pair():
 
 
 def test_a_pair_on_the_floor_alone_has_nothing_to_say_in_a_folder():
-    shown_there = views_of(CAP, contrasts=20.0)
-    down, up = np.array([0.0, 0.8, 0.6]), np.array([0.0, -0.6, 0.8])
+    shown_there = views_of(CAP | HIGH, contrasts=20.0)
     for num_above, is_heard in ((0, False), (2, False), (4, True)):
-        bearings = np.array([down] * (100 - num_above) + [up] * num_above)
+        bearings = np.array([DOWN] * (100 - num_above) + [UP] * num_above)
         own = OwnEvidence.of(seen_along(bearings, bearings), shown_there)
         assert own.on_floor != is_heard
         assert (limited_in_folder(own) != OwnEvidence()) == is_heard
-    higher = np.array([up] * 50 + [down] * 50)  # both images must see it below
+    higher = np.array([UP] * 50 + [DOWN] * 50)  # both images must see it below
     own = OwnEvidence.of(seen_along(bearings, higher), shown_there)
     assert limited_in_folder(own) != OwnEvidence()
+
+
+def test_where_the_floor_alone_grows_it_says_nothing_of_the_place():
+    """Two rooms with one floor: their walls show other things, or nothing."""
+    mostly_down = np.array([DOWN] * 90 + [UP] * 10)
+    pair = seen_along(mostly_down, mostly_down)
+    (view, _) = views_of(CAP, contrasts=20.0)
+    own = OwnEvidence.of(pair, (view, view))
+    assert own.floor_alone and not own.on_floor
+    assert limited_in_folder(own) == OwnEvidence()
+    assert same_place(replace(own, over_others=9.0, over_copies=9.0)).here < 0.51
+    bare = grid().directions[:, 1] < 0.0
+    plain = replace(view, contrasts=np.where(bare, 1.0, 20.0).astype(np.float32))
+    higher = views_of(CAP | HIGH, contrasts=20.0)[0]
+    half_down = np.array([DOWN] * 80 + [UP] * 20)
+    for bearings, views in (
+        (mostly_down, (view, plain)),  # there is nothing else to see
+        (mostly_down, (higher, higher)),
+        (half_down, (view, view)),
+    ):
+        assert not OwnEvidence.of(seen_along(bearings, bearings), views).floor_alone
 
 
 def test_the_file_holds_weights_from_many_pairs():

@@ -12,11 +12,15 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.cameras.base import Array, Camera
 from epi360.cameras.equirectangular import Equirectangular
 
+Mask = NDArray[np.bool_]
+
 _NEAR_POLE = 1e-6  # cosine of a latitude
+_SLACK = np.radians(2.0)  # by which what lies at the end of a sphere may be beyond it
 
 
 class AngleModel(NamedTuple):
@@ -120,6 +124,12 @@ class _Radial:
             (self._angle[:, None] * powers)[:, None, :] * away[:, :, None],
         )
 
+    def beyond(self, changes: Array) -> Mask:
+        """Which bearings (N,) would lie behind the camera."""
+        exponents = np.array([0.0, 2.0, 4.0])[: len(changes)]
+        larger = self._angle * (1.0 + self._angle[:, None] ** exponents @ changes)
+        return np.asarray(larger > np.pi)
+
 
 class _LongitudesAndLatitudes:
     """Bearings by their longitudes and latitudes from the middle of a panorama."""
@@ -154,6 +164,13 @@ class _LongitudesAndLatitudes:
                 axis=2,
             ),
         )
+
+    def beyond(self, changes: Array) -> Mask:
+        """Which bearings (N,) would lie beyond a pole, or more than half way around."""
+        longitudes = (1.0 + changes[0]) * self._longitudes
+        latitudes = self._middle[1] + (1.0 + changes[1]) * self._latitudes + changes[2]
+        is_beyond = np.abs(latitudes) > np.pi / 2.0 + _SLACK
+        return np.asarray(is_beyond | (np.abs(longitudes) > np.pi + _SLACK))
 
 
 def angles_of(model: AngleModel, bearings: Array) -> _Radial | _LongitudesAndLatitudes:
@@ -206,3 +223,10 @@ class PairOfAngles:
             view.changed(changes[own]) for view, own in zip(self._views, self.columns, strict=True)
         )
         return first, second
+
+    def share_beyond(self, changes: Array) -> float:
+        """The larger share of the bearings of a view that would lie beyond a whole sphere."""
+        return max(
+            float(np.mean(view.beyond(changes[own]))) if own.stop > own.start else 0.0
+            for view, own in zip(self._views, self.columns, strict=True)
+        )

@@ -46,6 +46,8 @@ _GAIN_OF_PANORAMAS, _GAIN_OF_CURVES = 0.35, 0.1
 _GAIN_NEAR, _GAIN_NEAR_OF_PANORAMAS = 0.05, 0.2
 # Where that fit goes astray, the panoramas may have lost such a share of their height at one end.
 _CUT, _GAIN_OF_CUT = 0.15, 0.1
+# No panorama is wider or higher than a sphere, so that few of its key points are beyond one.
+MOST_BEYOND = 0.02
 _MOST_ROUNDS = 20
 _GAIN_OF_ROUND = 2.0  # less ends the search
 _MOST_LOSS_AT_START = 1.5  # for each inlier
@@ -104,6 +106,11 @@ class OtherAngles(NamedTuple):
     def is_possible(self) -> bool:
         """Whether no change is larger than that of any camera."""
         return _are_possible(self.found.names, self.found.sizes)
+
+    def sizes_of(self, view: int) -> Array:
+        """All changes (k,) of a view, 1 or 2; none if it stays as it was given."""
+        own = [each in (0, view) for each, _ in self.found.names]
+        return self.found.sizes[own]
 
     def clear_changes(self) -> list[AngleChange]:
         """Those of the changes that are worth a word."""
@@ -211,6 +218,11 @@ class _Search:
         count = self._count
         least = _GAIN_OF_PANORAMAS * count if self._are_panoramas else 0.0
         if other.gain < least or not (other.is_possible and other.clear_changes()):
+            return False
+        angles = PairOfAngles.of(
+            self._cameras, self._bearings, is_curved=other.is_curved, only=other.only
+        )
+        if angles.share_beyond(other.found.sizes) > MOST_BEYOND:
             return False
         former = self._gain(other.answer.residuals_rad, self._noise_deg, self._agree)
         left = other.answer.num_inliers / count

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_angles import PairOfAngles
+from epi360.cameras.changed_camera import changed_lens, changed_panorama
 from epi360.estimation.angle_changes import LARGEST_CHANGE, AngleChange, changed_by_a_turn
 from epi360.estimation.angle_search import (
     LEAST_CHANGE,
     LEAST_MIDDLE_RAD,
+    MOST_BEYOND,
     Bearings,
     Estimate,
     OtherAngles,
@@ -57,12 +59,19 @@ _MOST_OF_CUT = 1.3
 _MOST_LEFT, _MUCH_PARALLAX, _MOST_LEFT_OF_MUCH = 1.35, 50.0, 3.0
 
 
+class Doubted(NamedTuple):
+    """A result, and the cameras that its pose belongs to, None where there is no such model."""
+
+    result: RelativePoseResult
+    cameras: tuple[Camera | None, Camera | None]
+
+
 def with_calibration_doubt(
     result: RelativePoseResult,
     bearings: Bearings,
     cameras: tuple[Camera, Camera],
     estimate: Estimate,
-) -> RelativePoseResult:
+) -> Doubted:
     """Return the result, or another one with a warning, if the cameras' angles seem to be wrong.
 
     ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
@@ -71,21 +80,44 @@ def with_calibration_doubt(
     and what it differs by is added to the covariance, for the result belongs to the cameras that
     were given. Where it would say nothing of the pose then, the other pose is the result.
     """
+    given = Doubted(result, cameras)
     if not result.success:
-        return result
+        return given
     distinct, _ = distinct_rows(*bearings)
     if result.inlier_mask[distinct].sum() < _FEWEST_INLIERS:
-        return result
+        return given
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
-        return turned
+        return Doubted(turned, cameras)
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
-    return result if other is None else _with_other_angles(result, other, cameras)
+    if other is None:
+        return given
+    told = _with_other_angles(result, other, cameras)
+    return Doubted(told, _changed(cameras, other) if is_of_other_angles(told) else cameras)
 
 
 def is_of_other_angles(result: RelativePoseResult) -> bool:
     """Whether the pose belongs to other angles than those of the cameras that were given."""
     return any(_THEIR_POSE in warning for warning in result.warnings)
+
+
+def _changed(
+    cameras: tuple[Camera, Camera], other: OtherAngles
+) -> tuple[Camera | None, Camera | None]:
+    """The cameras with other angles."""
+    first, second = (
+        _changed_camera(camera, other.sizes_of(view))
+        for view, camera in enumerate(cameras, start=1)
+    )
+    return first, second
+
+
+def _changed_camera(camera: Camera, changes: Array) -> Camera | None:
+    if not len(changes):
+        return camera
+    if isinstance(camera, Equirectangular):
+        return changed_panorama(camera, changes)
+    return changed_lens(camera, changes)
 
 
 def _turned(
@@ -107,6 +139,8 @@ def _turned(
         if changes is None or not limits.least < np.abs(changes).max() < limits.most:
             continue
         angles = PairOfAngles.of(cameras, bearings, is_curved=True, only=only)
+        if angles.share_beyond(changes) > MOST_BEYOND:
+            continue
         own = (changes[each] for each in angles.columns)
         if not all(map(_may_be_of_a_cut, own, cameras)):
             continue

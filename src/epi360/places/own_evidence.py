@@ -34,7 +34,7 @@ from epi360.features.shared_surfaces import (
 )
 from epi360.features.warped_patches import Panorama
 from epi360.places.one_surface import on_floor, on_one_wall
-from epi360.places.shared_points import PosedPair, cloud_of
+from epi360.places.shared_points import PosedPair, cloud_of, floor_share
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -54,6 +54,11 @@ _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
 _ONE_SURFACE = 0.15  # largest difference of the logarithms of distances
 _FAINT, _STRONG = 8.0, 12.0  # contrasts, in grey values
 _TURNED_DEG, _MUCH_TURNED_DEG = 20.0, 45.0
+# Of right pairs in rooms most of whose inliers lie on the floor, so much of what grew and more is
+# above the horizon, if so many cells of either view have a texture there; of rooms that have the
+# floor alone in common 0.02 and less.
+_MOSTLY_ON_FLOOR, _LEAST_ABOVE, _FEWEST_ABOVE = 0.85, 0.04, 50
+_HORIZON = np.sin(np.radians(5.0))
 _NUM_NEXT = 6  # cells around each that say what is nearest there
 
 
@@ -63,7 +68,8 @@ class OwnEvidence:
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
     speak for a pair: where nothing grows, it is no copy either. ``on_floor`` and ``on_one_wall``
-    say that nearly all inliers lie there, which rooms may have alike. ``in_the_open`` says that
+    say that nearly all inliers lie there, which rooms may have alike, and ``floor_alone`` that
+    nearly all that grew does, though there is more to see. ``in_the_open`` says that
     what both show lies at distances that differ more than in a room, ``is_partial`` that either
     view shows little more than a hemisphere, or less. Nothing is known if either view shows too
     little. ``as_in_homes`` has both ratios by the weights that were fitted to homes alone; a pair
@@ -74,6 +80,7 @@ class OwnEvidence:
     over_copies: float = 0.0
     on_floor: bool = False
     on_one_wall: bool = False
+    floor_alone: bool = False
     in_the_open: bool = False
     is_partial: bool = False
     is_known: bool = True
@@ -93,6 +100,7 @@ class OwnEvidence:
             *(as_in_homes if is_on_one_wall else by_all),
             on_floor=on_floor(pair),
             on_one_wall=is_on_one_wall,
+            floor_alone=not in_the_open and _shows_floor_alone(pair, views),
             in_the_open=in_the_open,
             is_partial=share < _PART,
             as_in_homes=as_in_homes,
@@ -243,6 +251,20 @@ def _depth_spread(view: SharedSurfaces) -> float:
         return 0.0
     nearest, farthest = np.percentile(view.depths[view.found], [5, 95])
     return float(np.log(farthest / nearest))
+
+
+def _shows_floor_alone(pair: PosedPair, views: Sequence[SharedSurfaces]) -> bool:
+    """Whether what grew is on the floor, as nearly all inliers, though both show more than that."""
+    if floor_share(*pair.bearings) < _MOSTLY_ON_FLOOR:
+        return False
+    is_above = grid().directions[:, 1] < -_HORIZON
+    textured = [view.counts & (view.contrasts >= LEAST_CONTRAST) for view in views]
+    if min(int((each & is_above).sum()) for each in textured) < _FEWEST_ABOVE:
+        return False
+    grown = [view.found & each for view, each in zip(views, textured, strict=True)]
+    num_grown = sum(int(each.sum()) for each in grown)
+    num_above = sum(int((each & is_above).sum()) for each in grown)
+    return num_above < _LEAST_ABOVE * num_grown
 
 
 def _at_edge(view: SharedSurfaces, cells: Indices) -> Mask:

@@ -102,7 +102,7 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
     ``copies_indoors`` is the share of copies, of poses that are not of another place, in a room.
     """
     elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
-    if own.on_floor:
+    if own.on_floor or own.floor_alone:
         elsewhere = _ELSEWHERE_ON_FLOOR
     if own.on_one_wall:
         elsewhere, copy = _ON_ONE_WALL
@@ -120,9 +120,10 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
 def limited(own: OwnEvidence) -> OwnEvidence:
     """As much of the evidence as counts."""
     most = _MOST_OF_PART if own.on_one_wall or own.is_partial else _MOST
+    most_over_others = 0.0 if own.floor_alone else most  # rooms with one floor show as much
     return replace(
         own,
-        over_others=float(np.clip(own.over_others, -_MOST, most)),
+        over_others=float(np.clip(own.over_others, -_MOST, most_over_others)),
         over_copies=float(np.clip(own.over_copies, _LEAST_OVER_COPIES, most)),
     )
 
@@ -130,10 +131,10 @@ def limited(own: OwnEvidence) -> OwnEvidence:
 def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> OwnEvidence:
     """As much of the evidence as counts beside that of other pairs.
 
-    A pair on the floor or on one wall alone has nothing to say. Copies are rarer in the open; that
+    A pair on the floor or on one wall has nothing to say. Copies are rarer in the open; that
     a pair is there is only believed in a folder in the open, for some pairs of copies look so, too.
     """
-    if own.on_floor or own.on_one_wall or not own.is_known:
+    if own.on_floor or own.floor_alone or own.on_one_wall or not own.is_known:
         return OwnEvidence()
     own = limited(own)
     over_copies = own.over_copies
