@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.estimation import RelativePoseResult, estimate_relative_pose
+from epi360.estimation.sky_motion import with_ground_motion
 from epi360.odometry.frame_result import FrameStatus, FrameTracks, shared_rows
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.turning import angles_between, rotation_angle, rotation_between
+from epi360.two_view import smallest_pixel_deg
 
 Array = NDArray[np.float64]
 
@@ -47,11 +51,16 @@ class Waiting:
     """Frames from the first one kept until a map can begin."""
 
     def __init__(
-        self, pixel_rad: float, sigma_rad: float, seed: int, gravity: GravityPrior | None = None
+        self,
+        camera: Camera,
+        sigma_rad: float,
+        seed: int,
+        gravity: GravityPrior | None = None,
     ) -> None:
         self.frames: list[FrameTracks] = []
         self._reference: FrameTracks | None = None
-        self._pixel_rad = pixel_rad
+        self._camera = camera
+        self._pixel_rad = float(np.radians(smallest_pixel_deg((camera, camera))))
         self._sigma_rad = sigma_rad
         self._seed = seed
         self._gravity = gravity
@@ -115,16 +124,17 @@ class Waiting:
         return Start("waiting", f"{said} since frame {self._reference.index}")
 
     def _two_views(self, bearings1: Array, bearings2: Array) -> RelativePoseResult:
-        if self._gravity is None:
-            return estimate_relative_pose(bearings1, bearings2, seed=self._seed)
-        return estimate_relative_pose(
-            bearings1,
-            bearings2,
-            gravity1=self._gravity.direction,
-            gravity2=self._gravity.direction,
-            gravity_sigma_deg=float(np.degrees(self._gravity.sigma_rad)),
+        gravity = self._gravity
+        estimate = partial(
+            estimate_relative_pose,
+            gravity1=None if gravity is None else gravity.direction,
+            gravity2=None if gravity is None else gravity.direction,
+            gravity_sigma_deg=1.0 if gravity is None else float(np.degrees(gravity.sigma_rad)),
             seed=self._seed,
         )
+        result = estimate(bearings1, bearings2)
+        both = self._camera, self._camera
+        return with_ground_motion(result, (bearings1, bearings2), both, estimate)
 
     def _without_parallax(
         self, tracks: FrameTracks, before: FrameTracks | None, rotation: Array

@@ -248,7 +248,7 @@ class Odometry:
 
     def _new_wait(self) -> Waiting:
         return Waiting(
-            self._pixel_rad,
+            self._working,
             float(np.radians(self._options.start_sigma_deg)),
             self._seed,
             self._gravity,
