@@ -41,6 +41,7 @@ from epi360.features.detection import (
 )
 from epi360.features.image_cameras import find_camera
 from epi360.features.warped_patches import Panorama
+from epi360.places.repeated_place import with_rival_pose
 from epi360.places.same_place import can_be_compared, look_around
 from epi360.second_look import is_precise, is_settled, later_is_better
 
@@ -163,7 +164,9 @@ def relative_pose_of_images(
     seen = replace(view1, camera=camera1), replace(view2, camera=camera2)
     with ThreadPoolExecutor(2) as pool:
         panorama1, panorama2 = pool.map(_View.panorama, seen)
-    return look_around(best, (camera1, camera2), (panorama1, panorama2))
+    cameras, panoramas = (camera1, camera2), (panorama1, panorama2)
+    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras))
+    return with_rival_pose(look_around(best, cameras, panoramas), cameras, panoramas, again)
 
 
 @dataclass(frozen=True)

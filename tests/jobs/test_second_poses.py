@@ -47,8 +47,9 @@ def tour(folder):
 
 @pytest.fixture(autouse=True)
 def nothing_is_implied(monkeypatch):
-    """Second poses only: two other pairs would imply the same."""
-    monkeypatch.setattr("epi360.jobs.matching.folder_verdicts.find_implied", lambda *_: {})
+    """Second poses only: two other pairs would imply the same, and no rivals are asked."""
+    for name in ("find_implied", "find_rivals"):
+        monkeypatch.setattr(f"epi360.jobs.matching.folder_verdicts.{name}", lambda *_: {})
 
 
 @pytest.fixture
@@ -235,7 +236,7 @@ class PicturesOf:
 
     def of_points(self, row):
         if row in self.gone:
-            raise place_job._PictureGoneError
+            raise place_job.PictureGoneError
         return row
 
 

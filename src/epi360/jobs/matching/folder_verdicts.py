@@ -14,6 +14,7 @@ from typing import Literal
 from epi360.cameras.upright import has_a_vertical
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.implied_job import find_implied
 from epi360.jobs.matching.pair_verdicts import (
     PairVerdict,
@@ -23,6 +24,7 @@ from epi360.jobs.matching.pair_verdicts import (
     without_copies,
 )
 from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
+from epi360.jobs.matching.rival_poses import find_rivals
 from epi360.jobs.matching.second_poses import find_second
 from epi360.jobs.matching.verified_folder import (
     SettledPairs,
@@ -99,11 +101,17 @@ def judge_folder(
     settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
     places = check_places(settled)
     by_place = {} if places is None else places.verdicts
+    rivals: Mapping[Keys, PlaceVerdict] = {}
+    if places is not None and places.can_judge_more:
+        believed = {each for each, place in by_place.items() if not place.refused}
+        own = {each for each in believed if told[each].accepted}
+        rivals = find_rivals(settled, places, own)
+        by_place = {**by_place, **rivals}
     judged = [None if each is None else by_place.get(each) for each in keys]
     is_level = is_upright or level is not None
     verdicts = checked(named, judged, is_level=is_level)
     accepted = _accepted(keys, verdicts)
-    second = {} if places is None else find_second(settled, places, accepted)
+    second = {} if places is None else find_second(settled, places, accepted | rivals.keys())
     verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.images.keys()

@@ -29,7 +29,7 @@ Found = TypeVar("Found")
 Views = dict[tuple[int, int], KnownView]  # by row and side of a pair
 
 
-class _PictureGoneError(Exception):
+class PictureGoneError(Exception):
     """A picture could be read when its key points were found, and cannot now."""
 
 
@@ -162,7 +162,7 @@ def _read(folder: VerifiedFolder, image: int) -> Panorama:
     try:
         return folder.panorama_of(image)
     except (OSError, ValueError) as error:
-        raise _PictureGoneError from error
+        raise PictureGoneError from error
 
 
 class _Work(NamedTuple):
@@ -180,7 +180,7 @@ def _of_each(work: _Work, look: Callable[[int], Found], rows: Sequence[int]) -> 
     def tried(row: int) -> Found | None:
         try:
             return look(row)
-        except _PictureGoneError:
+        except PictureGoneError:
             return None
 
     for count, (row, each) in enumerate(on_threads(tried, rows, work.num_threads), start=1):

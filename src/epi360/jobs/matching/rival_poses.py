@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Accepted pairs whose other matches agree on another pose that looks right as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from epi360.jobs.graph.place_verdict import COPY, PlaceVerdict
+from epi360.jobs.matching.place_job import PictureGoneError, Places
+from epi360.jobs.matching.verified_folder import SettledPairs
+from epi360.jobs.records.match_store import Keys, VerifiedPair
+from epi360.jobs.threads import on_threads
+from epi360.places.own_evidence import OwnEvidence, grow_both
+from epi360.places.repeated_place import FEWEST_LEFT, is_another, looks_right
+from epi360.places.shared_points import PosedPair
+
+_PAIRS_AT_ONCE = 256  # whose matches are in memory
+_PRIOR = "rival"
+_REFUSED = (
+    f"{COPY}, for other matches agree on another pose around which the pictures look as right"
+)
+_MOST_PROBABLE = 0.5  # which of two poses it is nothing tells
+
+
+def find_rivals(
+    settled: SettledPairs, places: Places, accepted: Set[Keys]
+) -> dict[Keys, PlaceVerdict]:
+    """Verdicts on accepted pairs that are refused for another pose; see `with_rival_pose`."""
+    asked = [
+        each
+        for each in settled.with_matches(accepted & settled.images.keys())
+        if np.count_nonzero(~each.inlier_mask) >= FEWEST_LEFT
+    ]
+    found: dict[Keys, PlaceVerdict] = {}
+    for start in range(0, len(asked), _PAIRS_AT_ONCE):
+        some = asked[start : start + _PAIRS_AT_ONCE]
+        rivals = _rivals(settled, some)
+        look = partial(_looks_right, places, rivals)
+        for keys, is_right in on_threads(look, list(rivals), settled.folder.num_threads):
+            if is_right:
+                found[keys] = _refused(places.verdicts[keys])
+    return found
+
+
+def _rivals(settled: SettledPairs, some: Sequence[VerifiedPair]) -> dict[Keys, PosedPair]:
+    """Pairs with other poses that the matches say which do not agree with the first one."""
+    images = [settled.images[each.keys] for each in some]
+    matched = [
+        (pair, settled.matched(each).some(~each.inlier_mask))
+        for pair, each in zip(images, some, strict=True)
+    ]
+    results = settled.folder.estimated(matched, _PRIOR, settled.level)
+    others = {each.keys: results[pair] for pair, each in zip(images, some, strict=True)}
+    return {
+        each.keys: settled.posed(other)
+        for each in some
+        if (other := others[each.keys]).verdict.accepted
+        and is_another(each.verdict.cam2_from_cam1, other.verdict.cam2_from_cam1)
+    }
+
+
+def _looks_right(places: Places, rivals: Mapping[Keys, PosedPair], keys: Keys) -> bool:
+    pair = rivals[keys]
+    try:
+        panoramas = [places.known.panorama_of(image) for image in pair.images]
+    except PictureGoneError:
+        return False
+    return looks_right(OwnEvidence.of(pair, grow_both(pair, panoramas)))
+
+
+def _refused(place: PlaceVerdict) -> PlaceVerdict:
+    """The verdict on a pair of which nothing tells which of two poses is right."""
+    probability = min(place.probability, _MOST_PROBABLE)
+    return replace(place, probability=probability, refused=_REFUSED, by_itself=True)
