@@ -22,7 +22,7 @@ from epi360.poses import Pose, poses_agree
 
 FEWEST_LEFT = 15  # matches
 _APART_DEG = 10.0
-# Over another place, and over a copy. Of 100 right pairs of real tours, a real sequence and
+# Over another place, and over a copy. Of 110 right pairs of a real tour, a real sequence and
 # photographed homes none has such a second pose: the most is 2 over another place. Of corridors
 # with equal doors they have 6 to 15.
 _LOOKS_RIGHT = 4.0, 2.0
