@@ -119,7 +119,9 @@ def relative_pose_of_images(
     their full width; and where the verdict is still not "ok", for fainter features. What both
     cameras must see around the matches is compared, unless they see less than a fifth of the
     sphere: matches on a thing that stands in another place too, or that moves along, agree on a
-    pose of their own.
+    pose of their own. So may the matches that are left; if their pose looks as right, both are
+    given. Where only the sky of panoramas agrees with a pose, the ground is asked, and a pose that
+    needs other angles of the cameras is compared by these.
     """
     check_options(max_width, mask_nadir_deg)
     check_threshold(inlier_threshold_deg)

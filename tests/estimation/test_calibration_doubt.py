@@ -20,7 +20,7 @@ from rooms_by_wrong_cameras import (
 import epi360
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
-from epi360.cameras.changed_angles import AngleModel, angles_of
+from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of
 from epi360.estimation.angle_changes import fit_angle_changes
 from epi360.estimation.calibration_doubt import (
     CALIBRATION_QUESTION,
@@ -106,6 +106,36 @@ def test_a_pose_that_a_cut_picture_leads_astray_is_that_with_other_angles(view):
         assert (errors < 0.5).all() and (errors < 3.0 * np.array(pose_sigmas_deg(told))).all()
         assert f"of image {view}" in told.warnings[-1] or f"image {view} is" in told.warnings[-1]
     assert replaced >= 2
+
+
+def misled(view):
+    """A problem of which a cut picture leads the pose astray, and what other angles say."""
+    for seed in range(12):
+        bearings, truth = with_one_cut(seed, 9.0, view, moved=True)
+        result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
+        if result.success and errors_deg(result.cam2_from_cam1, truth).max() > 12.0:
+            cameras = PANORAMA, PANORAMA
+            told = with_calibration_doubt(result, bearings, cameras, estimate_relative_pose)
+            if is_of_other_angles(told.result):
+                return result, bearings, told
+    raise AssertionError("no problem is misled")
+
+
+@pytest.mark.parametrize("view", [1, 2])
+def test_the_cameras_of_such_a_pose_are_told(view):
+    _, _, told = misled(view)
+    cut, other = told.cameras[view - 1], told.cameras[2 - view]
+    assert other == PANORAMA
+    assert cut.vertical_fov_deg == pytest.approx(171.0, abs=1.0)
+    assert cut.center_latitude_deg == pytest.approx(4.5, abs=0.6)
+
+
+def test_no_pose_belongs_to_more_than_a_sphere(monkeypatch):
+    result, bearings, _ = misled(2)
+    monkeypatch.setattr(PairOfAngles, "share_beyond", lambda *_: 0.03)
+    cameras = PANORAMA, PANORAMA
+    told = with_calibration_doubt(result, bearings, cameras, estimate_relative_pose)
+    assert told.result is result and told.cameras == cameras
 
 
 @pytest.mark.parametrize(("camera", "changes"), [(LENS, [0.0]), (PANORAMA, [0.0, 0.0, 0.0])])

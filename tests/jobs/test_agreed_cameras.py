@@ -108,6 +108,7 @@ def _counting(counts, verify):
 def test_a_second_run_only_reads(run, narrow, output, monkeypatch):
     folder, _, camera = narrow
     monkeypatch.setattr(pair_work, "verified_matches", None)
+    monkeypatch.setattr("epi360.jobs.matching.folder_verdicts.find_rivals", lambda *_: {})
     again = match_images(find_images(folder, camera=camera), output)
     assert again.agreed == run.agreed
     assert again.num_found == len(again.verdicts)

@@ -140,6 +140,7 @@ def priors(monkeypatch):
         calls.append((len(pairs), options.get("gravity_sigma_deg")))
         return estimate(pairs, **options)
 
+    monkeypatch.setattr("epi360.jobs.matching.folder_verdicts.find_rivals", lambda *_: {})
     monkeypatch.setattr(verified_matches, "estimate_relative_poses", noted)
     return calls
 
@@ -310,6 +311,7 @@ def test_what_a_file_states_about_its_pitch_comes_first(tmp_path, monkeypatch):
         given.extend(zip(options["gravity1"], options["gravity2"], strict=True))
         return estimate(pairs, **options)
 
+    monkeypatch.setattr("epi360.jobs.matching.folder_verdicts.find_rivals", lambda *_: {})
     monkeypatch.setattr(verified_matches, "estimate_relative_poses", noted)
     match_images(find_images(tmp_path), tmp_path / "out", MatchOptions(upright_deg=1.0))
     pitched = [0.0, np.cos(np.radians(10)), -np.sin(np.radians(10))]

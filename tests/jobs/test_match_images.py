@@ -64,6 +64,7 @@ def verified(monkeypatch):
         counts.append(len(pairs))
         return estimate(pairs, **options)
 
+    monkeypatch.setattr("epi360.jobs.matching.folder_verdicts.find_rivals", lambda *_: {})
     monkeypatch.setattr(verified_matches, "estimate_relative_poses", counted)
     return counts
 

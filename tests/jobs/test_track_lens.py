@@ -11,11 +11,13 @@ from walked_room import error_share, world_from_cam
 
 from epi360 import Odometry, load_camera
 from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.cameras.calibration.own import camera_record
 from epi360.cli import main
 from epi360.interop.tum import read_tum_trajectory
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.tracked_lens import agreed_camera
 from epi360.jobs.tracking.track_job import TrackOptions, track_frames
+from epi360.report.match_table import describe_agreed
 from epi360.report.track_words import track_sentences
 from epi360_scenes import furnished_room
 
@@ -55,6 +57,11 @@ def test_the_sequence_is_tracked_by_the_lens_that_its_tracks_agree_on(film, tmp_
     assert json.loads((out / "track.json").read_text())["agreed"] == run.agreed
     assert main(["track", str(film), "--camera", camera, "--out", str(out), "--keep-cameras"]) == 0
     assert "agree on other angles" not in capsys.readouterr().out
+    (out / "camera.json").write_text(json.dumps(camera_record(found)))
+    own = str(out / "camera.json")  # it is kept, for it is the one that is given
+    assert track_frames(film, out, TrackOptions(camera=own)).agreed == ""
+    assert load_camera(own) == found
+    assert main(["track", str(film), "--camera", camera, "--out", str(out), "--keep-cameras"]) == 0
     assert not (out / "camera.json").exists()
     kept = read_tum_trajectory(out / "trajectory.txt")
     centers = [image.cam_from_world.inverse().translation for image in kept.images]
@@ -82,6 +89,7 @@ def test_a_map_starts_from_what_that_lens_tracks(film, tmp_path):
     before = (out / "tracked-again.json").read_bytes()
     assert map_images(find_images(film, camera=camera), out).was_mapped
     assert (out / "tracked-again.json").read_bytes() == before
+    assert "The tracks agree on other angles of camera: " in describe_agreed(run.matched)[0]
 
 
 def test_nothing_is_said_before_a_map_begins_and_of_panoramas():

@@ -68,7 +68,7 @@ def test_what_the_pairs_agree_on_is_told(wide):
     assert found.graph.cameras == {"0": TOO_WIDE}
     (said,) = found.agreed
     assert said == "camera 0: 27.0 and 54.1 degrees from the axis, not 30 and 60"
-    assert "--change-cameras takes those of lenses" in describe_verified(found)
+    assert "--change-cameras takes the lenses" in describe_verified(found)
     assert errors_deg(found, poses).max() > 1.0
 
 
@@ -97,6 +97,8 @@ def test_panoramas_stay_where_they_shall():
     _, graph = seen_through(part, Equirectangular(2000, 1000))
     kept = verify_pairs(graph, change_cameras=True, keep_panoramas=True)
     assert kept.agreed == () and kept.graph.cameras == graph.cameras
+    told = describe_verified(verify_pairs(graph))
+    assert "degrees around, not 360" in told and "--change-cameras" not in told
     changed = verify_pairs(graph, change_cameras=True)
     (camera,) = set(changed.graph.cameras.values())
     assert camera.horizontal_fov_deg == pytest.approx(340.0, abs=1.0)
@@ -127,7 +129,7 @@ def test_the_command_writes_the_cameras_that_it_judged_by(database, tmp_path, ca
     from epi360.interop import read_colmap_database
 
     code, said = convert(capsys, database, tmp_path / "told.db", "--verify")
-    assert code == 0 and "--change-cameras takes those" in said
+    assert code == 0 and "--change-cameras takes the lenses" in said
     code, said = convert(capsys, tmp_path / "told.db", tmp_path / "x.db", "--verify")
     assert code == 0 and "All pairs have a verdict already" in said
     code, said = convert(capsys, tmp_path / "told.db", tmp_path / "x1.db", "--change-cameras")
@@ -135,6 +137,9 @@ def test_the_command_writes_the_cameras_that_it_judged_by(database, tmp_path, ca
     words = tmp_path / "told.db", tmp_path / "changed.db", "--change-cameras"
     code, said = convert(capsys, *words, "--verify")
     assert code == 2 and "--change-cameras needs --verify-again: 6 pairs are verified" in said
+    hloc = tmp_path / "m.h5", "--features", tmp_path / "f.h5"
+    code, said = convert(capsys, words[0], *hloc, "--verify-again", "--change-cameras")
+    assert code == 2 and "hloc's files keep no cameras" in said
     code, said = convert(capsys, *words, "--verify-again")
     assert code == 0 and "They were judged by these" in said
     for camera in read_colmap_database(tmp_path / "changed.db").cameras.values():

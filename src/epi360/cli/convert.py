@@ -140,7 +140,12 @@ def convert(
         _check_options((source_name, target_name), named, camera, features, pairs, verify=verify)
         if fps is not None and target_name != "tum":
             raise ValueError("--fps is for a TUM trajectory, whose rows have times")
-        _check_match_options(target_name, verify=verify, no_descriptors=no_descriptors)
+        _check_match_options(
+            target_name,
+            verify=verify,
+            change_cameras=verdicts.change_cameras,
+            no_descriptors=no_descriptors,
+        )
         _check_verdicts(verdicts, source_name, images)
         outputs = [*files_written(target, target_name, features, pairs), *verdicts.files]
         _check_free(outputs, target_name)
@@ -187,10 +192,16 @@ def convert(
     return SUCCESS
 
 
-def _check_match_options(target_name: str, *, verify: bool, no_descriptors: bool) -> None:
+def _check_match_options(
+    target_name: str, *, verify: bool, change_cameras: bool, no_descriptors: bool
+) -> None:
     from epi360.interop.formats import FORMATS
 
     if FORMATS[target_name].kind == "matches":
+        if change_cameras and target_name == "hloc":
+            raise ValueError(
+                "--change-cameras is for a COLMAP database; hloc's files keep no cameras"
+            )
         return
     if verify:
         raise ValueError(

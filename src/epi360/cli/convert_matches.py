@@ -13,6 +13,7 @@ from epi360.interop.formats import FORMATS
 from epi360.interop.match_graph import MatchGraph
 from epi360.jobs.matching.verify_pairs import (
     VerifiedGraph,
+    num_geometries,
     unverified_pairs,
     verify_pairs,
     without_geometries,
@@ -23,8 +24,7 @@ from epi360.runs.whole_files import write_file
 
 def check_nothing_verified(graph: MatchGraph, option: str) -> None:
     """Raise where pairs would keep poses that are by other cameras than the option gives."""
-    verified = sum(pair.geometry is not None and len(pair.matches) > 0 for pair in graph.pairs)
-    if verified:
+    if verified := num_geometries(graph):
         raise ValueError(
             f"{option} needs --verify-again: {_pairs_are(verified)} verified by the cameras that "
             "the source has"

@@ -35,6 +35,7 @@ CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 # away that the pose as given is wrong, it is the result.
 _LEAST_MOVE, _MOST_MOVE_DEG = 1.0, 10.0
 _FEWEST_INLIERS = 20
+_MOST_CLAMPED_DEG = 1.0  # by which the middle of a panorama may miss the change: it ends at a pole
 _THEIR_POSE = "this is the pose that they say then"
 _IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
 
@@ -115,9 +116,11 @@ def _changed(
 def _changed_camera(camera: Camera, changes: Array) -> Camera | None:
     if not len(changes):
         return camera
-    if isinstance(camera, Equirectangular):
-        return changed_panorama(camera, changes)
-    return changed_lens(camera, changes)
+    if not isinstance(camera, Equirectangular):
+        return changed_lens(camera, changes)
+    found = changed_panorama(camera, changes)
+    lowered = camera.center_latitude_deg - found.center_latitude_deg
+    return found if abs(lowered - np.degrees(changes[2])) < _MOST_CLAMPED_DEG else None
 
 
 def _turned(

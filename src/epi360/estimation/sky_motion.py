@@ -41,9 +41,9 @@ def with_ground_motion(
 
     The ground stands still, and is no farther away than what is above it. ``bearings``, (N, 3)
     each, are those that the result was estimated from, wrong matches included, of cameras that
-    stand roughly upright. The pose of the sky becomes an alternative, with a warning. The result
-    stays as it is if other inliers have parallax too, as those on walls, trees and people have, or
-    if the ground agrees with nothing.
+    stand roughly upright. A warning counts the matches in the sky. The result stays as it is if
+    other inliers have parallax too, as those on walls, trees and people have, or if the ground
+    agrees with nothing.
     """
     if not (result.success and are_panoramas(cameras)):
         return result
@@ -56,18 +56,23 @@ def with_ground_motion(
         return result
     if np.mean(sky[moved]) < _LEAST_IN_SKY or np.mean(moved[ground]) > _MOST_AGREE:
         return result
-    answer = estimate(*(np.where(ground[:, None], each, np.nan) for each in bearings))
-    pose = result.cam2_from_cam1
-    is_same = poses_agree(answer.cam2_from_cam1, pose, _SAME_ROTATION_DEG, _SAME_DIRECTION_DEG)
+    answer = estimate(first[ground], second[ground])
+    poses = answer.cam2_from_cam1, result.cam2_from_cam1
+    is_same = poses_agree(*poses, _SAME_ROTATION_DEG, _SAME_DIRECTION_DEG)
     if is_same or answer.num_inliers < _LEAST_OF_GROUND * ground.sum():
         return result
+    inlier_mask = np.zeros(len(first), dtype=bool)
+    inlier_mask[ground] = answer.inlier_mask
+    residuals_rad = np.full(len(first), np.nan)
+    residuals_rad[ground] = answer.residuals_rad
     warning = (
         f"{int(moved.sum())} matches in the sky agree with a motion of their own, as clouds do; "
         f"this is what the {int(ground.sum())} matches on the ground say"
     )
     return replace(
         answer,
-        alternatives=(*answer.alternatives, pose),
+        inlier_mask=inlier_mask,
+        residuals_rad=residuals_rad,
         warnings=(*answer.warnings, warning),
     )
 

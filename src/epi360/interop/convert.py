@@ -107,8 +107,9 @@ def with_other_cameras(graph: MatchGraph, cameras: Mapping[str, Camera]) -> Matc
             continue
         before = graph.cameras[image.camera]
         camera = camera_of_image(name, (before.width, before.height), cameras)[1]
-        if camera is None or found.setdefault(image.camera, camera) != camera:
-            what = "has none of" if camera is None else "has another one of"
+        is_given = camera in cameras.values()  # and not a panorama for its shape
+        if camera is None or not is_given or found.setdefault(image.camera, camera) != camera:
+            what = "has another one of" if is_given else "has none of"
             raise ValueError(
                 f"{name}, an image of camera {image.camera} of {before.width}x{before.height} "
                 f"pixels, {what} the given cameras: {', '.join(cameras)}"

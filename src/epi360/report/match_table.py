@@ -9,6 +9,7 @@ from dataclasses import astuple
 
 import numpy as np
 
+from epi360.cameras.changed_camera import FROM_THE_AXIS
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
 from epi360.estimation.verdict import NOISE_QUESTION
 from epi360.jobs.graph.graph_check import groups_by
@@ -46,9 +47,11 @@ _WITH_AGREED = {
     "matched": "They were matched again by these, which cameras.json in the output has; "
     "--keep-cameras keeps those that were given.",
     "judged": "They were judged by these, which a COLMAP database keeps.",
-    "told": "They were judged by the given ones; --change-cameras takes those of lenses that they "
-    "agree on.",
+    "tracked": "All images were tracked and matched by these, which cameras.json in the output "
+    "has; --keep-cameras keeps those that were given.",
+    "told": "They were judged by the given ones.",
 }
+_TAKES_LENSES = "--change-cameras takes the lenses that they agree on."
 _DOUBTED_BY_CHANCE = 0.1  # of accepted pairs whose cameras are right; 0.02 of real ones are
 
 
@@ -210,9 +213,12 @@ def describe_agreed(judged: JudgedPairs) -> list[str]:
     """Lines that say which cameras are other ones than were given."""
     if not judged.agreed:
         return []
+    is_of_lens = any(FROM_THE_AXIS in what for what in judged.agreed)
+    who = "tracks" if judged.with_agreed == "tracked" else "pairs"
     return [
-        *(f"The pairs agree on other angles of {what}." for what in judged.agreed),
+        *(f"The {who} agree on other angles of {what}." for what in judged.agreed),
         _WITH_AGREED[judged.with_agreed],
+        *([_TAKES_LENSES] if judged.with_agreed == "told" and is_of_lens else []),
     ]
 
 

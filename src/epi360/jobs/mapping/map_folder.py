@@ -38,7 +38,8 @@ from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
 from epi360.jobs.mapping.sequence_start import (
-    TRACKED_AGAIN,
+    BY_PAIRS,
+    BY_TRACKS,
     SequenceStart,
     has_one_camera,
     may_be_sequence,
@@ -170,16 +171,18 @@ def map_images(
         mask_nadir_deg=options.match.mask_nadir_deg,
         seed=options.match.seed,
         keep_cameras=options.match.keep_cameras,
+        num_threads=options.match.num_threads,
         progress=progress,
     )
-    as_given, tracked = images, None
+    as_given, tracked, by_tracks = images, None, False
     if given is None and _is_tried_as_sequence(images, options, video):
         open_match_output(output, options.match, restart=restart)
         tracked = track(images)
+        by_tracks = tracked.lens is not None
         if tracked.lens is not None:
             own = {images.images[0].camera: tracked.lens}  # a sequence has one camera
             images = replace(images, cameras={**images.cameras, **own})
-            tracked = track(images, record=TRACKED_AGAIN)
+            tracked = track(images, keep_cameras=True, record=BY_TRACKS)
     start = time.perf_counter()
     matched = match_images(
         images,
@@ -191,8 +194,14 @@ def map_images(
     )
     if matched.agreed:
         images = replace(images, cameras=dict(matched.cameras))
-        tracked = None if tracked is None else track(images, record=TRACKED_AGAIN)
-    matched = replace(matched, agreed=said_of_cameras(as_given.cameras, images.cameras))
+        if tracked is not None and tracked.cam_from_world:
+            tracked = track(images, keep_cameras=True, record=BY_PAIRS)
+    if images.cameras != as_given.cameras:
+        matched = replace(
+            matched,
+            agreed=said_of_cameras(as_given.cameras, images.cameras),
+            with_agreed="tracked" if by_tracks else "matched",
+        )
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
     matching_s = time.perf_counter() - start

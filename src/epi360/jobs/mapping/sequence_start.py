@@ -32,7 +32,8 @@ from epi360.runs.file_digests import FileDigests
 from epi360.runs.made_from import fingerprint, read_record, write_record
 
 STAGE = "tracking frames"
-TRACKED, TRACKED_AGAIN = "tracked.json", "tracked-again.json"  # by the lens that pairs agree on
+# By the given camera, and by the lens that the tracks, or pairs of images, agree on.
+TRACKED, BY_TRACKS, BY_PAIRS = "tracked.json", "tracked-again.json", "tracked-by-pairs.json"
 RULES = 2  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
@@ -96,6 +97,7 @@ def track_sequence(
     mask_nadir_deg: float = 0.0,
     seed: int = 0,
     keep_cameras: bool = False,
+    num_threads: int | None = None,
     record: str = TRACKED,
     progress: Progress = no_progress,
 ) -> SequenceStart:
@@ -113,7 +115,7 @@ def track_sequence(
         return _from_record(before)
     found, odometry = _track(frames, images, mask_nadir_deg, seed, progress)
     if odometry is not None and not keep_cameras:
-        agreed = agreed_camera(odometry.key_frames(), frames.camera, seed)
+        agreed = agreed_camera(odometry.key_frames(), frames.camera, seed, num_threads)
         found = replace(found, lens=None if agreed is None else agreed.camera)
     poses = {name: pose.matrix().tolist() for name, pose in found.cam_from_world.items()}
     kept = {**found.summary(), "depth": found.depth, "cam_from_world": poses}

@@ -47,8 +47,9 @@ class JudgedPairs:
     kept: tuple[tuple[str, str], ...] = ()  # images of the pairs that had a pose, and no verdict
     questioned: tuple[tuple[str, str], ...] = ()  # those whose pose others or its inliers refuse
     agreed: tuple[str, ...] = ()  # what is said of cameras that are other ones than were given
-    # Whether the pairs were matched or judged once more by these, or are only told of.
-    with_agreed: Literal["matched", "judged", "told"] = "matched"
+    # Whether pairs were matched or judged once more by these, all images were tracked and matched
+    # by what the tracks of a sequence agree on, or it is only told.
+    with_agreed: Literal["matched", "judged", "tracked", "told"] = "matched"
     level: Level | None = None  # what the poses of a level folder say about the others
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level

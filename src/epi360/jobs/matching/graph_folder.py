@@ -19,7 +19,7 @@ from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.match_graph import MatchGraph, TwoViewGeometry
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.graph.level_folder import Level
-from epi360.jobs.matching.agreed_cameras import FEWEST_IMAGES
+from epi360.jobs.matching.agreed_cameras import FEWEST_IMAGES, said_of_cameras
 from epi360.jobs.matching.verified_folder import are_usable, is_compared
 from epi360.jobs.matching.verified_matches import Matched, MatchedViews, verified_matches
 from epi360.jobs.pairs.pair_selection import Pair
@@ -38,7 +38,7 @@ _SIGMAS_OF_MEDIAN = 1.4826  # standard deviation of what has a median of 1, with
 
 
 class SharedCameras:
-    """The cameras of a graph, of which equal ones of few images are one.
+    """The cameras of a graph, of which equal ones of few images are one, by the first one's name.
 
     COLMAP makes a camera for each image where nobody tells it otherwise.
     """
@@ -49,13 +49,23 @@ class SharedCameras:
         equal: dict[object, list[str]] = defaultdict(list)  # a camera, or the name of one
         for name, camera in graph.cameras.items():
             equal[camera if num_images[name] < FEWEST_IMAGES else name].append(name)
-        self._name_of = {name: _names_in_words(names) for names in equal.values() for name in names}
-        self.of_images = [None if name is None else self._name_of[name] for name in of_images]
-        self.cameras = {self._name_of[name]: camera for name, camera in graph.cameras.items()}
+        self._all = list(graph.cameras)
+        self._equal = {names[0]: names for names in equal.values()}
+        self._first = {name: first for first, names in self._equal.items() for name in names}
+        self.of_images = [None if name is None else self._first[name] for name in of_images]
+        self.cameras = {first: graph.cameras[first] for first in self._equal}
 
     def all_of(self, cameras: Mapping[str, Camera]) -> dict[str, Camera]:
-        """The cameras of the graph from those that are shared."""
-        return {name: cameras[shared] for name, shared in self._name_of.items()}
+        """The cameras of the graph, in its order, from those that are shared."""
+        return {name: cameras[self._first[name]] for name in self._all}
+
+    def said(self, cameras: Mapping[str, Camera]) -> tuple[str, ...]:
+        """What the shared cameras are now, and not, by their names in words."""
+        named = {first: _names_in_words(names) for first, names in self._equal.items()}
+        return said_of_cameras(
+            {named[first]: camera for first, camera in self.cameras.items()},
+            {named[first]: cameras[first] for first in self.cameras},
+        )
 
 
 def _names_in_words(names: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from epi360.jobs.graph.place_verdict import COPY, PlaceVerdict
+from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.place_job import PictureGoneError, Places
 from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.records.match_store import Keys, VerifiedPair
@@ -21,7 +21,8 @@ from epi360.places.shared_points import PosedPair
 _PAIRS_AT_ONCE = 256  # whose matches are in memory
 _PRIOR = "rival"
 _REFUSED = (
-    f"{COPY}, for other matches agree on another pose around which the pictures look as right"
+    "shows a place that repeats itself, for other matches agree on another pose, around which the "
+    "pictures look as right"
 )
 _MOST_PROBABLE = 0.5  # which of two poses it is nothing tells
 

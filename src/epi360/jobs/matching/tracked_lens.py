@@ -30,7 +30,9 @@ class AgreedCamera:
     said: str
 
 
-def agreed_camera(key_frames: Sequence[KeyFrame], camera: Camera, seed: int) -> AgreedCamera | None:
+def agreed_camera(
+    key_frames: Sequence[KeyFrame], camera: Camera, seed: int, num_threads: int | None = None
+) -> AgreedCamera | None:
     """Lens on which the key frames of a sequence agree clearly; None if that is the given one.
 
     Two key frames are a pair of images whose matches are the tracks that both see. Pairs are
@@ -42,7 +44,7 @@ def agreed_camera(key_frames: Sequence[KeyFrame], camera: Camera, seed: int) -> 
     graph = _graph_of(key_frames, camera)
     search = CameraSearch(graph.cameras, [_CAMERA] * len(graph.images), seed=seed)
     while True:
-        folder = GraphFolder(graph, None, seed, num_cores(), no_progress)
+        folder = GraphFolder(graph, None, seed, num_threads or num_cores(), no_progress)
         if not search.goes_on(folder, folder.pairs, folder.verify()):
             break
         graph = replace(graph, cameras=search.cameras)
@@ -53,7 +55,10 @@ def agreed_camera(key_frames: Sequence[KeyFrame], camera: Camera, seed: int) -> 
 
 
 def _graph_of(key_frames: Sequence[KeyFrame], camera: Camera) -> MatchGraph:
-    """Key frames as images, and those pairs that share many tracks, evenly spaced if too many."""
+    """Key frames as images, and those pairs that share many tracks, evenly spaced if too many.
+
+    Neighbours come first, so that what is left has pairs of all distances.
+    """
     images = {
         str(frame.index): MatchedImage(
             str(frame.index), _CAMERA, camera.pixels_from_bearings(frame.bearings)
@@ -61,8 +66,8 @@ def _graph_of(key_frames: Sequence[KeyFrame], camera: Camera) -> MatchGraph:
         for frame in key_frames
     }
     pairs = []
-    for number, first in enumerate(key_frames):
-        for second in key_frames[number + 1 : number + 1 + _FOLLOWING]:
+    for apart in range(1, _FOLLOWING + 1):
+        for first, second in zip(key_frames, key_frames[apart:], strict=False):
             rows = shared_rows(first.ids, second.ids)
             if len(rows[0]) >= _FEWEST_SHARED:
                 names = str(first.index), str(second.index)

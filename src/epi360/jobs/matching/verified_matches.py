@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -79,8 +79,14 @@ def verified_matches(
         **known,
     )
     return [
-        _verified(pair, result, prior, seed) for pair, result in zip(pairs, results, strict=True)
+        _verified(pair, result, prior, seed=seed, **_known_of(row, known))
+        for row, (pair, result) in enumerate(zip(pairs, results, strict=True))
     ]
+
+
+def _known_of(row: int, known: Mapping[str, Any]) -> dict[str, Any]:
+    """What is known of one pair: values are of all pairs, or lists of one for each."""
+    return {name: each[row] if isinstance(each, list) else each for name, each in known.items()}
 
 
 def with_pose_of_some(
@@ -103,13 +109,13 @@ def with_pose_of_some(
 
 
 def _verified(
-    pair: MatchedViews, result: RelativePoseResult, prior: str, seed: int
+    pair: MatchedViews, result: RelativePoseResult, prior: str, **known: Any
 ) -> VerifiedPair:
     again = partial(
         estimate_relative_pose,
         max_noise_deg=MAX_NOISE_PX * pair.pixel_deg,
         options=IMAGE_OPTIONS,
-        seed=seed,
+        **known,
     )
     result = with_ground_motion(result, pair.matched.bearings, pair.cameras, again)
     result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again).result

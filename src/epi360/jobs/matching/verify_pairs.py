@@ -43,6 +43,11 @@ def unverified_pairs(graph: MatchGraph) -> list[MatchedPair]:
     return [pair for pair in graph.pairs if pair.geometry is None and len(pair.matches)]
 
 
+def num_geometries(graph: MatchGraph) -> int:
+    """How many pairs have been verified, by the cameras of the graph."""
+    return sum(pair.geometry is not None for pair in graph.pairs)
+
+
 def without_geometries(graph: MatchGraph) -> MatchGraph:
     """The same images and matches, of which nobody has verified any.
 
@@ -92,7 +97,7 @@ def verify_pairs(
     FileNotFoundError
         If it is not below ``pictures``.
     """
-    num_verified = sum(pair.geometry is not None and len(pair.matches) > 0 for pair in graph.pairs)
+    num_verified = num_geometries(graph)
     if change_cameras and num_verified:
         raise ValueError(
             f"cameras can change where all pairs are verified by them; {num_verified} have been "
@@ -108,15 +113,18 @@ def verify_pairs(
         most_rounds=MOST_ROUNDS if change_cameras else 1,
         keep_panoramas=change_cameras and keep_panoramas,
     )
+    given = graph
     while True:
         folder = GraphFolder(graph, below, seed, num_threads or num_cores(), progress)
         check_keypoints(graph, folder.names)
-        if looks_around:
+        if looks_around and graph is given:  # what is missing is said before the work
             folder.read_pictures()
         finished = folder.verify()
         if not search.goes_on(folder, folder.pairs, finished) or not change_cameras:
             break
         graph = dataclasses.replace(graph, cameras=shared.all_of(search.cameras))
+    if looks_around and graph is not given:
+        folder.read_pictures()
     judged = judge_folder(folder, folder.pairs, finished, looks_around=looks_around)
     found = _geometries(folder, judged)
     pairs = tuple(
@@ -131,7 +139,7 @@ def verify_pairs(
         num_gained=judged.num_gained,
         num_lost=judged.num_lost,
         num_not_compared=judged.num_not_compared,
-        agreed=search.told(),
+        agreed=shared.said(search.cameras),
         with_agreed="judged" if change_cameras else "told",
         graph=dataclasses.replace(graph, pairs=pairs),
         kept=folder.kept,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.calibration import camera_file
 from epi360.cameras.calibration.own import camera_record
 from epi360.cameras.upright import DOWN, check_upright, gravity_of
 from epi360.features.images import nadir_mask, read_mask
@@ -115,7 +116,8 @@ def track_frames(
 
     Where the tracks of the key frames agree that the lens is another one than was given, see
     `agreed_camera`, all frames are tracked once more by that, unless ``keep_cameras``;
-    ``camera.json`` has it. Watchers are shown the frames again.
+    ``camera.json`` has it. Watchers are shown the frames again. Interrupted then, the run writes
+    what it found by the given lens.
 
     Raises
     ------
@@ -141,7 +143,8 @@ def track_frames(
         gravity_of(camera, None, path.name)  # refuses what is no panorama
     made_from = _made_from(source.path)
     run = _Run(source, camera, output, options, watchers, made_from)
-    _prepare(output, made_from)
+    _prepare(output, made_from, options.camera)
+    whole = run  # the last one that is to be finished where the next one is interrupted
     try:
         run.track(progress)
         agreed = None if options.keep_cameras else run.agreed_camera()
@@ -149,15 +152,18 @@ def track_frames(
             run = run.by_another(agreed)
             run.track(progress)
     except KeyboardInterrupt:
-        found = run.finish(progress, interrupted=True)
+        found = whole.finish(progress, interrupted=True)
         if interrupted is not None:
             interrupted(found)
         raise
     return run.finish(progress)
 
 
-def _prepare(output: Path, made_from: Mapping[str, str]) -> None:
-    """Make the output, or check that it is one of this function and of the same source."""
+def _prepare(output: Path, made_from: Mapping[str, str], camera: str | None) -> None:
+    """Make the output, or check that it is one of this function and of the same source.
+
+    What an earlier run has written is removed, but for the file of the camera that is given.
+    """
     if output.exists() and not output.is_dir():
         raise ValueError(f"the output must be a folder, {output} is a file")
     if output.is_dir() and any(output.iterdir()):
@@ -168,8 +174,10 @@ def _prepare(output: Path, made_from: Mapping[str, str]) -> None:
             )
         _check_source(output, record, made_from)
     output.mkdir(parents=True, exist_ok=True)
+    given = None if camera is None else camera_file(camera)[0].resolve()
     for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS, files.CAMERA):
-        (output / name).unlink(missing_ok=True)  # of an earlier run
+        if (output / name).resolve() != given:
+            (output / name).unlink(missing_ok=True)
     for folder in (files.MODEL, files.IMAGES):
         shutil.rmtree(output / folder, ignore_errors=True)
     write_record(output / files.LOG, {"track": "began", "made_from": made_from})
