@@ -88,9 +88,9 @@ class TrackRun:
     frames_per_second: float  # of the odometry, reading the frames not counted
     seconds: float
     messages: tuple[str, ...]  # sentences about single frames, with their numbers
-    agreed: str  # what is said of a lens that is another one than was given, or nothing
     written: files.Written
     was_interrupted: bool = False
+    agreed: str = ""  # what is said of a lens that is another one than was given
 
     @property
     def counts(self) -> Counter[str]:
@@ -327,9 +327,9 @@ class _Run:
             len(results) / self._seconds if self._seconds > 0 else 0.0,
             time.perf_counter() - self._begun,
             tuple(self._messages),
-            self._agreed,
             written,
             interrupted,
+            self._agreed,
         )
         for watcher in self._watchers:
             watcher.close(self.odometry)
