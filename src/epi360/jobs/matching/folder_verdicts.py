@@ -116,7 +116,8 @@ def judge_folder(
     verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.images.keys()
-    implied = find_implied(settled, accepted, posed)
+    found = find_implied(settled, accepted, posed)
+    implied = {each: pair for each, pair in found.items() if each not in rivals}
     verdicts = without_copies(with_implied(verdicts, keys, implied))
     posed |= {each: pair.verified for each, pair in implied.items() if each not in accepted}
     num_comparable = sum(told[each].accepted for each in settled.images)
