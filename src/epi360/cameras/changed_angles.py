@@ -20,6 +20,7 @@ from epi360.cameras.equirectangular import Equirectangular
 Mask = NDArray[np.bool_]
 
 _NEAR_POLE = 1e-6  # cosine of a latitude
+_EXPONENTS = np.array([0.0, 2.0, 4.0])  # of an angle, in what the changes of a lens multiply
 _SLACK = np.radians(2.0)  # by which what lies at the end of a sphere may be beyond it
 
 
@@ -109,7 +110,7 @@ class _Radial:
 
     def changed(self, changes: Array) -> ChangedBearings:
         """Bearings with other angles."""
-        exponents = np.array([0.0, 2.0, 4.0])[: len(changes)]
+        exponents = _EXPONENTS[: len(changes)]
         powers = self._angle[:, None] ** exponents
         factor = 1.0 + powers @ changes
         larger = self._angle * factor
@@ -126,9 +127,8 @@ class _Radial:
 
     def beyond(self, changes: Array) -> Mask:
         """Which bearings (N,) would lie behind the camera."""
-        exponents = np.array([0.0, 2.0, 4.0])[: len(changes)]
-        larger = self._angle * (1.0 + self._angle[:, None] ** exponents @ changes)
-        return np.asarray(larger > np.pi)
+        powers = self._angle[:, None] ** _EXPONENTS[: len(changes)]
+        return np.asarray(self._angle * (1.0 + powers @ changes) > np.pi)
 
 
 class _LongitudesAndLatitudes:
@@ -147,9 +147,9 @@ class _LongitudesAndLatitudes:
 
         The third change is the angle, in radians, by which all are lower than they seem.
         """
-        wider, higher, lowered = 1.0 + changes[0], 1.0 + changes[1], changes[2]
+        wider, higher = 1.0 + changes[0], 1.0 + changes[1]
         longitudes = self._middle[0] + wider * self._longitudes
-        latitudes = self._middle[1] + higher * self._latitudes + lowered
+        latitudes = self._lowered(changes)
         sines, cosines = np.sin([longitudes, latitudes]), np.cos([longitudes, latitudes])
         zero = np.zeros_like(longitudes)
         east = np.stack([cosines[0], zero, -sines[0]], axis=1)
@@ -168,9 +168,12 @@ class _LongitudesAndLatitudes:
     def beyond(self, changes: Array) -> Mask:
         """Which bearings (N,) would lie beyond a pole, or more than half way around."""
         longitudes = (1.0 + changes[0]) * self._longitudes
-        latitudes = self._middle[1] + (1.0 + changes[1]) * self._latitudes + changes[2]
-        is_beyond = np.abs(latitudes) > np.pi / 2.0 + _SLACK
+        is_beyond = np.abs(self._lowered(changes)) > np.pi / 2.0 + _SLACK
         return np.asarray(is_beyond | (np.abs(longitudes) > np.pi + _SLACK))
+
+    def _lowered(self, changes: Array) -> Array:
+        """Latitudes (N,) downwards, with other angles."""
+        return np.asarray(self._middle[1] + (1.0 + changes[1]) * self._latitudes + changes[2])
 
 
 def angles_of(model: AngleModel, bearings: Array) -> _Radial | _LongitudesAndLatitudes:

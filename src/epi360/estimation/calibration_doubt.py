@@ -91,15 +91,7 @@ def with_calibration_doubt(
     if turned is not None:
         return Doubted(turned, cameras)
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
-    if other is None:
-        return given
-    told = _with_other_angles(result, other, cameras)
-    return Doubted(told, _changed(cameras, other) if is_of_other_angles(told) else cameras)
-
-
-def is_of_other_angles(result: RelativePoseResult) -> bool:
-    """Whether the pose belongs to other angles than those of the cameras that were given."""
-    return any(_THEIR_POSE in warning for warning in result.warnings)
+    return given if other is None else _with_other_angles(result, other, cameras)
 
 
 def _changed(
@@ -193,14 +185,14 @@ def _with_turn(
 
 def _with_other_angles(
     given: RelativePoseResult, other: OtherAngles, cameras: tuple[Camera, Camera]
-) -> RelativePoseResult:
+) -> Doubted:
     """The result with the other pose as an alternative, or that pose, if it is far away."""
     answer, doubts = other.answer, other.clear_changes()
     poses = given.cam2_from_cam1, answer.cam2_from_cam1
     turned, moved = rotation_error_deg(*poses), translation_error_deg(*poses)
     turn_sigma, direction_sigma = pose_sigmas_deg(given)
     if turned < _LEAST_MOVE * turn_sigma and moved < _LEAST_MOVE * direction_sigma:
-        return given
+        return Doubted(given, cameras)
     changes = " and ".join(dict.fromkeys(_in_words(each, other, cameras) for each in doubts))
     distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
     if max(turned, moved) > _MOST_MOVE_DEG:
@@ -209,21 +201,23 @@ def _with_other_angles(
             f"were given it would be {distance}: {CALIBRATION_QUESTION}"
         )
         uncertain = other.found.pose_covariance(answer.translation_basis)
-        return replace(
+        told = replace(
             answer,
             warnings=(*answer.warnings, sentence),
             covariance=answer.covariance + uncertain,
         )
+        return Doubted(told, _changed(cameras, other))
     sentence = (
         f"the matches agree better if {changes}, with a pose that is {distance}: "
         f"{CALIBRATION_QUESTION}"
     )
-    return replace(
+    told = replace(
         given,
         warnings=(*given.warnings, sentence),
         covariance=given.covariance + _second_moment(given, answer.cam2_from_cam1),
         alternatives=(*given.alternatives, answer.cam2_from_cam1),
     )
+    return Doubted(told, cameras)
 
 
 def _second_moment(given: RelativePoseResult, pose: Pose) -> Array:

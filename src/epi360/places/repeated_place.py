@@ -20,7 +20,7 @@ from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, poses_agree
 
-FEWEST_LEFT = 15  # matches
+_FEWEST_LEFT = 15  # matches
 # What is left of narrow views, near misses of the right pose, gives its direction to 15 degrees.
 _TURNED_DEG, _APART_DEG = 10.0, 30.0
 # Over another place, and over a copy. Of 110 right pairs of a real tour, a real sequence and
@@ -57,7 +57,7 @@ def with_rival_pose(
     other pairs with two poses.
     """
     left = ~result.inlier_mask
-    if not result.success or np.count_nonzero(left) < FEWEST_LEFT:
+    if not result.success or np.count_nonzero(left) < _FEWEST_LEFT:
         return result
     bearings = [
         camera.bearings_from_pixels(keypoints)

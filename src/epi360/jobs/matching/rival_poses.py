@@ -3,22 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
 from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.place_job import PictureGoneError, Places
+from epi360.jobs.matching.second_poses import asked_anew
 from epi360.jobs.matching.verified_folder import SettledPairs
-from epi360.jobs.records.match_store import Keys, VerifiedPair
+from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
 from epi360.places.own_evidence import OwnEvidence, grow_both
-from epi360.places.repeated_place import FEWEST_LEFT, is_another, looks_right
+from epi360.places.repeated_place import is_another, looks_right
 from epi360.places.shared_points import PosedPair
 
-_PAIRS_AT_ONCE = 256  # whose matches are in memory
 _PRIOR = "rival"
 _REFUSED = (
     "shows a place that repeats itself, for other matches agree on another pose, around which the "
@@ -31,37 +29,19 @@ def find_rivals(
     settled: SettledPairs, places: Places, accepted: Set[Keys]
 ) -> dict[Keys, PlaceVerdict]:
     """Verdicts on accepted pairs that are refused for another pose; see `with_rival_pose`."""
-    asked = [
-        each
-        for each in settled.with_matches(accepted & settled.images.keys())
-        if np.count_nonzero(~each.inlier_mask) >= FEWEST_LEFT
-    ]
     found: dict[Keys, PlaceVerdict] = {}
-    for start in range(0, len(asked), _PAIRS_AT_ONCE):
-        some = asked[start : start + _PAIRS_AT_ONCE]
-        rivals = _rivals(settled, some)
+    for results in asked_anew(settled, accepted & settled.images.keys(), _PRIOR):
+        rivals = {
+            asked.verified.keys: settled.posed(other)
+            for asked, other in results
+            if other.verdict.accepted
+            and is_another(asked.verified.verdict.cam2_from_cam1, other.verdict.cam2_from_cam1)
+        }
         look = partial(_looks_right, places, rivals)
         for keys, is_right in on_threads(look, list(rivals), settled.folder.num_threads):
             if is_right:
                 found[keys] = _refused(places.verdicts[keys])
     return found
-
-
-def _rivals(settled: SettledPairs, some: Sequence[VerifiedPair]) -> dict[Keys, PosedPair]:
-    """Pairs with other poses that the matches say which do not agree with the first one."""
-    images = [settled.images[each.keys] for each in some]
-    matched = [
-        (pair, settled.matched(each).some(~each.inlier_mask))
-        for pair, each in zip(images, some, strict=True)
-    ]
-    results = settled.folder.estimated(matched, _PRIOR, settled.level)
-    others = {each.keys: results[pair] for pair, each in zip(images, some, strict=True)}
-    return {
-        each.keys: settled.posed(other)
-        for each in some
-        if (other := others[each.keys]).verdict.accepted
-        and is_another(each.verdict.cam2_from_cam1, other.verdict.cam2_from_cam1)
-    }
 
 
 def _looks_right(places: Places, rivals: Mapping[Keys, PosedPair], keys: Keys) -> bool:

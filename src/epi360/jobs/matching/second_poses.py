@@ -38,7 +38,7 @@ class SecondPair:
 
 
 @dataclass(frozen=True, eq=False)
-class _Candidate:
+class AskedAnew:
     """A pair with the matches that do not agree with its first pose: ``left`` (M,) of all."""
 
     verified: VerifiedPair
@@ -65,10 +65,10 @@ def find_second(
     ``accepted`` are those whose own pose is accepted. A camera that has only turned has no second
     pose: what does not agree with the first has moved.
     """
-    folder, images = settled.folder, settled.images
+    folder = settled.folder
     others = {
         keys
-        for keys in images
+        for keys in settled.images
         if keys not in accepted
         and keys[0] != keys[1]
         and settled.verdicts[keys].status != "pure_rotation"
@@ -76,12 +76,9 @@ def find_second(
     if not others or not places.can_judge_more:
         return {}
     folder.progress(_STAGE, 0, len(others))
-    candidates = _candidates(settled, others)
     found: dict[Keys, SecondPair] = {}
-    while some := {images[e.verified.keys]: e for e in islice(candidates, _PAIRS_AT_ONCE)}:
-        matched = [(pair, each.matched.some(each.left)) for pair, each in some.items()]
-        results = folder.estimated(matched, PRIOR, settled.level)
-        told = (some[pair].with_pose_of(result) for pair, result in results.items())
+    for results in asked_anew(settled, others, PRIOR):
+        told = (asked.with_pose_of(result) for asked, result in results)
         second = [verified for verified in told if verified is not None]
         verdicts = places.on_more([settled.posed(each) for each in second])
         for verified, place in zip(second, verdicts, strict=True):
@@ -91,10 +88,26 @@ def find_second(
     return found
 
 
-def _candidates(settled: SettledPairs, others: Set[Keys]) -> Iterator[_Candidate]:
+def asked_anew(
+    settled: SettledPairs, wanted: Set[Keys], prior: str
+) -> Iterator[list[tuple[AskedAnew, VerifiedPair]]]:
+    """Wanted pairs, some at a time, and what their matches say that do not agree with the pose.
+
+    ``prior`` says in words how these were chosen.
+    """
+    candidates = _candidates(settled, wanted)
+    while some := {
+        settled.images[each.verified.keys]: each for each in islice(candidates, _PAIRS_AT_ONCE)
+    }:
+        matched = [(pair, each.matched.some(each.left)) for pair, each in some.items()]
+        results = settled.folder.estimated(matched, prior, settled.level)
+        yield [(some[pair], result) for pair, result in results.items()]
+
+
+def _candidates(settled: SettledPairs, wanted: Set[Keys]) -> Iterator[AskedAnew]:
     """Pairs of which enough matches are left."""
-    for verified in settled.with_matches(others):
+    for verified in settled.with_matches(wanted):
         left = ~verified.inlier_mask
         is_asked_anew = verified.inlier_mask.any()
         if is_asked_anew and np.count_nonzero(left) >= IMAGE_OPTIONS.min_num_inliers:
-            yield _Candidate(verified, settled.matched(verified), left)
+            yield AskedAnew(verified, settled.matched(verified), left)
