@@ -18,6 +18,7 @@ from epi360.cameras.resizing import pixels_per_radian
 from epi360.estimation.result import ImagePairResult, SamePlace
 from epi360.features.sphere_pictures import share_seen
 from epi360.features.warped_patches import Panorama
+from epi360.places.corridor import shown_by_itself
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
@@ -34,6 +35,7 @@ _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 # kinds together.
 _MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
+_AMONG_EQUAL_DOORS = 0.4  # of copies, in corridors (`benchmarks/corridors.py`)
 _ON_ONE_WALL = (0.5, 0.5)  # so do papered walls, and right pairs are rarely on one alone
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
@@ -55,6 +57,10 @@ DOUBT = (
     "may show two places with similar things"
 )
 ONE_WALL = "nearly all inliers lie on one wall, and rooms may have the same paper, tiles or doors"
+EQUAL_DOORS = (
+    "the place repeats itself, as a corridor with equal doors does, and little of what there is "
+    "only once tells which part of it this is"
+)
 
 
 @lru_cache(maxsize=4096)
@@ -78,7 +84,7 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     pair = PosedPair.of(
         (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
     )
-    own = OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))
+    own = shown_by_itself(pair, grow_both(pair, panoramas, num_threads=2), panoramas)
     if not own.is_known:
         return result
     place = same_place(own)
@@ -93,6 +99,8 @@ def doubts(own: OwnEvidence, place: SamePlace) -> tuple[str, ...]:
     """Warnings about a pose, by what the pair shows by itself and what that makes of it."""
     if own.on_one_wall:
         return (ONE_WALL,)
+    if own.repeats:
+        return (EQUAL_DOORS,) if place.here < _SURE else ()
     return (DOUBT,) if LEAST_PROBABILITY <= place.here < _SURE else ()
 
 
@@ -102,6 +110,8 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
     ``copies_indoors`` is the share of copies, of poses that are not of another place, in a room.
     """
     elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
+    if own.repeats:
+        copy = _AMONG_EQUAL_DOORS
     if own.on_floor or own.floor_alone:
         elsewhere = _ELSEWHERE_ON_FLOOR
     if own.on_one_wall:

@@ -83,7 +83,8 @@ def judge_places(pairs: Sequence[PosedPair], evidence: Sequence[Evidence]) -> Ju
     agree it takes clear evidence to refuse one; if many are copies, a pair needs some for it.
     Few pairs do not say how common copies are: each of them must also be probable by itself, and by
     what the others say of it, as two panoramas that are compared alone must be. So must a pair of
-    which a view is a part of the sphere, for few others know the same surroundings.
+    which a view is a part of the sphere, for few others know the same surroundings, and one in a
+    corridor with equal doors, where pairs that are shifted by as many doors agree.
     """
     court, share_wrong = _court_of_folder(pairs, evidence)
     groups = court.groups(pairs, _least_ratio(share_wrong))
@@ -135,9 +136,10 @@ def _verdicts(
 ) -> tuple[PlaceVerdict, ...]:
     """What is said about all pairs in the end, by their ratios."""
     probabilities = _probabilities(groups.ratios, share_wrong).tolist()
+    alone = [few or each.own.is_partial or each.own.repeats for each in court.evidence]
     return tuple(
-        verdict_on(court, row, groups, probability, by_itself=few or each.own.is_partial)
-        for row, (probability, each) in enumerate(zip(probabilities, court.evidence, strict=True))
+        verdict_on(court, row, groups, probability, by_itself=by_itself)
+        for row, (probability, by_itself) in enumerate(zip(probabilities, alone, strict=True))
     )
 
 

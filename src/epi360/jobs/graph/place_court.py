@@ -129,12 +129,12 @@ class Court:
     def place(self, row: int, trusted: Mask) -> SamePlace:
         """What is thought of one of a few pairs, by itself and by what trusted pairs know."""
         heard, own = self.heard(row, trusted), limited(self.evidence[row].own)
+        ratios = np.array([heard.ratio, heard.ratio_over_copies])
+        if own.repeats:  # pairs that are shifted by a door agree
+            ratios = np.minimum(ratios, 0.0)
+        over_others, over_copies = ratios + (own.over_others, own.over_copies)
         return same_place(
-            replace(
-                own,
-                over_others=own.over_others + heard.ratio,
-                over_copies=own.over_copies + heard.ratio_over_copies,
-            ),
+            replace(own, over_others=float(over_others), over_copies=float(over_copies)),
             copies_indoors=_COPIES_AMONG_FEW,
         )
 

@@ -26,6 +26,7 @@ from epi360.jobs.graph.surface_evidence import (
     SurfaceWitnesses,
     known_views,
 )
+from epi360.places.corridor import shown_by_itself
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import (
     MOST_WITNESSES,
@@ -131,8 +132,9 @@ class Surroundings:
     def grown(self, row: int) -> tuple[tuple[KnownView, KnownView], OwnEvidence]:
         """What the surfaces that a pair shares say about its views, and about itself."""
         pair = self.pairs[row]
-        grown = grow_both(pair, [self.panorama_of(image) for image in pair.images])
-        return known_views(pair, grown), OwnEvidence.of(pair, grown)
+        panoramas = [self.panorama_of(image) for image in pair.images]
+        grown = grow_both(pair, panoramas)
+        return known_views(pair, grown), shown_by_itself(pair, grown, panoramas)
 
     def of_points(self, row: int) -> Evidence:
         """Look for points that are known of the views of a pair."""

@@ -21,6 +21,11 @@ _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with
 PLACE_CONFIRMED = "what must look the same leaves a doubt; triangles with other pairs close"
 PLACE_AGREES = "the inliers alone leave a doubt; the pose is accepted for its surroundings"
 ANOTHER_PLACE, COPY = "shows another place", "may show a copy of the place"
+_LOOKS_DIFFERENT = "for what surrounds the matches looks different"
+REPEATS = (
+    "shows a place that repeats itself, and little of what there is only once tells which part of "
+    "it this is"
+)
 
 
 @dataclass(frozen=True)
@@ -130,11 +135,11 @@ def _by_itself(verdict: PlaceVerdict, own: OwnEvidence, place: SamePlace) -> Pla
     probability = min(verdict.probability, place.here)
     if place.here >= LEAST_PROBABILITY:
         return replace(verdict, probability=probability, warnings=doubts(own, place))
-    why = ANOTHER_PLACE if place.elsewhere > place.copy else COPY
+    why = f"{ANOTHER_PLACE if place.elsewhere > place.copy else COPY}, {_LOOKS_DIFFERENT}"
     return replace(
         verdict,
         probability=probability,
         held_back=0.0,
-        refused=verdict.refused or f"{why}, for what surrounds the matches looks different",
+        refused=verdict.refused or (REPEATS if own.repeats else why),
         by_itself=True,
     )

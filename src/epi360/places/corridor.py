@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Whether a pair shows a corridor whose things repeat, so that the next door looks like this one.
+
+A pose that puts one door upon the next looks right around all doors, and is nearly as probable as
+the right one. Two things tell such a place: what both views show is much longer than wide, and
+much of a panorama matches other parts of the same panorama. But a floor that has a texture and
+looks the same in both views tells one door from the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from epi360.features.self_likeness import share_like_itself
+from epi360.features.shared_surfaces import SharedSurfaces, grid
+from epi360.features.warped_patches import Panorama
+from epi360.places.own_evidence import OwnEvidence
+from epi360.places.shared_points import PosedPair
+
+# Of right pairs of `zind_tour`, and of photographed home 304, none is beyond all three.
+_LONG, _WIDE, _LIKE_ITSELF = 2.0, 2.0, 0.22
+_MOST = (5, 95)  # percentiles of what was found
+_FEWEST_CELLS = 30
+# Of cells 15 degrees below the horizon, whose normals are within 37 degrees of upright: their least
+# number, and share of all. Wrong poses have 75 and 0.07 at most, right ones on plain floors, too.
+_BELOW, _LEVEL = np.sin(np.radians(15.0)), 0.8
+_FEWEST_ON_FLOOR, _LEAST_ON_FLOOR = 80, 0.1
+_AXES_RAD = np.radians(np.arange(0.0, 180.0, 10.0))
+_ACROSS = np.stack([np.cos(_AXES_RAD), np.sin(_AXES_RAD)])  # (2, 18)
+
+
+def shown_by_itself(
+    pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces], panoramas: Sequence[Panorama]
+) -> OwnEvidence:
+    """Weigh what has grown from both sides of a pair, in a corridor as it must be weighed there."""
+    own = OwnEvidence.of(pair, views)
+    if not own.is_known or show_a_floor(views) or not repeats_itself(views, panoramas):
+        return own
+    return own.among_equal_doors()
+
+
+def show_a_floor(views: Sequence[SharedSurfaces]) -> bool:
+    """Whether much of what was found in both views is a floor, which has no doors."""
+    is_below = grid().directions[:, 1] > _BELOW
+    for view in views:
+        on_floor = view.found & is_below & (np.abs(view.normals[:, 1]) > _LEVEL)
+        least = max(_FEWEST_ON_FLOOR, _LEAST_ON_FLOOR * np.count_nonzero(view.found))
+        if np.count_nonzero(on_floor) < least:
+            return False
+    return True
+
+
+def repeats_itself(views: Sequence[SharedSurfaces], panoramas: Sequence[Panorama]) -> bool:
+    """Whether both panoramas show a corridor, and either looks like other parts of itself."""
+    if not all(map(is_long_and_narrow, views)):
+        return False
+    return max(map(share_like_itself, panoramas)) > _LIKE_ITSELF
+
+
+def is_long_and_narrow(view: SharedSurfaces) -> bool:
+    """Whether what was found is longer than wide, and not much wider than high, as no street is."""
+    if np.count_nonzero(view.found) < _FEWEST_CELLS:
+        return False
+    points = view.depths[view.found, None] * grid().directions[view.found]
+    height = float(np.ptp(np.percentile(points[:, 1], _MOST)))
+    spans = np.ptp(np.percentile(points[:, [0, 2]] @ _ACROSS, _MOST, axis=0), axis=0)
+    across = np.maximum(np.roll(spans, len(_AXES_RAD) // 2), 1e-9)  # a quarter turn on
+    longest = int(np.argmax(spans / across))
+    length, width = float(spans[longest]), float(across[longest])
+    return length > _LONG * width and width < _WIDE * height
