@@ -11,7 +11,7 @@ import epi360
 from epi360.features.warped_patches import Panorama
 from epi360.places import repeated_place
 from epi360.places.own_evidence import OwnEvidence
-from epi360.places.repeated_place import REPEATED, with_rival_pose
+from epi360.places.repeated_place import MANY_OTHERS, REPEATED, with_rival_pose
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 
 TURN = rotation_from_vector([0.0, 0.8, 0.0])
@@ -35,16 +35,18 @@ def found():
 class Rival:
     """What an estimate from the other matches says: another pose, or the same one."""
 
-    def __init__(self, result, *, is_another=True, status="ok"):
+    def __init__(self, result, *, is_another=True, status="ok", share=1.0):
         self.asked = 0
         pose = result.cam2_from_cam1
         self.pose = Pose(TURN @ pose.rotation, pose.translation) if is_another else pose
-        self._result = replace(result, cam2_from_cam1=self.pose, status=status)
+        kept = np.arange(len(result.inlier_mask)) < share * result.num_inliers
+        self._inlier_mask = result.inlier_mask
+        self._result = replace(result, cam2_from_cam1=self.pose, status=status, inlier_mask=kept)
 
     def __call__(self, bearings1, bearings2):
         self.asked += 1
         known = np.isfinite(bearings1).all(axis=1)
-        assert (known == ~self._result.inlier_mask).all()  # the inliers are not asked
+        assert (known == ~self._inlier_mask).all()  # the inliers are not asked
         return self._result
 
 
@@ -52,9 +54,10 @@ class Rival:
     ("own", "rival", "is_doubted"),
     [
         (OwnEvidence(6.0, 3.0), {}, True),
-        (OwnEvidence(3.0, 3.0), {}, False),  # it looks like another place
-        (OwnEvidence(6.0, 1.0), {}, False),
-        (OwnEvidence(6.0, 3.0, is_known=False), {}, False),
+        (OwnEvidence(6.0, 3.0), {"share": 0.1}, True),
+        (OwnEvidence(3.0, 3.0), {"share": 0.3}, False),  # it looks like another place
+        (OwnEvidence(6.0, 1.0), {"share": 0.3}, False),
+        (OwnEvidence(6.0, 3.0, is_known=False), {"share": 0.3}, False),
         (OwnEvidence(6.0, 3.0), {"is_another": False}, False),
         (OwnEvidence(6.0, 3.0), {"status": "too_few_inliers"}, False),
     ],
@@ -73,6 +76,15 @@ def test_a_rival_must_look_right_and_be_another_pose(monkeypatch, found, own, ri
     assert told.alternatives[0] is estimate.pose
     assert told.warnings[-1] == REPEATED
     assert told.probability == pytest.approx(0.5 * result.probability)
+
+
+@pytest.mark.parametrize("own", [OwnEvidence(3.0, 3.0), OwnEvidence(6.0, 3.0, is_known=False)])
+def test_many_matches_of_another_pose_are_a_warning(monkeypatch, found, own):
+    monkeypatch.setattr(repeated_place.OwnEvidence, "of", lambda *_: own)
+    result, cameras, panoramas = found
+    told = with_rival_pose(result, cameras, panoramas, Rival(result, share=0.4))
+    assert told.warnings == (*result.warnings, MANY_OTHERS)
+    assert replace(told, warnings=result.warnings) == result
 
 
 def test_where_few_matches_are_left_nothing_is_asked(found):
@@ -105,4 +117,4 @@ def test_halves_of_two_views_say_two_poses(here, left, right):
 
 def test_what_is_left_of_a_right_pair_says_nothing(found):
     result, _, _ = found
-    assert REPEATED not in result.warnings
+    assert not {REPEATED, MANY_OTHERS} & set(result.warnings)

@@ -33,6 +33,12 @@ REPEATED = (
     "repeats itself, as a corridor with equal doors does"
 )
 
+MANY_OTHERS = (
+    "many other matches agree on another pose, around which less looks right: something large may "
+    "move, or the place repeat itself"
+)
+_MANY = 1.0 / 3.0  # of the inliers
+
 
 def is_another(first: Pose, second: Pose) -> bool:
     """Whether two poses are not one with errors."""
@@ -54,7 +60,7 @@ def with_rival_pose(
     """Return an accepted result, or both poses, if the other matches say one that looks as right.
 
     Which of the two is right nothing tells, so that the status is "planar_ambiguous", as that of
-    other pairs with two poses.
+    other pairs with two poses. A second pose of many matches that looks less right is a warning.
     """
     left = ~result.inlier_mask
     if not result.success or np.count_nonzero(left) < _FEWEST_LEFT:
@@ -75,7 +81,8 @@ def with_rival_pose(
         noise_deg=other.noise_deg,
     )
     if not looks_right(OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))):
-        return result
+        many = other.num_inliers > _MANY * result.num_inliers
+        return replace(result, warnings=(*result.warnings, MANY_OTHERS)) if many else result
     return replace(
         result,
         status="planar_ambiguous",
