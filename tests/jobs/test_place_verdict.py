@@ -75,7 +75,7 @@ def test_the_reason_names_pairs_that_say_the_same():
         (shows(-2.0, 50.0), 2.0),
         (shows(-50.0, 50.0), 10.0),  # no more than this counts
         (shows(-2.0, -2.0), np.log((np.exp(2.0) + np.exp(2.0)) / (1.0 + np.exp(2.0)))),
-        (shows(8.0, 8.0, on_floor=True), 3.5),
+        (shows(8.0, 8.0, inliers_on_floor=True), 3.5),
         (shows(-2.0, on_one_wall=True), 3.5),
         (shows(is_known=False), 0.0),
     ],
@@ -104,7 +104,7 @@ def test_one_of_few_pairs_must_be_probable_by_itself_and_triangles_do_not_help()
         (shows(8.0, -1.3), True, "may show a copy of the place"),  # 0.93 if compared alone
         (shows(8.0, -4.0), True, "may show a copy of the place"),
         (shows(-4.0, 8.0), True, "shows another place"),
-        (shows(0.0, 8.0, on_floor=True), True, "shows another place"),
+        (shows(0.0, 8.0, inliers_on_floor=True), True, "shows another place"),
     ):
         evidence = [replace(silent[0], own=own), *silent[1:]]
         verdict = judged(few, evidence)[0]

@@ -159,7 +159,7 @@ def test_a_pair_on_the_floor_alone_has_nothing_to_say_in_a_folder():
     for num_above, is_heard in ((0, False), (2, False), (4, True)):
         bearings = np.array([DOWN] * (100 - num_above) + [UP] * num_above)
         own = OwnEvidence.of(seen_along(bearings, bearings), shown_there)
-        assert own.on_floor != is_heard
+        assert own.inliers_on_floor != is_heard
         assert (limited_in_folder(own) != OwnEvidence()) == is_heard
     higher = np.array([UP] * 50 + [DOWN] * 50)  # both images must see it below
     own = OwnEvidence.of(seen_along(bearings, higher), shown_there)
@@ -172,7 +172,7 @@ def test_where_the_floor_alone_grows_it_says_nothing_of_the_place():
     pair = seen_along(mostly_down, mostly_down)
     (view, _) = views_of(CAP, contrasts=20.0)
     own = OwnEvidence.of(pair, (view, view))
-    assert own.floor_alone and not own.on_floor
+    assert own.grown_on_floor and not own.inliers_on_floor
     assert limited_in_folder(own) == OwnEvidence()
     assert same_place(replace(own, over_others=9.0, over_copies=9.0)).here < 0.51
     bare = grid().directions[:, 1] < 0.0
@@ -184,7 +184,7 @@ def test_where_the_floor_alone_grows_it_says_nothing_of_the_place():
         (mostly_down, (higher, higher)),
         (half_down, (view, view)),
     ):
-        assert not OwnEvidence.of(seen_along(bearings, bearings), views).floor_alone
+        assert not OwnEvidence.of(seen_along(bearings, bearings), views).grown_on_floor
 
 
 def test_the_file_holds_weights_from_many_pairs():
@@ -236,7 +236,7 @@ def test_a_pair_on_one_wall_is_weighed_as_in_homes_and_has_nothing_to_say_in_a_f
         other = points + PAIR.cam2_from_cam1.translation
         bearings = tuple(each / np.linalg.norm(each, axis=1)[:, None] for each in (points, other))
         own = OwnEvidence.of(seen_along(*bearings), grown)
-        assert own.on_one_wall == is_wall and not own.on_floor
+        assert own.on_one_wall == is_wall and not own.inliers_on_floor
         ratios = (own.over_others, own.over_copies)
         assert own.as_in_homes == pytest.approx(FITTED_TO_HOMES.ratios(shown_by(PAIR, grown)))
         assert (ratios == own.as_in_homes) == is_wall

@@ -46,7 +46,7 @@ def error_deg(pose, name1, name2):
 
 def test_without_evidence_the_prior_remains():
     np.testing.assert_allclose(astuple(same_place(OwnEvidence())), (0.882, 0.1, 0.018))
-    assert same_place(OwnEvidence(on_floor=True)).elsewhere == pytest.approx(0.5)
+    assert same_place(OwnEvidence(inliers_on_floor=True)).elsewhere == pytest.approx(0.5)
 
 
 def test_evidence_moves_probability_between_the_three_explanations():
@@ -56,7 +56,7 @@ def test_evidence_moves_probability_between_the_three_explanations():
         assert min(astuple(place)) > 0.0
         assert same_place(OwnEvidence(others + 1, copies)).here >= place.here
         assert same_place(OwnEvidence(others, copies + 1)).copy <= place.copy
-        assert same_place(OwnEvidence(others, copies, on_floor=True)).here < place.here
+        assert same_place(OwnEvidence(others, copies, inliers_on_floor=True)).here < place.here
 
 
 def test_no_more_than_the_limit_speaks_for_a_part_of_the_sphere():

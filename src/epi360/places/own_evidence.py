@@ -70,21 +70,21 @@ class OwnEvidence:
     """Log-likelihood ratios of a pose by what the pair shows by itself.
 
     Over that of another place with a similar thing, and over that of a copy of the place. Both must
-    speak for a pair: where nothing grows, it is no copy either. ``on_floor`` and ``on_one_wall``
-    say that nearly all inliers lie there, which rooms may have alike, and ``floor_alone`` that
-    nearly all that grew does, though there is more to see. ``in_the_open`` says that
-    what both show lies at distances that differ more than in a room, ``repeats`` that it is a
-    corridor whose things repeat (`among_equal_doors`), ``is_partial`` that either view shows little
-    more than a hemisphere, or less. Nothing is known if either view shows too little.
+    speak for a pair: where nothing grows, it is no copy either. ``inliers_on_floor`` and
+    ``on_one_wall`` say that nearly all inliers lie there, which rooms may have alike, and
+    ``grown_on_floor`` that nearly all that grew does, though there is more to see. ``in_the_open``
+    says that what both show lies at distances that differ more than in a room, ``repeats`` that it
+    is a corridor whose things repeat (`among_equal_doors`), ``is_partial`` that either view shows
+    little more than a hemisphere, or less. Nothing is known if either view shows too little.
     ``as_in_homes`` has both ratios by the weights that were fitted to homes alone; a pair on one
     wall is always weighed by these.
     """
 
     over_others: float = 0.0
     over_copies: float = 0.0
-    on_floor: bool = False
+    inliers_on_floor: bool = False
     on_one_wall: bool = False
-    floor_alone: bool = False
+    grown_on_floor: bool = False
     in_the_open: bool = False
     repeats: bool = False
     is_partial: bool = False
@@ -103,9 +103,9 @@ class OwnEvidence:
         is_on_one_wall = not in_the_open and on_one_wall(pair)  # a street may have one long front
         return cls(
             *(as_in_homes if is_on_one_wall else by_all),
-            on_floor=on_floor(pair),
+            inliers_on_floor=on_floor(pair),
             on_one_wall=is_on_one_wall,
-            floor_alone=not in_the_open and _shows_floor_alone(pair, views),
+            grown_on_floor=not in_the_open and _grown_on_floor(pair, views),
             in_the_open=in_the_open,
             is_partial=share < _PART,
             as_in_homes=as_in_homes,
@@ -269,7 +269,7 @@ def _depth_spread(view: SharedSurfaces) -> float:
     return float(np.log(farthest / nearest))
 
 
-def _shows_floor_alone(pair: PosedPair, views: Sequence[SharedSurfaces]) -> bool:
+def _grown_on_floor(pair: PosedPair, views: Sequence[SharedSurfaces]) -> bool:
     """Whether what grew is on the floor, as nearly all inliers, though both show more than that."""
     if floor_share(*pair.bearings) < _MOSTLY_ON_FLOOR:
         return False

@@ -112,7 +112,7 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
     elsewhere, copy = _IN_THE_OPEN if own.in_the_open else (_INDOORS[0], copies_indoors)
     if own.repeats:
         copy = _AMONG_EQUAL_DOORS
-    if own.on_floor or own.floor_alone:
+    if own.inliers_on_floor or own.grown_on_floor:
         elsewhere = _ELSEWHERE_ON_FLOOR
     if own.on_one_wall:
         elsewhere, copy = _ON_ONE_WALL
@@ -130,7 +130,7 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
 def limited(own: OwnEvidence) -> OwnEvidence:
     """As much of the evidence as counts."""
     most = _MOST_OF_PART if own.on_one_wall or own.is_partial else _MOST
-    most_over_others = 0.0 if own.floor_alone else most  # rooms with one floor show as much
+    most_over_others = 0.0 if own.grown_on_floor else most  # rooms with one floor show as much
     return replace(
         own,
         over_others=float(np.clip(own.over_others, -_MOST, most_over_others)),
@@ -144,7 +144,7 @@ def limited_in_folder(own: OwnEvidence, folder_in_the_open: bool = False) -> Own
     A pair on the floor or on one wall has nothing to say. Copies are rarer in the open; that
     a pair is there is only believed in a folder in the open, for some pairs of copies look so, too.
     """
-    if own.on_floor or own.floor_alone or own.on_one_wall or not own.is_known:
+    if own.inliers_on_floor or own.grown_on_floor or own.on_one_wall or not own.is_known:
         return OwnEvidence()
     own = limited(own)
     over_copies = own.over_copies

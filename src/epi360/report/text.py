@@ -40,8 +40,8 @@ STATUS_SENTENCES: dict[Status, str] = {
     ),
     "planar_ambiguous": (
         "two poses explain the matches about equally well, as on a scene close to one plane, or "
-        "where half of the matches are on something that moves; the more likely is shown; use "
-        "images that share more of the scene"
+        "where half of the matches are on something that moves, or in a place that repeats itself; "
+        "the more likely is shown; use images that share more of the scene"
     ),
     "concentrated_inliers": (
         "the matches that agree cover too small a part of the sphere for a trustworthy pose; "

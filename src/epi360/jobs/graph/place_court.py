@@ -163,7 +163,7 @@ class Court:
     def held_back(self, row: int, joined: Mask) -> float:
         """What speaks against a pair by itself, and does not count for whether it is accepted."""
         shown, counted = self.evidence[row].own, self._own[row]
-        if shown.on_floor or shown.on_one_wall:
+        if shown.inliers_on_floor or shown.on_one_wall:
             return _RARE_ON_ONE_PLANE
         heard = self.heard(row, joined)
         over_others = min(limited(shown).over_others, counted.over_others)
