@@ -51,6 +51,11 @@ def looks_right(own: OwnEvidence) -> bool:
     return own.is_known and own.over_others > over_others and own.over_copies > over_copies
 
 
+def are_many(num_others: int, num_inliers: int) -> bool:
+    """Whether so many other matches agree on another pose that it deserves a warning."""
+    return num_others > _MANY * num_inliers
+
+
 def with_rival_pose(
     result: ImagePairResult,
     cameras: tuple[Camera, Camera],
@@ -81,8 +86,9 @@ def with_rival_pose(
         noise_deg=other.noise_deg,
     )
     if not looks_right(OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))):
-        many = other.num_inliers > _MANY * result.num_inliers
-        return replace(result, warnings=(*result.warnings, MANY_OTHERS)) if many else result
+        if not are_many(other.num_inliers, result.num_inliers):
+            return result
+        return replace(result, warnings=(*result.warnings, MANY_OTHERS))
     return replace(
         result,
         status="planar_ambiguous",

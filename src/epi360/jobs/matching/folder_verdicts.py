@@ -14,7 +14,6 @@ from typing import Literal
 from epi360.cameras.upright import has_a_vertical
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
-from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.implied_job import find_implied
 from epi360.jobs.matching.pair_verdicts import (
     PairVerdict,
@@ -102,17 +101,18 @@ def judge_folder(
     settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
     places = check_places(settled)
     by_place = {} if places is None else places.verdicts
-    rivals: Mapping[Keys, PlaceVerdict] = {}
+    rivals: set[Keys] = set()
     if places is not None and places.can_judge_more:
         believed = {each for each, place in by_place.items() if not place.refused}
         own = {each for each in believed if told[each].accepted}
-        rivals = find_rivals(settled, places, own)
-        by_place = {**by_place, **rivals}
+        by_rivals = find_rivals(settled, places, own)
+        by_place = {**by_place, **by_rivals}
+        rivals = {each for each, place in by_rivals.items() if place.refused}
     judged = [None if each is None else by_place.get(each) for each in keys]
     is_level = is_upright or level is not None
     verdicts = checked(named, judged, is_level=is_level)
     accepted = _accepted(keys, verdicts)
-    second = {} if places is None else find_second(settled, places, accepted | rivals.keys())
+    second = {} if places is None else find_second(settled, places, accepted | rivals)
     verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.images.keys()

@@ -14,7 +14,7 @@ from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
 from epi360.places.own_evidence import OwnEvidence, grow_both
-from epi360.places.repeated_place import is_another, looks_right
+from epi360.places.repeated_place import MANY_OTHERS, are_many, is_another, looks_right
 from epi360.places.shared_points import PosedPair
 
 _PRIOR = "rival"
@@ -28,19 +28,26 @@ _MOST_PROBABLE = 0.5  # which of two poses it is nothing tells
 def find_rivals(
     settled: SettledPairs, places: Places, accepted: Set[Keys]
 ) -> dict[Keys, PlaceVerdict]:
-    """Verdicts on accepted pairs that are refused for another pose; see `with_rival_pose`."""
+    """Verdicts on accepted pairs that another pose refuses, or warns of; see `with_rival_pose`."""
     found: dict[Keys, PlaceVerdict] = {}
     for results in asked_anew(settled, accepted & settled.images.keys(), _PRIOR):
-        rivals = {
-            asked.verified.keys: settled.posed(other)
-            for asked, other in results
-            if other.verdict.accepted
-            and is_another(asked.verified.verdict.cam2_from_cam1, other.verdict.cam2_from_cam1)
-        }
+        rivals, many = {}, set()
+        for asked, other in results:
+            verdict, keys = asked.verified.verdict, asked.verified.keys
+            if not other.verdict.accepted or not is_another(
+                verdict.cam2_from_cam1, other.verdict.cam2_from_cam1
+            ):
+                continue
+            rivals[keys] = settled.posed(other)
+            if are_many(other.verdict.num_inliers, verdict.num_inliers):
+                many.add(keys)
         look = partial(_looks_right, places, rivals)
         for keys, is_right in on_threads(look, list(rivals), settled.folder.num_threads):
+            place = places.verdicts[keys]
             if is_right:
-                found[keys] = _refused(places.verdicts[keys])
+                found[keys] = _refused(place)
+            elif keys in many:
+                found[keys] = replace(place, warnings=(*place.warnings, MANY_OTHERS))
     return found
 
 
