@@ -21,7 +21,7 @@ from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import match_images
-from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.poses import Pose, poses_agree
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360.two_view import relative_pose_of_images
 from epi360_scenes.corridor import HALF_LENGTH_M, corridor_of_equal_doors
@@ -49,12 +49,12 @@ class Walk:
             if (apart_m := float(np.linalg.norm(between))) <= FARTHEST_M:
                 yield first, second, apart_m
 
-    def is_right(self, first: str, second: str, found: Pose) -> bool:
-        """Whether a pose of the second in the frame of the first is within ten degrees."""
+    def verdict(self, first: str, second: str, found: Pose | None) -> str:
+        """What an accepted pose of the second in the frame of the first is; None: there is none."""
+        if found is None:
+            return "not accepted"
         truth = self.poses[second].inverse() @ self.poses[first]
-        direction = Pose(truth.rotation, truth.translation / np.linalg.norm(truth.translation))
-        errors = rotation_error_deg(found, direction), translation_error_deg(found, direction)
-        return max(errors) <= RIGHT_DEG
+        return "right" if poses_agree(found, truth, RIGHT_DEG, RIGHT_DEG) else "wrong"
 
 
 def main() -> int:
@@ -109,17 +109,16 @@ def _of_pairs(walk: Walk) -> Iterator[tuple[str, str]]:
     for first, second, apart_m in walk.pairs():
         result = relative_pose_of_images(walk.folder / first, walk.folder / second)
         what = f"pairs, {'up to' if apart_m <= NEAR_M else 'more than'} {NEAR_M:g} m"
-        is_right = result.success and walk.is_right(first, second, result.cam2_from_cam1)
-        yield what, ("right" if is_right else "wrong") if result.success else "not accepted"
+        found = result.cam2_from_cam1 if result.success else None
+        yield what, walk.verdict(first, second, found)
 
 
 def _of_folder(walk: Walk, work: Path) -> Iterator[tuple[str, str]]:
     """Every pair of the folder, the far ones too."""
     run = match_images(find_images(walk.folder), work / walk.folder.name)
     for pair in run.verdicts:
-        first, second = pair.image1, pair.image2
-        is_right = pair.accepted and walk.is_right(first, second, pair.cam2_from_cam1)
-        yield "folders", ("right" if is_right else "wrong") if pair.accepted else "not accepted"
+        found = pair.cam2_from_cam1 if pair.accepted else None
+        yield "folders", walk.verdict(pair.image1, pair.image2, found)
 
 
 if __name__ == "__main__":

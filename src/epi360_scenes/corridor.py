@@ -8,10 +8,10 @@ from numpy.random import Generator
 
 from epi360_scenes.furniture import FRONT, Furniture, Light, Material, Place, Span
 from epi360_scenes.home_painting import home_atlas
+from epi360_scenes.home_rooms import ART
 from epi360_scenes.pieces import Wall, ceiling_lamp, picture, wall_place
-from epi360_scenes.raycast import Solids
 from epi360_scenes.room import Room
-from epi360_scenes.surfaces import build_surfaces
+from epi360_scenes.surfaces import build_surfaces, solids_of
 
 HALF_LENGTH_M = 14.0
 WIDTHS_M, HEIGHTS_M = (1.7, 2.3), (2.4, 2.9)
@@ -20,7 +20,6 @@ DOOR_WIDTH_M, DOOR_HEIGHT_M = 0.9, 2.05
 PIECE_M = 2.0  # of floor and walls, each with a texture of its own
 PLAIN_FLOORS, FLOORS = ("screed", "felt"), ("carpet", "laminate")
 PICTURE_SHARE = 0.3  # of the doors, beside which one hangs
-ART = ("landscape", "abstract", "circles", "blocks", "poster1", "poster2", "map")
 
 
 def corridor_of_equal_doors(seed: int, *, plain_floor: bool) -> Room:
@@ -65,7 +64,8 @@ def corridor_of_equal_doors(seed: int, *, plain_floor: bool) -> Room:
                 _door(furniture, foot, float(place), str(door), str(frame), rng)
     for place in np.arange(*span, rng.uniform(*LAMPS_M))[1:]:
         ceiling_lamp(furniture, Place(0.0, float(place)), height)
-    return _built(furniture, seed)
+    solids = solids_of(furniture)
+    return Room(solids, build_surfaces(solids, furniture, home_atlas(seed, furniture.textures())))
 
 
 def _pieces() -> Iterator[tuple[int, Span]]:
@@ -126,11 +126,3 @@ def _ends(furniture: Furniture, half_width: float, rng: Generator) -> None:
             normal = np.subtract(foot.to_world((0.0, 0.0, 1.0)), (foot.x, 0.0, foot.z)).tolist()
             light = Light(foot.to_world((0.0, -1.4, 0.2)), tuple(normal), (2.1, 2.2, 2.3))
             furniture.lights.append(light)
-
-
-def _built(furniture: Furniture, seed: int) -> Room:
-    centers, halves, yaws = zip(*furniture.boxes, strict=True)
-    shadows = np.array(furniture.box_shadows)
-    none = np.zeros((0, 3))
-    solids = Solids(np.array(centers), np.array(halves), np.array(yaws), shadows, none, none)
-    return Room(solids, build_surfaces(solids, furniture, home_atlas(seed, furniture.textures())))

@@ -18,7 +18,7 @@ from epi360_scenes.home_rooms import RoomJob, furnish_room
 from epi360_scenes.raycast import Solids, nearest_hits
 from epi360_scenes.rendering import RayCaster, Rays
 from epi360_scenes.room import _developed
-from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces
+from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces, solids_of
 from epi360_scenes.textures import TextureAtlas
 
 Floats = NDArray[np.float32]
@@ -196,24 +196,11 @@ def _furnished(planned: PlannedRoom, number: int, seed: int) -> Furniture:
     return room
 
 
-def _solids(furniture: Furniture) -> Solids:
-    centers, halves, yaws = zip(*furniture.boxes, strict=True)
-    round_ones = np.array(furniture.ellipsoids, np.float64).reshape(-1, 2, 3)
-    return Solids(
-        np.array(centers),
-        np.array(halves),
-        np.array(yaws),
-        np.array(furniture.box_shadows),
-        round_ones[:, 0],
-        round_ones[:, 1],
-    )
-
-
 def _assembled(
     plan: list[PlannedRoom], parts: list[Furniture], places: list[Place], atlas: TextureAtlas
 ) -> Home:
     """Rooms side by side, each lit by itself: light does not pass doors, twins have the same."""
-    local = [_solids(part) for part in parts]
+    local = [solids_of(part) for part in parts]
     looks = [build_surfaces(*both, atlas) for both in zip(local, parts, strict=True)]
     num_boxes = [len(solids.box_centers) for solids in local]
     # The space that a room encloses is of no use among the others; that of the home comes first.

@@ -17,7 +17,7 @@ from epi360_scenes.living_room import furnish_living_room
 from epi360_scenes.raycast import Solids, nearest_hits
 from epi360_scenes.rendering import RayCaster, Rays, Rendering
 from epi360_scenes.studio import furnish_studio
-from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces
+from epi360_scenes.surfaces import Hits, Surfaces, build_surfaces, solids_of
 from epi360_scenes.textures import GAMMA, build_atlas
 
 Floats = NDArray[np.float32]
@@ -225,16 +225,7 @@ def scene(name: SceneName, seed: int = 0) -> Room:
 @lru_cache(maxsize=4)
 def _built(name: SceneName, seed: int) -> Room:
     furniture = SCENES[name](np.random.Generator(np.random.PCG64(seed)))
-    centers, halves, yaws = zip(*furniture.boxes, strict=True)
-    ellipsoid_centers, radii = zip(*furniture.ellipsoids, strict=True)
-    solids = Solids(
-        np.array(centers),
-        np.array(halves),
-        np.array(yaws),
-        np.array(furniture.box_shadows),
-        np.array(ellipsoid_centers),
-        np.array(radii),
-    )
+    solids = solids_of(furniture)
     return Room(solids, build_surfaces(solids, furniture, build_atlas(seed, furniture.textures())))
 
 

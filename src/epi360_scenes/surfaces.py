@@ -141,6 +141,20 @@ class Surfaces:
         return mixed
 
 
+def solids_of(furniture: Furniture) -> Solids:
+    """Geometry of all that was put into a scene."""
+    centers, halves, yaws = zip(*furniture.boxes, strict=True)
+    round_ones = np.array(furniture.ellipsoids, np.float64).reshape(-1, 2, 3)
+    return Solids(
+        np.array(centers),
+        np.array(halves),
+        np.array(yaws),
+        np.array(furniture.box_shadows),
+        round_ones[:, 0],
+        round_ones[:, 1],
+    )
+
+
 def build_surfaces(solids: Solids, furniture: Furniture, atlas: TextureAtlas) -> Surfaces:
     """Materials of all faces and the light on them."""
     materials = [m for faces in furniture.box_materials for m in faces]
