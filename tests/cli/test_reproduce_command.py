@@ -123,22 +123,6 @@ def test_parts_of_another_run_are_wrong_use_in_one_line(capsys, tmp_path, monkey
     assert_wrong_use(capsys, [*base, "--seed", "1"], "another run (seed 0, not 1)")
 
 
-def test_the_bar_shows_the_rate_of_this_run(monkeypatch):
-    from epi360.cli.command import _BarPerStage
-
-    shown = {}
-    bars = SimpleNamespace(
-        add_task=lambda stage, **fields: stage,
-        update=lambda task, **fields: shown.update(fields),
-    )
-    clock = iter((100.0, 102.0))
-    monkeypatch.setattr("epi360.cli.command.time.monotonic", lambda: next(clock))
-    bar = _BarPerStage(bars)
-    bar("fig4a", 500, 1000)  # left by an earlier run
-    bar("fig4a", 600, 1000)
-    assert shown == {"completed": 600, "total": 1000, "rate": "50.0/s"}
-
-
 def test_help_names_every_option(capsys):
     assert_help_names(
         capsys, "reproduce", "--protocol", "--trials", "--seed", "--jobs", "--out", "--landmarks",

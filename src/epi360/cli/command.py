@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from cyclopts import App, Group, Parameter
 
@@ -112,52 +112,75 @@ def options_as_typed() -> Iterator[None]:
         raise ValueError(f"--{name.replace('_', '-')} must {rest}") from None
 
 
+class _Pace(NamedTuple):
+    """How a stage goes: whether it begins or has grown, what was there before, its rate."""
+
+    begins: bool
+    grows: bool
+    before: int
+    per_second: float  # 0 if nothing has been done since
+
+
+class _Paces:
+    """The pace of each stage; one that is done once more begins again."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[float, int]] = {}
+        self._last: dict[str, int] = {}
+
+    def pace(self, stage: str, done: int) -> _Pace:
+        now, last = time.monotonic(), self._last.get(stage)
+        self._last[stage] = done
+        begins = last is None or done < last
+        if begins:
+            # What an earlier run has left is no measure of the rate: it is there from the start.
+            self._begun[stage] = now, done
+        since, before = self._begun[stage]
+        seconds = now - since  # none, where the clock is coarse
+        rate = (done - before) / seconds if seconds > 0 else 0.0
+        return _Pace(begins, last is not None and done > last, before, rate)
+
+
 class _BarPerStage:
     """A `Progress` that shows one bar for each stage."""
 
     def __init__(self, bars: Bars) -> None:
-        self._bars = bars
-        self._begun: dict[str, tuple[TaskID, float, int]] = {}
+        self._bars, self._paces = bars, _Paces()
+        self._tasks: dict[str, TaskID] = {}
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if stage not in self._begun:
-            # What an earlier run has left is no measure of the rate: it is there from the start.
-            task = self._bars.add_task(stage, total=total, completed=done, rate="")
-            self._begun[stage] = task, now, done
-        task, since, before = self._begun[stage]
-        rate = f"{(done - before) / (now - since):,.1f}/s" if done > before else ""
-        self._bars.update(task, completed=done, total=total, rate=rate)
+        pace = self._paces.pace(stage, done)
+        if stage not in self._tasks:
+            self._tasks[stage] = self._bars.add_task(stage, total=total, completed=done, rate="")
+        elif pace.begins:
+            self._bars.reset(self._tasks[stage], total=total, completed=done)
+        rate = f"{pace.per_second:,.1f}/s" if pace.per_second else ""
+        self._bars.update(self._tasks[stage], completed=done, total=total, rate=rate)
 
 
 class _LinePerStage:
     """A `Progress` that prints a line when a stage ends, and every half minute until then."""
 
     def __init__(self) -> None:
-        self._begun: dict[str, tuple[float, int]] = {}
-        self._last: dict[str, int] = {}
+        self._paces = _Paces()
         self._said = time.monotonic()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        last, self._last[stage] = self._last.get(stage, done), done
-        if done < last:  # it is done once more
-            del self._begun[stage]
-        since, before = self._begun.setdefault(stage, (now, done))
-        ends = before < done == total and last < done
+        now, pace = time.monotonic(), self._paces.pace(stage, done)
+        ends = pace.grows and done == total
         if not ends and now - self._said < SECONDS_BETWEEN_LINES:
             return
         self._said = now
-        print(f"epi360: {_line(stage, done, total, before, now - since)}", file=sys.stderr)
+        print(f"epi360: {_line(stage, done, total, pace)}", file=sys.stderr)
 
 
-def _line(stage: str, done: int, total: int, before: int, seconds: float) -> str:
+def _line(stage: str, done: int, total: int, pace: _Pace) -> str:
     """How far a stage is, its rate and the time that the rest will take."""
     line = f"{stage}: {done} of {total}"
-    if before:
-        line += f" ({before} were there)"
-    if done > before and seconds > 0:
-        rate = (done - before) / seconds
-        minutes, rest = divmod(round((total - done) / rate), 60)
-        line += f", {rate:,.2f}/s" + (f", {minutes}:{rest:02d} min left" if done < total else "")
+    if pace.before:
+        line += f" ({pace.before} were there)"
+    if pace.per_second:
+        minutes, rest = divmod(round((total - done) / pace.per_second), 60)
+        line += f", {pace.per_second:,.2f}/s"
+        line += f", {minutes}:{rest:02d} min left" if done < total else ""
     return line
