@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Bars of progress: the rate is that of this run, and a stage that is done once more begins anew."""
+"""Bars of progress: rates are of this run, and a stage that is done once more begins anew."""
 
 import pytest
 

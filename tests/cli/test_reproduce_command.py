@@ -3,7 +3,6 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np

@@ -7,7 +7,7 @@ from rendered_views import write_png
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
-from epi360.jobs.frames.frame_source import open_frames
+from epi360.jobs.frames.frame_source import open_frames, read_frame_times
 
 
 @pytest.fixture
@@ -40,6 +40,12 @@ def test_the_table_of_frames_gives_the_times_and_names_what_is_missing(folder):
     assert "is not a JPEG" in str(frames[2].image)
     assert len(frames) == 12
     assert [f.name for f in open_frames(folder, start_s=0.6, end_s=0.8)] == ["gone.png", "1.png"]
+
+
+@pytest.mark.parametrize("cell", ["", "nan", "inf"])
+def test_what_is_no_time_is_none(folder, cell):
+    (folder / "frames.csv").write_text(f"image,timestamp_s\n0.png,{cell}\n")
+    assert read_frame_times(folder) == {"0.png": None}
 
 
 def test_a_video_gives_names_with_the_index_and_its_own_times(tmp_path):

@@ -63,6 +63,15 @@ def test_what_is_done_is_not_done_again(folder, made):
     assert_same(first.results["new.png"], again.results["new.png"])
 
 
+def test_a_picture_that_is_gone_costs_itself_alone(folder):
+    world = epi360.load_map(folder, features=folder / "features.h5")
+    there = folder / "new" / "new.png"
+    files = {"gone.png": folder / "new" / "gone.png", "new.png": there}
+    found = localize_files(files, world, keep=folder / "kept")
+    assert found.reasons["gone.png"].endswith("cannot be opened: No such file or directory")
+    assert found.results["new.png"].success
+
+
 @pytest.mark.parametrize(
     "given",
     [

@@ -130,6 +130,14 @@ def test_a_trajectory_is_found_by_the_times_in_the_table_of_frames(tmp_path):
     np.testing.assert_allclose(positions.centers, [LINE[2], LINE[1], [np.nan] * 3], atol=1e-12)
 
 
+def test_an_image_without_a_time_in_the_table_has_that_of_its_name(tmp_path):
+    write_picture(tmp_path / "images" / "2.0.jpg")
+    (tmp_path / "images" / "frames.csv").write_text("image,timestamp_s\n2.0.jpg,\n")
+    (tmp_path / "poses.txt").write_text(tum([1.0, 2.0], LINE[:2]))
+    positions = positions_of_images(find_images(tmp_path / "images"), tmp_path / "poses.txt")
+    np.testing.assert_allclose(positions.centers, [LINE[1]], atol=1e-12)
+
+
 def test_names_that_are_times_are_seconds_or_nanoseconds(tmp_path):
     write_picture(tmp_path / "images" / "left" / "1403636579763555584.jpg")
     write_picture(tmp_path / "images" / "left" / "1403636580.5.jpg")

@@ -97,7 +97,10 @@ def read_frame_times(folder: Path) -> dict[str, float | None]:
 
 
 def read_frame_table(path: Path) -> dict[str, float | None]:
-    """Time of each image in a table with the columns ``image`` and ``timestamp_s``, in order."""
+    """Times of images in a table with the columns ``image`` and ``timestamp_s``, in its order.
+
+    An empty cell, or a number that is not finite, is no time.
+    """
     try:
         rows = csv.DictReader(io.StringIO(read_text(path, largest=_LARGEST_TABLE)))
         if not {"image", "timestamp_s"} <= set(rows.fieldnames or ()):
@@ -108,9 +111,14 @@ def read_frame_table(path: Path) -> dict[str, float | None]:
     except csv.Error as error:
         raise ValueError(f"{path} must be a table with commas ({error})") from None
     try:
-        return {name: float(time or "nan") for name, time in cells if name}
+        return {name: _time(cell) for name, cell in cells if name}
     except ValueError:
         raise ValueError(f"{path} must hold numbers in its column timestamp_s") from None
+
+
+def _time(cell: str | None) -> float | None:
+    time = float(cell or "nan")
+    return time if math.isfinite(time) else None
 
 
 class _VideoFrames:
@@ -183,11 +191,10 @@ class _FolderFrames:
     def __iter__(self) -> Iterator[SourceFrame]:
         for name, path in self._files.items():
             time = self._times.get(name)
-            known = None if time is None or math.isnan(time) else time
             try:
-                yield SourceFrame(name, known, read_image(path))
+                yield SourceFrame(name, time, read_image(path))
             except (OSError, ValueError) as error:
-                yield SourceFrame(name, known, error)
+                yield SourceFrame(name, time, error)
 
     @property
     def num_frames(self) -> int | None:

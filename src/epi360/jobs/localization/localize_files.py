@@ -52,6 +52,7 @@ def localize_files(
         progress("localizing images", number, len(files))
         make = partial(localize, path, mask=mask_of[name])
         try:
+            _check_opens(path, mask_of[name])
             results[name] = make() if kept is None else kept.result(name, path, mask_of[name], make)
         except ValueError as error:
             if len(files) == 1:
@@ -62,3 +63,12 @@ def localize_files(
         with suppress(OSError):  # they only save time
             kept.save_digests()
     return LocalizedFiles(results, reasons, 0 if kept is None else kept.num_used)
+
+
+def _check_opens(image: Path, mask: Path | None) -> None:
+    """Raise ``ValueError`` for a file that cannot be opened: only those of results end the run."""
+    for path in (image,) if mask is None else (image, mask):
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            raise ValueError(f"{path} cannot be opened: {error.strerror}") from None
