@@ -7,14 +7,20 @@ from typing import Any
 
 
 def extra_library(name: str, *, extra: str, purpose: str) -> Any:
-    """Module of a library that an extra brings; the ImportError says which command installs it."""
+    """Module of a library that an extra brings; the ImportError says which command installs it.
+
+    A library that is there, but cannot be loaded, says why itself.
+    """
+    package = name.partition(".")[0]
     try:
         return import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise ImportError(
-            f"{purpose} need {package}: pip install 'epi360[{extra}]'", name=package
-        ) from None
+    except ImportError as error:
+        if isinstance(error, ModuleNotFoundError) and error.name in (package, name):
+            reason, cause = f"{purpose} need {package}: pip install 'epi360[{extra}]'", None
+        else:
+            reason = f"{purpose} need {package}, which is there but cannot be loaded: {error}"
+            cause = error
+        raise ImportError(reason, name=package) from cause
 
 
 def package_version() -> str:

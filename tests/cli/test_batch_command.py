@@ -36,7 +36,7 @@ def test_the_summary_says_what_was_done_and_what_came_out(words, capsys):
     assert cli.main(words) == 0
     assert capsys.readouterr().out.splitlines() == [
         "6 pairs, 6 were there already", "  ok: 5", "  too_few_matches: 1",
-        f"{words[3]} is complete, nothing was written",
+        f"{words[3]} is complete, it is left as it is",
     ]  # fmt: skip
 
 

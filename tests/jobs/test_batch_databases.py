@@ -228,6 +228,20 @@ def test_the_copy_of_the_database_has_the_geometries(world, database, tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["in.db", "out.db", "poses.parquet"]
 
 
+def test_a_database_that_is_there_is_left_as_it_is_and_said(database, tmp_path, capsys):
+    pytest.importorskip("pycolmap")
+    output, copy = tmp_path / "poses.parquet", tmp_path / "out.db"
+    words = ["batch", str(database), "--output", str(output), "--write-database"]
+    assert cli.main([*words, str(copy)]) == 0
+    before = copy.read_bytes(), database.read_bytes()
+    capsys.readouterr()
+    assert cli.main([*words, str(copy)]) == 0
+    assert f"{copy} is there already, it is left as it is" in capsys.readouterr().out
+    assert cli.main([*words, str(database)]) == 2  # what is read is never written
+    assert "give the name of a new file" in capsys.readouterr().err
+    assert (copy.read_bytes(), database.read_bytes()) == before
+
+
 def leave_a_temporary_file(path):
     """What a run leaves that is killed while it writes a database, with SQLite's own file."""
     code = (

@@ -143,6 +143,6 @@ def _print_summary(summary: BatchSummary, output: str) -> None:
         print(f"  {status}: {count}")
     for path in summary.files:
         print(f"wrote {path}")
-    if not summary.files:
-        print(f"{output} is complete, nothing was written")
+    for path in summary.left:
+        print(f"{path} is {'complete' if path == output else 'there already'}, it is left as it is")
     sys.stdout.flush()

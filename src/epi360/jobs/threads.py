@@ -20,7 +20,8 @@ def on_threads(
     try:
         futures = {pool.submit(work, item): item for item in items}
         for future in as_completed(futures):
-            yield futures[future], future.result()
+            # Nobody else keeps what is done: results may be pictures.
+            yield futures.pop(future), future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from epi360.jobs.batch.inputs import check_names, open_matches
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
@@ -28,6 +29,7 @@ class BatchSummary:
     seconds: float  # wall time of estimating them
     statuses: Mapping[str, int]  # pairs by status, over the whole output
     files: tuple[str, ...]  # what this run has written; empty where all was there
+    left: tuple[str, ...]  # what was asked for too, and was there: it is as it was
 
 
 def run_batch(
@@ -99,10 +101,17 @@ def _run(
     # Only now, so that finished work was on the disk whatever happened before. Parts may also be
     # there of a run that was killed at this line.
     storage.remove_folder(job.parts_folder)
-    files = () if is_merged else (job.output,)
-    if needs_database and database is not None:
-        files = (*files, database)
-    return BatchSummary(total, todo, seconds, count_statuses(job.output), files)
+    is_new = {job.output: not is_merged}
+    if database is not None:
+        is_new[database] = needs_database
+    return BatchSummary(
+        total,
+        todo,
+        seconds,
+        count_statuses(job.output),
+        files=tuple(path for path, new in is_new.items() if new),
+        left=tuple(path for path, new in is_new.items() if not new),
+    )
 
 
 def _engine(engine: Engine, num_threads: int | None, address: str | None) -> Callable[..., None]:
@@ -122,6 +131,10 @@ def _needs_database(job: BatchJob, database: str, is_merged: bool) -> bool:
     path = storage.local_path(database)
     if not path.parent.is_dir():
         raise FileNotFoundError(f"folder {path.parent} of the database does not exist")
-    if path.exists() and not is_merged:
+    if path.exists() and (not is_merged or _is_same_file(path, job.source.path)):
         raise ValueError(f"{path} is there already; give the name of a new file")
     return not path.exists()
+
+
+def _is_same_file(path: Path, source: str) -> bool:
+    return not storage.is_remote(source) and path.samefile(storage.local_path(source))
