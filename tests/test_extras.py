@@ -7,9 +7,7 @@ from epi360.extras import extra_library
 
 
 def test_a_library_that_is_missing_says_how_to_get_it():
-    with pytest.raises(
-        ImportError, match="^views need no_such_library: pip install"
-    ):
+    with pytest.raises(ImportError, match="^views need no_such_library: pip install"):
         extra_library("no_such_library.part", extra="x", purpose="views")
 
 

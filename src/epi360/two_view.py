@@ -21,7 +21,8 @@ from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
 )
-from epi360.estimation.calibration_doubt import with_calibration_doubt
+from epi360.estimation.angle_search import Bearings
+from epi360.estimation.calibration_doubt import Doubted, with_calibration_doubt
 from epi360.estimation.options import check_threshold
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
@@ -155,9 +156,13 @@ def relative_pose_of_images(
         if is_precise(best) or (search.is_full and is_settled(best.status)):
             break
     assert best is not None
-    if not best.success:
-        return best
-    best, (camera1, camera2) = _with_calibration_doubt(best, (view1.camera, view2.camera), estimate)
+    bearings1, bearings2 = (
+        view.camera.bearings_from_pixels(keypoints)
+        for view, keypoints in zip(views, (best.keypoints1, best.keypoints2), strict=True)
+    )
+    told = asked_again(best, (bearings1, bearings2), (view1.camera, view2.camera), estimate)
+    best = _with_keypoints(told.result, best.keypoints1, best.keypoints2, told.cameras)
+    camera1, camera2 = told.cameras
     if not best.success or camera1 is None or camera2 is None:
         return best
     if not (can_be_compared(camera1) and can_be_compared(camera2)):
@@ -205,29 +210,30 @@ def _estimated(
     keypoints1 = features1.keypoints[matches[:, 0]]
     keypoints2 = features2.keypoints[matches[:, 1]]
     cameras = (views[0].camera, views[1].camera)
-    pixel_deg = smallest_pixel_deg(cameras)
     result = estimate(
         cameras[0].bearings_from_pixels(keypoints1),
         cameras[1].bearings_from_pixels(keypoints2),
-        max_noise_deg=MAX_NOISE_PX * pixel_deg,
+        max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras),
     )
-    return _with_keypoints(noise_in_pixels(result, pixel_deg), keypoints1, keypoints2)
+    return _with_keypoints(result, keypoints1, keypoints2, cameras)
 
 
-def _with_calibration_doubt(
-    result: ImagePairResult,
+def asked_again(
+    result: RelativePoseResult,
+    bearings: Bearings,
     cameras: tuple[Camera, Camera],
     estimate: Callable[..., RelativePoseResult],
-) -> tuple[ImagePairResult, tuple[Camera | None, Camera | None]]:
-    """The result, and the cameras that its pose belongs to; see `with_calibration_doubt`."""
-    bearings1 = cameras[0].bearings_from_pixels(result.keypoints1)
-    bearings2 = cameras[1].bearings_from_pixels(result.keypoints2)
-    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras))
-    grounded = with_ground_motion(result, (bearings1, bearings2), cameras, again)
-    told, changed = with_calibration_doubt(grounded, (bearings1, bearings2), cameras, again)
-    if isinstance(told, ImagePairResult):
-        return told, changed
-    return _with_keypoints(told, result.keypoints1, result.keypoints2), changed
+) -> Doubted:
+    """What the matches of two images say in the end, and the cameras that this pose belongs to.
+
+    The ground is asked where only the sky agrees, then whether other angles of the cameras explain
+    more; see `with_ground_motion` and `with_calibration_doubt`. Warnings have noise in pixels.
+    """
+    pixel_deg = smallest_pixel_deg(cameras)
+    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * pixel_deg)
+    grounded = with_ground_motion(result, bearings, cameras, again)
+    told = with_calibration_doubt(grounded, bearings, cameras, again)
+    return told._replace(result=noise_in_pixels(told.result, pixel_deg))
 
 
 def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:
@@ -274,7 +280,10 @@ class _View:
 
 
 def _with_keypoints(
-    result: RelativePoseResult, keypoints1: NDArray[Any], keypoints2: NDArray[Any]
+    result: RelativePoseResult,
+    keypoints1: NDArray[Any],
+    keypoints2: NDArray[Any],
+    cameras: tuple[Camera | None, Camera | None],
 ) -> ImagePairResult:
-    values = {field.name: getattr(result, field.name) for field in fields(result)}
-    return ImagePairResult(**values, keypoints1=keypoints1, keypoints2=keypoints2)
+    values = {field.name: getattr(result, field.name) for field in fields(RelativePoseResult)}
+    return ImagePairResult(**values, keypoints1=keypoints1, keypoints2=keypoints2, cameras=cameras)

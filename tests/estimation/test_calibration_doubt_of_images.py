@@ -55,6 +55,13 @@ def test_a_turn_through_a_lens_that_is_taken_for_another_one_is_a_turn():
         result = answers(pictures, focal)
         assert result.status == "pure_rotation" and isinstance(result, ImagePairResult)
         assert len(result.keypoints1) == result.num_matches
+        (first, second), ray = result.cameras, [[300.0, 240.0]]
+        assert first is second or first == second
+        np.testing.assert_allclose(
+            first.bearings_from_pixels(ray), lens(150.0).bearings_from_pixels(ray), atol=0.01
+        )
+        agreeing = np.abs(result.residuals_rad[result.inlier_mask])
+        assert (agreeing <= np.radians(result.inlier_threshold_deg)).all()
         assert epi360.rotation_error_deg(result.cam2_from_cam1, truth) < (
             0.1 if focal == 150.0 else 2.5
         )

@@ -6,6 +6,7 @@ from typing import Any, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from epi360.epipolar import sampson_residuals
 from epi360.estimation.result import ImagePairResult, Status
 from epi360.poses import Pose
 
@@ -52,11 +53,19 @@ def fake_result(
     translation = TRANSLATION if has_translation else np.full(3, NAN)
     sigmas = np.array([1e-3 if has_rotation else NAN] * 3 + [2e-3 if has_translation else NAN] * 2)
     inlier_mask = np.arange(len(keypoints1)) % 4 > 0 if has_rotation else np.zeros(len(keypoints1))
+    cameras = camera1, camera2 or camera1
+    bearings = [
+        camera.bearings_from_pixels(pixels)
+        for camera, pixels in zip(cameras, (keypoints1, keypoints2), strict=True)
+    ]
+    E = essential(rotation, translation)
     return ImagePairResult(
         cam2_from_cam1=Pose(rotation, translation),
-        E=essential(rotation, translation),
+        E=E,
         inlier_mask=inlier_mask.astype(bool),
-        residuals_rad=np.full(len(keypoints1), 1e-3 if has_rotation else NAN),
+        residuals_rad=sampson_residuals(E, *bearings)
+        if has_translation
+        else np.full(len(keypoints1), 1e-3 if has_rotation else NAN),
         noise_deg=0.1 if has_rotation else NAN,
         inlier_threshold_deg=0.3,
         parallax_deg=8.0 if has_translation else NAN,
@@ -70,4 +79,5 @@ def fake_result(
         warnings=("the scene is nearly flat",) if status == "planar_ambiguous" else (),
         keypoints1=keypoints1,
         keypoints2=keypoints2,
+        cameras=cameras,
     )

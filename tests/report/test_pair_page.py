@@ -62,6 +62,15 @@ def test_a_camera_that_is_no_panorama_brings_its_rays(make_result):
     assert "rays" not in views[1]["camera"]
 
 
+def test_rays_are_those_of_the_camera_that_the_pose_belongs_to(make_result):
+    cut = dataclasses.replace(PANORAMA, vertical_fov_deg=171.0, center_latitude_deg=4.5)
+    result = dataclasses.replace(make_result("ok", PANORAMA), cameras=(cut, None))
+    views = data_of(page_text(result))["pair"]["views"]
+    around, high, _, middle = views[0]["camera"]["panorama"]
+    np.testing.assert_allclose(np.degrees([around, high, middle]), [360.0, 171.0, 4.5])
+    np.testing.assert_allclose(np.degrees(views[1]["camera"]["panorama"]), [360.0, 180.0, 0.0, 0.0])
+
+
 def test_names_of_files_cannot_become_part_of_the_page(make_result):
     text = page_text(make_result("ok", PANORAMA), names=(HOSTILE, HOSTILE))
     assert "<img src=x" not in text

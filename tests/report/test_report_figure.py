@@ -2,13 +2,14 @@
 """The picture of a pair: curves that pass through their points, and a figure for every case."""
 
 import warnings
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
-from epi360.report.curves import epipolar_curve, match_residuals_deg, spread_matches
+from epi360.report.curves import epipolar_curve, spread_matches
 from epi360.report.figure import draw_pair
 
 PANORAMA = Equirectangular(width=1024, height=512)
@@ -72,35 +73,6 @@ def test_curves_leave_out_what_a_camera_does_not_see():
     assert np.isfinite(curve).any()
 
 
-def test_residuals_of_exact_matches_vanish_and_of_noisy_ones_have_the_noise(make_result):
-    exact = make_result("ok", PANORAMA, count=2000, noise_deg=0.0)
-    noisy = make_result("ok", PANORAMA, count=2000, noise_deg=0.1)
-    residuals = [
-        match_residuals_deg(
-            PANORAMA.bearings_from_pixels(result.keypoints1),
-            PANORAMA.bearings_from_pixels(result.keypoints2),
-            result,
-        )
-        for result in (exact, noisy)
-    ]
-    np.testing.assert_allclose(residuals[0], 0.0, atol=1e-6)
-    # Noise in one of two views: sigma / sqrt(2); 2000 draws give it to 2 %.
-    assert np.sqrt((residuals[1] ** 2).mean()) == pytest.approx(0.1 / np.sqrt(2), abs=0.01)
-
-
-def test_residuals_of_a_pure_rotation_are_angles_after_the_turn(make_result):
-    result = make_result("pure_rotation", PANORAMA)
-    bearings1 = PANORAMA.bearings_from_pixels(result.keypoints1)
-    bearings2 = bearings1 @ result.cam2_from_cam1.rotation.T
-    np.testing.assert_allclose(match_residuals_deg(bearings1, bearings2, result), 0.0, atol=1e-6)
-
-
-def test_without_a_pose_there_are_no_residuals(make_result):
-    result = make_result("too_few_inliers", PANORAMA)
-    bearings = PANORAMA.bearings_from_pixels(result.keypoints1)
-    assert np.isnan(match_residuals_deg(bearings, bearings, result)).all()
-
-
 def test_numbered_matches_are_distinct_inliers_away_from_the_epipole(make_result):
     result = make_result("ok", PANORAMA)
     bearings1 = PANORAMA.bearings_from_pixels(result.keypoints1)
@@ -138,6 +110,16 @@ def test_epipoles_are_where_the_other_camera_stands(make_result):
         stars = [line for line in axes.lines if line.get_marker() == "*"]
         expected = PANORAMA.pixels_from_bearings(centre[None])[0]
         np.testing.assert_allclose(stars[0].get_xydata()[0], expected, atol=1e-9)
+
+
+def test_epipoles_are_those_of_the_camera_that_the_pose_belongs_to(make_result):
+    cut = replace(PANORAMA, vertical_fov_deg=171.0, center_latitude_deg=4.5)
+    result = replace(make_result("ok", PANORAMA), cameras=(cut, cut))
+    image = grey_image(PANORAMA)
+    figure = draw_pair(image, image, PANORAMA, PANORAMA, result)
+    (star,) = (line for line in figure.axes[1].lines if line.get_marker() == "*")
+    expected = cut.pixels_from_bearings(result.cam2_from_cam1.translation[None])[0]
+    np.testing.assert_allclose(star.get_xydata()[0], expected, atol=1e-9)
 
 
 def test_nothing_matched_is_drawn_all_the_same(make_result):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from epi360.cameras import Equirectangular
+from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.estimation import Explanations, SamePlace
 from epi360.poses import Pose
 from epi360.report.files import check_figure_name, check_writable
@@ -54,6 +54,14 @@ def test_the_record_names_the_explanations_and_those_unknown_are_null(make_resul
     }  # fmt: skip
     unknown = replace(known, explanations=Explanations())
     assert set(pair_record(unknown)["explanations"].values()) == {None}
+
+
+def test_the_record_has_the_cameras_of_the_pose(make_result):
+    lens = KannalaBrandt(480, 480, np.float64(150.0), 150.0, 240.0, 240.0)
+    record = pair_record(replace(make_result("ok", CAMERA), cameras=(lens, None)))
+    assert record["camera1"]["model"] == "KannalaBrandt" and record["camera1"]["fx"] == 150.0
+    assert record["camera2"] is None
+    json.dumps(record, allow_nan=False)
 
 
 def test_the_record_says_what_surrounds_the_matches(make_result):

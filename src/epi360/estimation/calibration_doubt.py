@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -89,19 +90,16 @@ def with_calibration_doubt(
         return given
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None:
-        return Doubted(turned, cameras)
+        return turned
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
     return given if other is None else _with_other_angles(result, other, cameras)
 
 
 def _changed(
-    cameras: tuple[Camera, Camera], other: OtherAngles
+    cameras: tuple[Camera, Camera], changes: Sequence[Array]
 ) -> tuple[Camera | None, Camera | None]:
-    """The cameras with other angles."""
-    first, second = (
-        _changed_camera(camera, other.sizes_of(view))
-        for view, camera in enumerate(cameras, start=1)
-    )
+    """The cameras with other angles, by the changes of each."""
+    first, second = map(_changed_camera, cameras, changes)
     return first, second
 
 
@@ -121,7 +119,7 @@ def _turned(
     distinct: Indices,
     cameras: tuple[Camera, Camera],
     estimate: Estimate,
-) -> RelativePoseResult | None:
+) -> Doubted | None:
     """The answer with other angles, if these show that the camera has only turned."""
     inliers = distinct[result.inlier_mask[distinct]]
     agreeing = bearings[0][inliers], bearings[1][inliers]
@@ -136,12 +134,13 @@ def _turned(
         angles = PairOfAngles.of(cameras, bearings, is_curved=True, only=only)
         if angles.share_beyond(changes) > MOST_BEYOND:
             continue
-        own = (changes[each] for each in angles.columns)
+        own = [changes[each] for each in angles.columns]
         if not all(map(_may_be_of_a_cut, own, cameras)):
             continue
         answer = estimate(*(view.bearings for view in angles.changed(changes)))
         if answer.status == "pure_rotation" and _is_as_good(answer, result, inliers):
-            return _with_turn(answer, angles, changes, cameras)
+            told = _with_turn(answer, angles, changes, cameras)
+            return Doubted(told, _changed(cameras, own))
     return None
 
 
@@ -206,7 +205,7 @@ def _with_other_angles(
             warnings=(*answer.warnings, sentence),
             covariance=answer.covariance + uncertain,
         )
-        return Doubted(told, _changed(cameras, other))
+        return Doubted(told, _changed(cameras, [other.sizes_of(view) for view in (1, 2)]))
     sentence = (
         f"the matches agree better if {changes}, with a pose that is {distance}: "
         f"{CALIBRATION_QUESTION}"

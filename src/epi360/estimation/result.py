@@ -10,6 +10,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.estimation.short_repr import ShortRepr
 from epi360.poses import Pose
 
@@ -183,11 +184,16 @@ class ImagePairResult(RelativePoseResult):
         Whether both images show the place of the pose, if both see enough of the sphere and the
         matches alone determine it. ``probability`` is then that of the matches times
         ``place.here``.
+    cameras : tuple of Camera or None
+        The two cameras that the pose, the residuals and the inliers belong to: the given ones, or,
+        where a warning says that the pose is one of other angles, these; None if no camera model
+        of epi360 has such angles.
     """
 
     keypoints1: NDArray[np.float64]
     keypoints2: NDArray[np.float64]
     place: SamePlace = SamePlace()
+    cameras: tuple[Camera | None, Camera | None] = (None, None)
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:

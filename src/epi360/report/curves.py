@@ -5,8 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.epipolar import sampson_residuals
-from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.result import ImagePairResult
 
 Array = NDArray[np.float64]
 
@@ -38,14 +37,10 @@ def epipolar_curve(camera: Camera, normal: Array, start: Array) -> Array:
     return np.insert(pixels, _jumps(pixels, camera.width) + 1, np.nan, axis=0)
 
 
-def match_residuals_deg(bearings1: Array, bearings2: Array, result: RelativePoseResult) -> Array:
-    """Angle by which each match misses the pose, per axis and view: the Sampson distance."""
-    if result.status == "pure_rotation":
-        turned = bearings1 @ result.cam2_from_cam1.rotation.T
-        sine = np.linalg.norm(np.cross(turned, bearings2), axis=1)
-        angles = np.arctan2(sine, (turned * bearings2).sum(axis=1))
-        return np.asarray(np.degrees(angles / np.sqrt(2.0)))
-    return np.degrees(np.abs(sampson_residuals(result.E, bearings1, bearings2)))
+def cameras_of_pose(result: ImagePairResult, given: tuple[Camera, Camera]) -> tuple[Camera, Camera]:
+    """The cameras that a pose belongs to, or those that were given where there is no such model."""
+    first, second = (own or camera for own, camera in zip(result.cameras, given, strict=True))
+    return first, second
 
 
 def spread_matches(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult, pose_sigmas_deg
 from epi360.features.picture_writing import encode_figure
-from epi360.report.curves import epipolar_curve, match_residuals_deg, spread_matches
+from epi360.report.curves import cameras_of_pose, epipolar_curve, spread_matches
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.text import (
     CONVENTION,
@@ -104,8 +104,9 @@ def draw_pair(
     if path is not None:
         check_figure_name(path)
         check_writable(path)
-    views = _views((image1, image2), (camera1, camera2), result)
-    residuals_deg = match_residuals_deg(views[0].bearings, views[1].bearings, result)
+    cameras = cameras_of_pose(result, (camera1, camera2))
+    views = _views((image1, image2), cameras, result)
+    residuals_deg = np.degrees(result.residuals_rad)
     figure, axes, colour_bar_axes = _layout(views)
     points = None
     for view, view_axes in zip(views, axes, strict=True):

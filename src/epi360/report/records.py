@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from epi360.cameras.calibration.own import camera_record
 from epi360.estimation.result import ImagePairResult, RelativePoseResult, pose_sigmas_deg
 from epi360.extras import package_version
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg
@@ -56,6 +57,8 @@ def pair_record(result: RelativePoseResult) -> dict[str, Any]:
         record["keypoints1"] = result.keypoints1
         record["keypoints2"] = result.keypoints2
         record["place"] = asdict(result.place)
+        for number, camera in enumerate(result.cameras, start=1):
+            record[f"camera{number}"] = None if camera is None else camera_record(camera)
     return {key: plain(value) for key, value in record.items()}
 
 

@@ -18,14 +18,11 @@ from epi360.estimation import (
     estimate_relative_poses,
 )
 from epi360.estimation.angle_search import are_panoramas
-from epi360.estimation.calibration_doubt import with_calibration_doubt
 from epi360.estimation.result import pose_sigmas_deg
-from epi360.estimation.sky_motion import with_ground_motion
-from epi360.estimation.verdict import noise_in_pixels
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.places.shared_points import floor_share
 from epi360.poses import Pose
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
+from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, asked_again, smallest_pixel_deg
 
 _DOUBTED = ("concentrated_inliers", "too_few_inliers")  # their poses other pairs may confirm
 
@@ -111,15 +108,8 @@ def with_pose_of_some(
 def _verified(
     pair: MatchedViews, result: RelativePoseResult, prior: str, **known: Any
 ) -> VerifiedPair:
-    again = partial(
-        estimate_relative_pose,
-        max_noise_deg=MAX_NOISE_PX * pair.pixel_deg,
-        options=IMAGE_OPTIONS,
-        **known,
-    )
-    result = with_ground_motion(result, pair.matched.bearings, pair.cameras, again)
-    result = with_calibration_doubt(result, pair.matched.bearings, pair.cameras, again).result
-    result = noise_in_pixels(result, pair.pixel_deg)
+    estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS, **known)
+    result = asked_again(result, pair.matched.bearings, pair.cameras, estimate).result
     rotation_sigma_deg, translation_sigma_deg = pose_sigmas_deg(result)
     floor = pair.matched.floor_share(result.inlier_mask) if are_panoramas(pair.cameras) else np.nan
     verdict = Verdict(
