@@ -176,9 +176,9 @@ def test_infinite_pixels_are_named(tmp_path, capsys):
     [
         (["--engine", "spark"], "spark"),
         (["--seed", "one"], "seed"),
-        (["--pairs-per-part", "0"], "pairs_per_part must be 1 or more, got 0"),
-        (["--num-threads", "0"], "num_threads must be 1 or more, got 0"),
-        (["--threads", "0"], "num_threads must be 1 or more, got 0"),
+        (["--pairs-per-part", "0"], "--pairs-per-part must be 1 or more, got 0"),
+        (["--num-threads", "0"], "must be 1 or more, got 0"),
+        (["--threads", "0"], "must be 1 or more, got 0"),
         (["--address", "auto"], "--address goes with --engine ray"),
         (["--engine", "ray", "--num-threads", "2"], "--num-threads goes with --engine local"),
         (["--features", "f.h5"], "--features and --pairs go with hloc's matches"),

@@ -113,7 +113,7 @@ def test_images_that_cannot_be_used_are_named_with_the_reason(here, capsys):
         (["tour", "--mask-nadir-deg=-1"], " --mask-nadir-deg must be in [0, 180)"),
         (
             ["tour", "--pairs", "exhaustive", "--overlap", "5"],
-            ' --overlap must come with pairs="sequential" or "auto", got pairs="exhaustive"',
+            ' --overlap must come with --pairs sequential or "auto", got --pairs exhaustive',
         ),
         (["tour", "--upright", "-1"], " --upright must be in (0, 45] degrees, got -1.0"),
         (["tour", "--upright", "1", "--camera", "camera.json"], " --upright needs panoramas"),

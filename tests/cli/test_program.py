@@ -19,6 +19,14 @@ COMMANDS = (
 COMPLETE = ("demo",)  # does its work without another word
 
 
+def test_the_environment_may_ask_where_an_error_comes_from(monkeypatch, tmp_path):
+    words = ["pair", str(tmp_path / "a.png"), str(tmp_path / "b.png")]
+    assert cli.main(words) == 2
+    monkeypatch.setenv("EPI360_TRACEBACK", "1")
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        cli.main(words)
+
+
 def test_the_commands_are_the_documented_ones():
     assert {name for name in app if not name.startswith("-")} == set(COMMANDS)
 

@@ -88,7 +88,7 @@ def test_a_fisheye_sequence_has_the_size_of_its_camera(tmp_path, capsys):
     "words, message",
     [
         (("--width", "63"), "--width must be a positive even number, got 63"),
-        (("--num-frames", "0"), "num_frames must be 1 or more, got 0"),
+        (("--num-frames", "0"), "--num-frames must be 1 or more, got 0"),
         (("--motion-blur", "2"), "--motion-blur must be odd"),
         (("--mesh", "none.glb", "--moving-people", "1"), "--moving-people walk through the built"),
         (("--supersample", "0"), "supersample must be 1 or more, got 0"),

@@ -8,6 +8,7 @@ stderr), 130 interrupted. Heavy imports are inside the functions: the help appea
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Sequence
 
@@ -21,6 +22,7 @@ LEFT_BY = dict.fromkeys(
     ("batch", "cubemap", "frames", "map", "match", "render", "reproduce"), GOES_ON
 )
 LEFT_BY["track"] = "what was tracked so far is written, and the same command begins again"
+TRACEBACK = "EPI360_TRACEBACK"  # set, an error shows where it comes from
 LONGEST_MESSAGE = 1000  # characters: two paths as long as they may be on most disks, and a sentence
 try:
     from cyclopts import CycloptsError, UnknownOptionError, UnusedCliTokensError
@@ -44,6 +46,8 @@ except KeyboardInterrupt:  # half a second in which a user may think again
     print("epi360: interrupted", file=sys.stderr)
     raise SystemExit(INTERRUPTED) from None
 
+_KEYWORD = re.compile(r'\b(\w+)="([^"]*)"')  # as in pairs="near"
+
 __all__ = ["FAILURE", "INTERRUPTED", "SUCCESS", "WRONG_USE", "app", "main"]
 
 
@@ -59,6 +63,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     code : int
         0 success, 1 honest failure, 2 wrong use, 130 interrupted.
+
+    Notes
+    -----
+    An error is one line on stderr; with ``EPI360_TRACEBACK=1`` in the environment it is raised.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -69,7 +77,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
     except (CycloptsError, ImportError, OSError, ValueError) as error:
-        print(f"epi360: error: {_one_line(error)}", file=sys.stderr)
+        if os.environ.get(TRACEBACK):
+            raise
+        print(f"epi360: error: {_as_typed(_one_line(error), words)}", file=sys.stderr)
         return WRONG_USE
     except MemoryError as error:
         print(f"epi360: error: not enough memory: {_one_line(error)}", file=sys.stderr)
@@ -95,6 +105,30 @@ def _one_line(error: Exception) -> str:
         half = (LONGEST_MESSAGE - 5) // 2
         text = f"{text[:half]} ... {text[-half:]}"
     return text
+
+
+def _as_typed(text: str, words: Sequence[str]) -> str:
+    """Error message that names the options of the command, where it names parameters of Python."""
+    options = _options_of(words)
+
+    def option(name: str) -> str | None:
+        typed = f"--{name.replace('_', '-')}"
+        return typed if typed in options else None
+
+    name, must, rest = text.partition(" must ")
+    if must and (typed := option(name)):
+        text = f"{typed} must {rest}"
+    return _KEYWORD.sub(
+        lambda found: f"{typed} {found[2]}" if (typed := option(found[1])) else found[0], text
+    )
+
+
+def _options_of(words: Sequence[str]) -> set[str]:
+    """Names of what the command of these words takes; empty if there is no such command."""
+    if not words or words[0] not in app:
+        return set()
+    taken = app[words[0]].assemble_argument_collection(parse_docstring=False)
+    return {name for argument in taken for name in argument.names}
 
 
 def _not_understood(error: UnusedCliTokensError | UnknownOptionError) -> str:

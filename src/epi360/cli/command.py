@@ -100,18 +100,6 @@ def show_bars() -> Iterator[Progress]:
         yield _BarPerStage(bars)
 
 
-@contextmanager
-def options_as_typed() -> Iterator[None]:
-    """Errors that begin with the name of a parameter begin with that of the option."""
-    try:
-        yield
-    except ValueError as error:
-        name, must, rest = str(error).partition(" must ")
-        if not (must and name.isidentifier()):
-            raise
-        raise ValueError(f"--{name.replace('_', '-')} must {rest}") from None
-
-
 class _Pace(NamedTuple):
     """How a stage goes: whether it begins or has grown, what was there before, its rate."""
 

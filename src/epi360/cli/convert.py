@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, FILES, SUCCESS, Flag, app, options_as_typed
+from epi360.cli.command import FAILURE, FILES, SUCCESS, Flag, app
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def convert(
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
-        with _warnings_on_stderr(), options_as_typed():
+        with _warnings_on_stderr():
             write_reconstruction(target, target_name, content, images=images, fps=fps)
         print(_summary(target, target_name, content))
         return SUCCESS

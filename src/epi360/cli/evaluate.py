@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from epi360.cli.command import FILES, SUCCESS, app, options_as_typed
+from epi360.cli.command import FILES, SUCCESS, app
 
 
 @app.command(group=FILES, sort_key=4)
@@ -63,7 +63,7 @@ def evaluate(
         check_figure_name(figure, name="--figure")
     times = None if frames is None else read_frame_table(frames)
     # A pipe gives its content once, but finding the format and reading it are two looks.
-    with options_as_typed(), as_file(estimate) as file, as_file(truth) as true_file:
+    with as_file(estimate) as file, as_file(truth) as true_file:
         result = errors_of(
             read_trajectory(file, times),
             read_trajectory(true_file, times),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FILES, SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.command import FILES, SUCCESS, app, show_bars
 
 if TYPE_CHECKING:
     from epi360.jobs.frames.frames_job import FramesRun
@@ -73,17 +73,16 @@ def frames(
     """
     from epi360.jobs.frames.frames_job import FramesOptions, extract_frames
 
-    with options_as_typed():
-        options = FramesOptions(
-            every=choice.every,
-            parallax_deg=choice.parallax_deg,
-            start_s=choice.start,
-            end_s=choice.end,
-            jpeg_quality=pictures.jpeg_quality,
-            camera=pictures.camera,
-            mask=pictures.mask,
-            mask_nadir_deg=pictures.mask_nadir_deg,
-        )
+    options = FramesOptions(
+        every=choice.every,
+        parallax_deg=choice.parallax_deg,
+        start_s=choice.start,
+        end_s=choice.end,
+        jpeg_quality=pictures.jpeg_quality,
+        camera=pictures.camera,
+        mask=pictures.mask,
+        mask_nadir_deg=pictures.mask_nadir_deg,
+    )
     with show_bars() as progress:
         run = extract_frames(video, out, options, progress=progress)
     print(_describe(run), flush=True)

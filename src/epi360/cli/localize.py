@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
-from epi360.cli.command import FAILURE, OUT_NAMES, POSES, SUCCESS, app, options_as_typed, show_bars
+from epi360.cli.command import FAILURE, OUT_NAMES, POSES, SUCCESS, app, show_bars
 from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
@@ -100,16 +100,15 @@ def localize(
     from epi360.jobs.localization.localize_files import localize_files
 
     outputs = [] if out is None else out
-    with options_as_typed():
-        _check_outputs(outputs)
-        if report is not None:
-            check_report(report)
-        if keep is not None and (keep.is_file() or not keep.parent.is_dir()):
-            raise ValueError(f"keep must be a folder, or the name of a new one, got {keep}")
-        options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
-        world = load_map(
-            model, images=of_map.images, features=of_map.features, database=of_map.database
-        )
+    _check_outputs(outputs)
+    if report is not None:
+        check_report(report)
+    if keep is not None and (keep.is_file() or not keep.parent.is_dir()):
+        raise ValueError(f"keep must be a folder, or the name of a new one, got {keep}")
+    options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
+    world = load_map(
+        model, images=of_map.images, features=of_map.features, database=of_map.database
+    )
     given = None if camera is None else _camera(camera)
     files = _files_by_name([image, *others])
     with show_bars() as progress:

@@ -17,7 +17,6 @@ from epi360.cli.command import (
     SUCCESS,
     Flag,
     app,
-    options_as_typed,
     show_bars,
 )
 from epi360.cli.match import (
@@ -252,30 +251,28 @@ def _map_options(given: MatchInput, work: MatchWork, mapping: Mapping) -> MapOpt
     from epi360.jobs.mapping.map_folder import MapOptions
 
     match = match_options(given, work)
-    with options_as_typed():
-        return MapOptions(
-            match,
-            mapping.mapper,
-            mapping.refine_cameras,
-            mapping.mapper_threads,
-            not mapping.no_track,
-            not mapping.no_descriptors,
-        )
+    return MapOptions(
+        match,
+        mapping.mapper,
+        mapping.refine_cameras,
+        mapping.mapper_threads,
+        not mapping.no_track,
+        not mapping.no_descriptors,
+    )
 
 
 def _cubemap_options(cube_faces: CubeFaces) -> CubemapOptions:
     from epi360.jobs.cubes.cube_faces import CubemapOptions
 
-    with options_as_typed():
-        return CubemapOptions(
-            face_size=cube_faces.face_size,
-            fov_deg=cube_faces.fov_deg,
-            faces=cube_faces.faces,
-            image_format=cube_faces.image_format,
-            jpeg_quality=cube_faces.jpeg_quality,
-            flat=cube_faces.flat,
-            alpha=cube_faces.alpha,
-        )
+    return CubemapOptions(
+        face_size=cube_faces.face_size,
+        fov_deg=cube_faces.fov_deg,
+        faces=cube_faces.faces,
+        image_format=cube_faces.image_format,
+        jpeg_quality=cube_faces.jpeg_quality,
+        flat=cube_faces.flat,
+        alpha=cube_faces.alpha,
+    )
 
 
 def _describe(run: MapRun, images: ImageSet) -> str:
@@ -356,7 +353,7 @@ def _cut(
     """Cut the images of a model into cube faces, and say so."""
     from epi360.jobs.cubes.cubemap import export_cubemap
 
-    with options_as_typed(), show_bars() as progress:
+    with show_bars() as progress:
         cube = export_cubemap(
             images,
             reconstruction,

@@ -18,7 +18,6 @@ from epi360.cli.command import (
     SUCCESS,
     Flag,
     app,
-    options_as_typed,
     show_bars,
 )
 from epi360.cli.engine_options import LOCAL_ENGINE, EngineOptions
@@ -181,26 +180,25 @@ def match_options(given: MatchInput, work: MatchWork) -> MatchOptions:
     pairs: str | Path = work.pairs
     if isinstance(pairs, Path) and not pairs.exists():
         pairs = str(pairs)  # several ways with commas between them
-    with options_as_typed():
-        if not ways_of(pairs) and not isinstance(pairs, Path):
-            raise FileNotFoundError(
-                f"--pairs: {pairs} does not exist; give a pairs file, or auto, exhaustive, "
-                "sequential, retrieval or near"
-            )
-        return MatchOptions(
-            pairs=pairs,
-            overlap=work.overlap,
-            neighbors=work.neighbors,
-            positions=work.positions,
-            radius=work.radius,
-            max_width=work.max_width,
-            max_features=work.max_features,
-            mask_nadir_deg=given.mask_nadir_deg,
-            upright_deg=given.upright,
-            keep_cameras=given.keep_cameras,
-            seed=work.seed,
-            num_threads=work.num_threads,
+    if not ways_of(pairs) and not isinstance(pairs, Path):
+        raise FileNotFoundError(
+            f"--pairs: {pairs} does not exist; give a pairs file, or auto, exhaustive, "
+            "sequential, retrieval or near"
         )
+    return MatchOptions(
+        pairs=pairs,
+        overlap=work.overlap,
+        neighbors=work.neighbors,
+        positions=work.positions,
+        radius=work.radius,
+        max_width=work.max_width,
+        max_features=work.max_features,
+        mask_nadir_deg=given.mask_nadir_deg,
+        upright_deg=given.upright,
+        keep_cameras=given.keep_cameras,
+        seed=work.seed,
+        num_threads=work.num_threads,
+    )
 
 
 def images_of(folder: Path, output: AnyPath, given: MatchInput, *, restart: bool) -> Path:

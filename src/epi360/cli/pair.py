@@ -209,8 +209,9 @@ def _read_pair(image1: Path, image2: Path, given: PairInput, progress: Say) -> _
     from epi360.features.images import read_image
 
     progress("reading the images")
-    camera1 = _read_camera(given.camera1 or given.camera, "camera1")
-    camera2 = _read_camera(given.camera2 or given.camera, "camera2")
+    option1, option2 = ("--camera", "--camera") if given.camera else ("--camera1", "--camera2")
+    camera1 = _read_camera(given.camera1 or given.camera, option1)
+    camera2 = _read_camera(given.camera2 or given.camera, option2)
     pictures = read_image(image1, name="image1"), read_image(image2, name="image2")
     return _Pair(
         names=(str(image1), str(image2)),
@@ -228,7 +229,7 @@ def _stated_down(gpano: GPano | None) -> NDArray[np.float64] | None:
     return None if gpano is None else gpano.down
 
 
-def _read_camera(source: str | None, name: str) -> Camera | None:
+def _read_camera(source: str | None, option: str) -> Camera | None:
     """Camera of a calibration file, by name where the file holds several."""
     if source is None:
         return None
@@ -237,7 +238,7 @@ def _read_camera(source: str | None, name: str) -> Camera | None:
     try:
         return read_given_cameras(source).only()
     except ValueError as error:
-        raise ValueError(f"{name}: {error}") from None
+        raise ValueError(f"{option}: {error}") from None
 
 
 def _estimate(images: _Pair, options: PairOptions, progress: Say) -> ImagePairResult:

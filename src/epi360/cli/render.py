@@ -15,7 +15,6 @@ from epi360.cli.command import (
     TO_TRY,
     Flag,
     app,
-    options_as_typed,
     show_bars,
     show_progress,
 )
@@ -126,8 +125,7 @@ def render(
     _check_words(what, path, picture)
     if effect.moving_people and what.mesh is not None:
         raise ValueError("--moving-people walk through the built-in scenes only, not a --mesh")
-    with options_as_typed():
-        effects = Effects(**asdict(effect))
+    effects = Effects(**asdict(effect))
     camera, options = _camera(picture), _options(what, path, picture, effect)
     check_folder(out, options, defaults=asdict(NO_EFFECTS))
     out.mkdir(parents=True, exist_ok=True)  # where that fails, it fails before the work

@@ -16,7 +16,6 @@ from epi360.cli.command import (
     SUCCESS,
     Flag,
     app,
-    options_as_typed,
     show_bars,
 )
 from epi360.cli.report_option import check_report
@@ -161,25 +160,24 @@ def _options(given: TrackInput, work: TrackWork) -> TrackOptions:
     from epi360.jobs.tracking.track_job import TrackOptions
     from epi360.odometry import OdometryOptions
 
-    with options_as_typed():
-        odometry = OdometryOptions(
-            max_points=work.max_points,
-            max_width=work.max_width,
-            key_frame_parallax_deg=work.key_frame_parallax_deg,
-            loop_closure=not work.no_loop_closure,
-        )
-        return TrackOptions(
-            camera=given.camera,
-            mask=given.mask,
-            mask_nadir_deg=given.mask_nadir_deg,
-            upright_deg=given.upright,
-            start_s=given.start,
-            end_s=given.end,
-            odometry=odometry,
-            refine=work.refine,
-            keep_cameras=given.keep_cameras,
-            seed=work.seed,
-        )
+    odometry = OdometryOptions(
+        max_points=work.max_points,
+        max_width=work.max_width,
+        key_frame_parallax_deg=work.key_frame_parallax_deg,
+        loop_closure=not work.no_loop_closure,
+    )
+    return TrackOptions(
+        camera=given.camera,
+        mask=given.mask,
+        mask_nadir_deg=given.mask_nadir_deg,
+        upright_deg=given.upright,
+        start_s=given.start,
+        end_s=given.end,
+        odometry=odometry,
+        refine=work.refine,
+        keep_cameras=given.keep_cameras,
+        seed=work.seed,
+    )
 
 
 def _default_output(source: Path) -> Path:

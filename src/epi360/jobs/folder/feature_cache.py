@@ -91,7 +91,7 @@ class FeatureCache:
                 contrast_threshold=FAINT_CONTRAST_THRESHOLD,
             )
         except (OSError, ValueError, cv2.error) as error:
-            raise UnreadableImageError(" ".join(str(error).split())) from None
+            raise UnreadableImageError(" ".join(str(error).split())) from error
         arrays: Arrays = {name: getattr(found, name).astype(t) for name, t in _TYPES.items()}
         last = camera.width - 1, camera.height - 1
         columns, rows = np.clip(found.pixels.astype(int), 0, last).T
