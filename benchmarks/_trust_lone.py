@@ -119,7 +119,7 @@ def _judge(task: _Task, *, seed: int) -> tuple[Judged, Judged]:
         method=MATCHES_ALONE,
         status="ok" if is_compared else result.status,
         accepted=is_compared or result.success,
-        probability=result.explanations.surface + result.explanations.motion,
+        probability=result.explanations.found,
     )
     return before, looked
 

@@ -21,6 +21,7 @@ from _trust_records import LISTED, ZIND, Judged, errors_of, found_pose
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
 from epi360.estimation import RelativePoseResult
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.interop import MatchedImage, MatchedPair, MatchGraph
 from epi360.jobs.folder.image_set import ImageSet, find_images
@@ -33,7 +34,6 @@ from epi360.jobs.matching.match_folder import (
 from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
-from epi360.two_view import IMAGE_OPTIONS
 from epi360_scenes.lenses import CAMERA, tour_through_lens
 from epi360_scenes.tours import Panorama, Tour
 

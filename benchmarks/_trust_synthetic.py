@@ -21,8 +21,8 @@ from _two_view_problems import cell_from_name, make_problem
 from numpy.typing import NDArray
 
 from epi360 import estimate_relative_pose
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.poses import Pose
-from epi360.two_view import IMAGE_OPTIONS
 
 CELLS = (
     "rotation-400-0-0.5",

@@ -37,6 +37,8 @@ from scipy.stats import rankdata
 
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular
+from epi360.cameras.resizing import smallest_pixel_deg
+from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.features import Features, extract_features, match_features, read_image
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.threads import num_cores, on_threads
@@ -46,7 +48,6 @@ from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 from epi360_scenes.tours import Tour
 
 Array = NDArray[np.float64]

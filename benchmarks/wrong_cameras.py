@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from epi360 import estimate_relative_pose
 from epi360.cameras import Camera, Equirectangular, KannalaBrandt
 from epi360.estimation.calibration_doubt import with_calibration_doubt
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
-from epi360.two_view import IMAGE_OPTIONS
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -14,15 +13,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.resizing import pixels_per_radian
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.estimation import (
     ImagePairResult,
-    RansacOptions,
     RelativePoseResult,
     estimate_relative_pose,
 )
 from epi360.estimation.angle_search import Bearings
 from epi360.estimation.calibration_doubt import Doubted, with_calibration_doubt
+from epi360.estimation.image_matches import IMAGE_OPTIONS as IMAGE_OPTIONS
+from epi360.estimation.image_matches import MAX_NOISE_PX
 from epi360.estimation.options import check_threshold
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
@@ -46,14 +46,6 @@ from epi360.places.repeated_place import with_rival_pose
 from epi360.places.same_place import can_be_compared, look_around
 from epi360.second_look import is_precise, is_settled, later_is_better
 
-# Key points are good to a third of a pixel. If the two fisheye cameras are swapped, the noise is
-# about two pixels.
-MAX_NOISE_PX = 1.5
-# Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
-# costs nothing, and real matches have near misses that a few more samples see through.
-IMAGE_OPTIONS = RansacOptions(
-    min_num_inliers=15, min_iterations=50, confidence=0.9999, shared_error=1.0
-)
 # Of the 55 pairs of a real sequence 2688 pixels wide, a first look at this width settles most, in a
 # third of the time and with the same errors.
 _FIRST_LOOK_WIDTH = 1920
@@ -234,11 +226,6 @@ def asked_again(
     grounded = with_ground_motion(result, bearings, cameras, again)
     told = with_calibration_doubt(grounded, bearings, cameras, again)
     return told._replace(result=noise_in_pixels(told.result, pixel_deg))
-
-
-def smallest_pixel_deg(cameras: tuple[Camera, Camera]) -> float:
-    """Angle of a pixel at the middle of the image, the smaller one of both cameras."""
-    return math.degrees(1.0 / max(map(pixels_per_radian, cameras)))
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import numpy as np
 import epi360
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.poses import Pose, rotation_from_vector
-from epi360.two_view import IMAGE_OPTIONS
 
 NOISE_RAD = np.radians(0.05)
 PANORAMA = Equirectangular(2048, 1024)

@@ -26,8 +26,8 @@ from epi360.estimation.angle_changes import (
     fit_angle_changes,
 )
 from epi360.estimation.angle_changes_reference import AngleFit, changed_by_a_turn_reference
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.poses import Pose, rotation_from_vector
-from epi360.two_view import IMAGE_OPTIONS
 
 
 @pytest.mark.parametrize(

@@ -26,9 +26,9 @@ from epi360.estimation.calibration_doubt import (
     CALIBRATION_QUESTION,
     with_calibration_doubt,
 )
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.poses import rotation_from_vector
-from epi360.two_view import IMAGE_OPTIONS
 
 
 def doubted(result, bearings, camera):

@@ -9,6 +9,7 @@ from rooms_by_wrong_cameras import LENS, OTHER_LENS, PANORAMA, errors_deg, estim
 
 from epi360 import estimate_relative_pose
 from epi360.cameras.changed_angles import PairOfAngles
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.shared_angles import (
     OF_CHANGED,
     OF_GIVEN,
@@ -16,7 +17,6 @@ from epi360.estimation.shared_angles import (
     fit_shared_angles,
 )
 from epi360.estimation.shared_angles_fit import PosedMatches
-from epi360.two_view import IMAGE_OPTIONS
 
 NO_CHANGES = {"panorama": (PANORAMA, (0.0, 0.0, 0.0)), "lens": (LENS, (0.0,))}
 

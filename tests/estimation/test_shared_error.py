@@ -6,9 +6,9 @@ import pytest
 import epi360
 from epi360._core import internals
 from epi360.estimation.covariance import independent_share, shared_error_covariance
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.poses import rotation_from_vector, vector_from_rotation
 from epi360.synthetic import two_view_scene
-from epi360.two_view import IMAGE_OPTIONS
 
 NOISE_DEG = 0.05
 

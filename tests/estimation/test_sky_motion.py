@@ -10,9 +10,9 @@ from drifting_clouds import STEP, TURN, meadow
 
 from epi360.cameras import Equirectangular, KannalaBrandt
 from epi360.estimation import estimate_relative_pose
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.poses import rotation_error_deg, translation_error_deg
-from epi360.two_view import IMAGE_OPTIONS
 
 PANORAMA = Equirectangular(2000, 1000)
 ESTIMATE = partial(estimate_relative_pose, options=IMAGE_OPTIONS, max_noise_deg=0.3)

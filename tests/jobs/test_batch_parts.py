@@ -10,6 +10,7 @@ import pytest
 from batch_inputs import array_of, columns_of, pose_rows, version_of, write_matches
 
 from epi360 import estimate_relative_pose, estimate_relative_poses
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.jobs.batch import (
     BatchJob,
     MatchSource,
@@ -23,7 +24,6 @@ from epi360.jobs.batch import (
 from epi360.jobs.batch import job as job_module
 from epi360.jobs.batch.sources import pair_seed
 from epi360.runs import storage
-from epi360.two_view import IMAGE_OPTIONS
 
 pyarrow = pytest.importorskip("pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")

@@ -8,12 +8,11 @@ import pytest
 from twin_rooms import exposed_and_visited, rooms, truth
 
 import epi360
-from epi360.estimation.result import SamePlace
+from epi360.estimation.result import LEAST_PROBABILITY, SamePlace
 from epi360.features.warped_patches import WIDTH, Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both, shown_by
 from epi360.places.same_place import (
     DOUBT,
-    LEAST_PROBABILITY,
     ONE_WALL,
     can_be_compared,
     look_around,

@@ -9,9 +9,10 @@
 namespace epi360 {
 namespace {
 
-// A pose or a rotation is said if it is so much more probable than each other explanation alone.
+// A pose or a rotation is said if it is so much more probable than each other explanation alone;
+// LEAST_PROBABILITY of Python.
 constexpr double kAccepted = 0.85;
-constexpr double kAcceptedLogOdds = 1.7346010553881064;  // of it
+const double kAcceptedLogOdds = std::log(kAccepted / (1.0 - kAccepted));
 
 // Error rates of the tests, at which what they test is as probable as kAccepted says.
 constexpr double kFalseAlarms = -3.0;    // log10: poses with so many inliers that chance makes

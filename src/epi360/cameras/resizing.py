@@ -2,6 +2,7 @@
 """How finely a camera sees, and the camera of a picture that was made smaller or larger."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import fields, replace
 
 import numpy as np
@@ -19,6 +20,11 @@ def pixels_per_radian(camera: Camera) -> float:
         return camera.width / math.radians(camera.horizontal_fov_deg)
     middle = np.array([[camera.width / 2, camera.height / 2]])
     return math.sqrt(2) / float(np.linalg.norm(camera.bearing_jacobians(middle)[0]))
+
+
+def smallest_pixel_deg(cameras: Iterable[Camera]) -> float:
+    """Angle of a pixel at the middle of the image, the smallest one of some cameras."""
+    return math.degrees(1.0 / max(map(pixels_per_radian, cameras)))
 
 
 def resized_camera(camera: Camera, width: int) -> Camera:

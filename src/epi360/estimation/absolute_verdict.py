@@ -10,6 +10,7 @@ import numpy as np
 
 from epi360.estimation.absolute_evidence import Evidence
 from epi360.estimation.copies import copies_sentence
+from epi360.estimation.result import LEAST_PROBABILITY
 
 AbsoluteStatus = Literal[
     "ok", "too_few_matches", "too_few_inliers", "concentrated_inliers", "ambiguous"
@@ -26,7 +27,6 @@ _PARTIAL_COVERAGE = 0.5
 # matches), those that were 2 to 5 degrees off had 10^-15 to 10^-21 false alarms, and all but 6 of
 # the others fewer than 10^-28. Images of one set found no pose in the map of the other.
 _LOG_ODDS, _PER_DECADE, _PER_SHARE = -4.5, 0.25, 3.0
-_LEAST_PROBABILITY = 0.85
 _RIVAL_SHARE = 0.5  # of the regions of the best pose, from which another one makes it ambiguous
 
 
@@ -61,7 +61,7 @@ def judge(
         return "concentrated_inliers"
     if rival_regions > _RIVAL_SHARE * evidence.num_regions:
         return "ambiguous"
-    return "ok" if probability_of(evidence) >= _LEAST_PROBABILITY else "too_few_inliers"
+    return "ok" if probability_of(evidence) >= LEAST_PROBABILITY else "too_few_inliers"
 
 
 def warnings_of_rows(num_given: int, num_missing: int, num_copies: int) -> tuple[str, ...]:

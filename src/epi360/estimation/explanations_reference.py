@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from epi360.estimation.result import Explanations
+from epi360.estimation.result import LEAST_PROBABILITY, Explanations
 
-ACCEPTED = 0.85
+ACCEPTED = LEAST_PROBABILITY
 ACCEPTED_LOG_ODDS = math.log(ACCEPTED / (1.0 - ACCEPTED))
 FALSE_ALARMS = -3.0  # log10
 LARGEST_CHANCE = 0.6  # of a wrong match inside the gate

@@ -25,6 +25,9 @@ Status = Literal[
 ]
 
 
+LEAST_PROBABILITY = 0.85  # of a pose that is accepted; the core's kAccepted is the same
+
+
 @dataclass(frozen=True)
 class Explanations:
     """Probabilities of what the matches of two views may be; they sum to one.
@@ -48,6 +51,11 @@ class Explanations:
     surface: float = math.nan
     motion: float = math.nan
     rival: float = math.nan
+
+    @property
+    def found(self) -> float:
+        """Probability of the pose that was found, whatever it is seen of."""
+        return self.surface + self.motion
 
 
 @dataclass(frozen=True)

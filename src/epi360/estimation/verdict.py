@@ -6,7 +6,7 @@ Which status and which warnings an answer gets is decided in native/core/robust/
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -55,7 +55,7 @@ def noise_in_pixels(result: RelativePoseResult, pixel_deg: float) -> RelativePos
 
 
 def _explanations(found: _core.Explanations) -> Explanations:
-    return Explanations(found.nothing, found.rotation, found.surface, found.motion, found.rival)
+    return Explanations(**{each.name: getattr(found, each.name) for each in fields(Explanations)})
 
 
 def _sentence(warning: _core.Warning) -> str:
@@ -103,7 +103,9 @@ def _sentence(warning: _core.Warning) -> str:
             f"inliers cover {value:.0%} of the sphere, all matches {reference:.0%}: "
             "part of the scene may move or repeat itself"
         )
-    return _noise_sentence(float(np.degrees(value)), "degrees")
+    if warning.code == "much_noise":
+        return _noise_sentence(float(np.degrees(value)), "degrees")
+    raise ValueError(f"the core's warning {warning.code} has no sentence")
 
 
 def _noise_sentence(noise: float, unit: str) -> str:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.estimation import RelativePoseResult, estimate_relative_pose
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.odometry.frame_result import FrameStatus, FrameTracks, shared_rows
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.turning import angles_between, rotation_angle, rotation_between
-from epi360.two_view import smallest_pixel_deg
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.resizing import resized_camera
+from epi360.cameras.resizing import resized_camera, smallest_pixel_deg
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
 from epi360.features import ImageSource, read_image, read_mask
 from epi360.features.frame_tracker import FrameTracker
@@ -35,7 +35,6 @@ from epi360.odometry.recognition import Recognition
 from epi360.odometry.results import joined, no_points, trajectory_of, updated_results
 from epi360.odometry.segment import Segment
 from epi360.poses import Pose
-from epi360.two_view import smallest_pixel_deg
 
 _TRIES = 4  # frames in a row that are looked for in the map; afterwards one of so many is
 

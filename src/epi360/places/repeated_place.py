@@ -14,13 +14,13 @@ import numpy as np
 
 from epi360.cameras import Camera
 from epi360.estimation.angle_search import Estimate
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.result import ImagePairResult
 from epi360.features.warped_patches import Panorama
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, poses_agree
 
-_FEWEST_LEFT = 15  # matches
 # What is left of narrow views, near misses of the right pose, gives its direction to 15 degrees.
 _TURNED_DEG, _APART_DEG = 10.0, 30.0
 # Over another place, and over a copy. Of 110 right pairs of a real tour, a real sequence and
@@ -68,7 +68,7 @@ def with_rival_pose(
     other pairs with two poses. A second pose of many matches that looks less right is a warning.
     """
     left = ~result.inlier_mask
-    if not result.success or np.count_nonzero(left) < _FEWEST_LEFT:
+    if not result.success or np.count_nonzero(left) < IMAGE_OPTIONS.min_num_inliers:
         return result
     bearings = [
         camera.bearings_from_pixels(keypoints)

@@ -15,7 +15,7 @@ import numpy as np
 
 from epi360.cameras import Camera
 from epi360.cameras.resizing import pixels_per_radian
-from epi360.estimation.result import ImagePairResult, SamePlace
+from epi360.estimation.result import LEAST_PROBABILITY, ImagePairResult, SamePlace
 from epi360.features.sphere_pictures import share_seen
 from epi360.features.warped_patches import Panorama
 from epi360.places.corridor import shown_by_itself
@@ -26,8 +26,7 @@ from epi360.poses import Pose
 Cameras = tuple[Camera, Camera]
 Panoramas = tuple[Panorama, Panorama]
 
-# Of poses that are accepted, as where matches alone are weighed; and of those without a warning.
-LEAST_PROBABILITY, _SURE = 0.85, 0.95
+_SURE = 0.95  # of poses without a warning
 # What is thought of a pose that the matches alone determine, before the pictures are compared: so
 # many are those of another place, or of a thing that moves, and so many of the others of a copy.
 _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)

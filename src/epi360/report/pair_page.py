@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.epipolar import triangulate
 from epi360.estimation.result import ImagePairResult
 from epi360.report.charts import residual_histogram, residuals_by_latitude
@@ -17,7 +18,6 @@ from epi360.report.pair_words import evidence_of, verdict_headline, verdict_sent
 from epi360.report.sk_section import search_of_pair
 from epi360.report.webgl import MISSING, WebGLLibrary, find_webgl_library
 from epi360.runs.whole_files import PathLike, write_file
-from epi360.two_view import smallest_pixel_deg
 
 Array = NDArray[np.float64]
 

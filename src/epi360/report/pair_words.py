@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import Pose
 from epi360.report.text import (
@@ -15,10 +16,10 @@ from epi360.report.text import (
     rotation_axis_angle,
 )
 
-# What is less than this speaks against a pose. The number of inliers is what `IMAGE_OPTIONS` asks
-# for, and the noise is the limit of `two_view`; the others only sort the sentences of a report.
-FEWEST_INLIERS = 15
-LARGEST_NOISE_PX = 1.5
+# What is less than this, or more noise, speaks against a pose. The estimate of images asks for the
+# first two; the others only sort the sentences of a report.
+FEWEST_INLIERS = IMAGE_OPTIONS.min_num_inliers
+LARGEST_NOISE_PX = MAX_NOISE_PX
 SMALLEST_SHARE = 0.2
 SMALLEST_COVERAGE = 0.2
 SMALLEST_PROBABILITY = 0.99

@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 from epi360.cameras.upright import check_upright
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.extras import package_version
 from epi360.jobs.batch.inputs import open_matches
 from epi360.jobs.batch.parts import Identity, merge_part_files, part_is_there, write_part
 from epi360.jobs.batch.pose_rows import estimate_rows
 from epi360.jobs.batch.sources import MatchSource, PairMatches
 from epi360.runs import storage
-from epi360.two_view import IMAGE_OPTIONS
 
 _OTHER_FORMATS = (".csv", ".json", ".txt", ".h5", ".db")  # of which the output is none
 

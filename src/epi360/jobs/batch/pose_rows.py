@@ -13,10 +13,10 @@ import numpy as np
 
 from epi360.cameras.upright import DOWN
 from epi360.estimation import Explanations, RelativePoseResult, estimate_relative_pose
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.robust import estimate_timed_poses
 from epi360.extras import extra_library
 from epi360.jobs.batch.sources import Array, PairMatches, pair_seed
-from epi360.two_view import IMAGE_OPTIONS
 
 # A database needs the inliers. Packed bits are small, so that every part has them.
 INLIERS = "inlier_bits"

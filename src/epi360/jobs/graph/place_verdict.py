@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation.result import SamePlace
+from epi360.estimation.result import LEAST_PROBABILITY, SamePlace
 from epi360.jobs.graph.place_court import Court, Heard
 from epi360.jobs.graph.place_groups import Groups
 from epi360.jobs.graph.surface_evidence import surfaces_against, surfaces_ratio
 from epi360.places.own_evidence import OwnEvidence
-from epi360.places.same_place import LEAST_PROBABILITY, doubts
+from epi360.places.same_place import doubts
 
 ACCEPTED = 0.95  # least probability
 _DOUBTED = 0.3  # least probability of a pose that is accepted if triangles with it close

@@ -11,17 +11,16 @@ import numpy as np
 
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
 from epi360.estimation.absolute_evidence import angles_between, directions_of
+from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.jobs.localization.localization_result import LocalizationOptions
 from epi360.jobs.localization.map_matches import MapMatches, joined, matches_with, no_matches
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.localization.new_image import NewImage
 from epi360.jobs.localization.surroundings import Surroundings, surroundings_at
 from epi360.poses import Pose
-from epi360.two_view import MAX_NOISE_PX
 
 # Points of a map are less certain than key points: their own errors come on top.
 _MAX_NOISE_PX = 2.0 * MAX_NOISE_PX
-_MIN_INLIERS, _SHARED_ERROR = 15, 1.0  # as for pairs of images
 FIRST_VIEWS = 4  # that are looked at together, before twice as many
 _RADIUS_PX = 2.0  # around the place of a point, at least
 _CLEARLY_OFF = 3.0  # gates
@@ -78,8 +77,8 @@ class MapSearch:
             point_covariances=matches.covariances,
             guess=guess,
             max_noise_deg=_MAX_NOISE_PX * self.new.pixel_deg,
-            min_num_inliers=_MIN_INLIERS,
-            shared_error=_SHARED_ERROR,
+            min_num_inliers=IMAGE_OPTIONS.min_num_inliers,
+            shared_error=IMAGE_OPTIONS.shared_error,
             seed=self.options.seed,
         )
 

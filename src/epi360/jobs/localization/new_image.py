@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.features import Features
 from epi360.features.detection import usable_rows
-from epi360.two_view import smallest_pixel_deg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

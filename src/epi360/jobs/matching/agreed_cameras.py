@@ -16,9 +16,11 @@ import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_camera import changed_lens, changed_panorama, what_changed
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.estimation import estimate_relative_pose
 from epi360.estimation.angle_changes import AngleChange
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
+from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.estimation.shared_angles import (
     OF_CHANGED,
     OF_GIVEN,
@@ -30,7 +32,6 @@ from epi360.estimation.shared_angles_fit import Direction, PosedMatches
 from epi360.jobs.matching.verified_folder import VerifiedFolder
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, smallest_pixel_deg
 
 _FEWEST_PAIRS, FEWEST_IMAGES = 5, 4  # accepted, of a camera
 # So many pairs are looked at first, and more if those of a camera gain half as much as all must.

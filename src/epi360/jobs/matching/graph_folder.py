@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.resizing import resized_camera
+from epi360.cameras.resizing import resized_camera, smallest_pixel_deg
 from epi360.epipolar.residuals import pose_residuals
+from epi360.estimation.image_matches import MAX_NOISE_PX
 from epi360.features import read_image
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.match_graph import MatchGraph, TwoViewGeometry
@@ -27,7 +28,6 @@ from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import on_threads
 from epi360.progress import Progress
 from epi360.runs.inside import inside
-from epi360.two_view import MAX_NOISE_PX, smallest_pixel_deg
 
 _STAGE_READ, _STAGE, _STAGE_AGAIN = "pictures", "verifying pairs", "level pairs"
 _ROUNDING_PX = 1  # of the height of a picture that was made smaller or larger

@@ -14,6 +14,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.place_job import Places
@@ -21,7 +22,6 @@ from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.matching.verified_matches import Matched, with_pose_of_some
 from epi360.jobs.records.match_store import Keys, VerifiedPair
 from epi360.poses import poses_agree
-from epi360.two_view import IMAGE_OPTIONS
 
 _SAME_DEG = 5.0  # a pose this near to the first one says nothing new
 _PAIRS_AT_ONCE = 256  # whose matches are in memory

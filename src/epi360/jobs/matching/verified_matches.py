@@ -12,17 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.estimation import (
     RelativePoseResult,
     estimate_relative_pose,
     estimate_relative_poses,
 )
 from epi360.estimation.angle_search import are_panoramas
+from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.places.shared_points import floor_share
 from epi360.poses import Pose
-from epi360.two_view import IMAGE_OPTIONS, MAX_NOISE_PX, asked_again, smallest_pixel_deg
+from epi360.two_view import asked_again
 
 _DOUBTED = ("concentrated_inliers", "too_few_inliers")  # their poses other pairs may confirm
 

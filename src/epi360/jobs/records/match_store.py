@@ -20,7 +20,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -239,7 +238,7 @@ def pair_of_part(arrays: Arrays, row: int) -> VerifiedPair:
 
 def _explanations_of_part(arrays: Arrays, row: int) -> Explanations:
     if "explanations" not in arrays:  # older parts do not say
-        return Explanations(*[math.nan] * 5)
+        return Explanations()
     return Explanations(*arrays["explanations"][row].tolist())
 
 
