@@ -22,6 +22,7 @@ from epi360.features.picture_writing import encode_picture
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching.match_folder import match_images
 from epi360.poses import Pose, poses_agree
+from epi360.runs.whole_files import write_file
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360.two_view import relative_pose_of_images
 from epi360_scenes.corridor import HALF_LENGTH_M, corridor_of_equal_doors
@@ -101,7 +102,7 @@ def rendered_walk(folder: Path, floor: str, seed: int, *, photos: bool) -> Walk:
             image = room.render(Equirectangular(WIDTH, WIDTH // 2), pose).image
             own = np.random.Generator(np.random.PCG64([seed, 7, number]))
             content = photographed(image, own) if photos else encode_picture(image, ".jpg")
-            (pictures / file).write_bytes(content)
+            write_file(pictures / file, content)
     return Walk(name, pictures, poses)
 
 

@@ -14,6 +14,7 @@ from epi360.features import read_image
 from epi360.features.picture_writing import encode_picture
 from epi360.features.resampling import Resampling, pixel_centers
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.tours import Tour
 
@@ -104,10 +105,10 @@ def tour_through_lens(tour: Tour, folder: Path, lens_deg: float, seed: int) -> T
         lens = Lens.at_random(lens_deg, panorama.shape[1], rng)
         name = _as_png(one.name)
         if not (is_of_these and (pictures / name).is_file()):
-            (pictures / name).write_bytes(encode_picture(lens.picture(panorama), ".png"))
+            write_file(pictures / name, encode_picture(lens.picture(panorama), ".png"))
         panoramas.append(replace(one, name=name, world_from_cam=one.world_from_cam @ lens.pose))
     lens.write_camera(folder / CAMERA)
-    record.write_text(key, encoding="utf-8")
+    write_file(record, key.encode())
     unknown = {(_as_png(name1), _as_png(name2)): np.nan for name1, name2 in tour.overlaps}
     return replace(tour, folder=pictures, panoramas=tuple(panoramas), overlaps=unknown)
 

@@ -14,6 +14,7 @@ from epi360.cameras import Equirectangular
 from epi360.features import read_image
 from epi360.features.picture_writing import encode_picture
 from epi360.features.resampling import Resampling, pixel_centers
+from epi360.runs.whole_files import write_file
 from epi360_scenes.tours import Tour
 
 Array = NDArray[np.float64]
@@ -59,12 +60,12 @@ def photograph_tour(tour: Tour, folder: Path, seed: int) -> Tour:
     is_of_these = record.is_file() and record.read_text(encoding="utf-8") == key
     for panorama in () if is_of_these else tour.panoramas:
         (folder / panorama.name).unlink(missing_ok=True)
-    record.write_text(key, encoding="utf-8")
+    write_file(record, key.encode())
     for number, panorama in enumerate(tour.panoramas):
         path = folder / panorama.name
         if not path.is_file():
             rng = np.random.Generator(np.random.PCG64([seed, 4, number]))
-            path.write_bytes(photographed(read_image(tour.folder / panorama.name), rng))
+            write_file(path, photographed(read_image(tour.folder / panorama.name), rng))
     return replace(tour, folder=folder)
 
 

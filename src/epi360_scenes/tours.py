@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
 from epi360.poses import Pose
+from epi360.runs.whole_files import write_file
 from epi360.synthetic.landmarks import rotation_from_heading
 from epi360_scenes.home import Home, HomeView, sphere_directions, twin_home
 from epi360_scenes.home_painting import home_atlas
@@ -183,7 +184,7 @@ def render_tour(
         progress(panorama.name)
     overlaps = _overlaps(panoramas, ranges, camera)
     tour = Tour(folder, is_level, tuple(panoramas), overlaps)
-    record.write_text(json.dumps({"key": key, **_document(tour)}), encoding="utf-8")
+    write_file(record, json.dumps({"key": key, **_document(tour)}).encode())
     return tour
 
 
@@ -259,7 +260,7 @@ def _write(path: Path, image: NDArray[np.uint8], rng: np.random.Generator) -> No
     """JPEG file with the noise and the exposure of a camera of its own mind."""
     picture = image * rng.uniform(0.85, 1.1) + rng.normal(0.0, 1.5, image.shape)
     pixels = np.clip(np.round(picture), 0, 255).astype(np.uint8)
-    path.write_bytes(encode_picture(pixels, ".jpg", jpeg_quality=94))
+    write_file(path, encode_picture(pixels, ".jpg", jpeg_quality=94))
 
 
 def _overlaps(

@@ -10,7 +10,8 @@ from epi360.jobs.graph.graph_check import GraphVerdict, check_graph, closing, li
 from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 ONLY = "with a probability of only"
 # Four corners of a square, and a fifth camera behind the last.

@@ -18,7 +18,8 @@ from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_implied
 from epi360.jobs.records.match_store import Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 LOST = (0, 2)
 LOST_NAMES = (NAMES[0], NAMES[2])

@@ -31,7 +31,8 @@ from epi360.jobs.matching import folder_verdicts, match_job, place_job, verified
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 LOST = (0, 2)  # a pair that finds no pose unless it is known to be level
 TILTED = (1, 3)  # a pair that finds a wrong one

@@ -16,7 +16,8 @@ from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_from_vector
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 SQUARE = {"a": (0, 0, 0), "b": (2, 0, 0), "c": (2, 0, 3), "d": (0, 1, 3)}
 CLOSED, ALONE = LoopVerdict(1, 0), LoopVerdict()

@@ -14,7 +14,8 @@ from epi360.jobs.matching import match_job, pair_work, verified_matches
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.records import match_store
 from epi360.poses import rotation_error_deg, translation_error_deg
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 PAIRS = [(a, b) for a in range(4) for b in range(a + 1, 4)]
 

@@ -28,7 +28,7 @@ from epi360.jobs.matching.match_folder import (
     open_engine,
 )
 from epi360.jobs.records.match_store import keys_by_part
-from epi360.report.match_table import pairs_csv
+from epi360.report.pairs_table import pairs_csv
 
 NUM_PAIRS, PAIRS_PER_PART = 6, 2
 

@@ -11,7 +11,7 @@ from epi360 import cli
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching import match_job
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
-from epi360.report.match_table import pairs_csv
+from epi360.report.pairs_table import pairs_csv
 
 fsspec = pytest.importorskip("fsspec")
 

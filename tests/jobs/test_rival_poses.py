@@ -9,7 +9,7 @@ from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching import rival_poses
 from epi360.jobs.matching.match_folder import match_images
 from epi360.places.repeated_place import MANY_OTHERS
-from epi360.report.match_table import verdict_reason
+from epi360.report.pairs_table import verdict_reason
 
 MIXED = "a1.png", "mixed.png"
 

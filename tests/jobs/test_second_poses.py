@@ -20,7 +20,8 @@ from epi360.jobs.matching.second_poses import SECOND, SecondPair
 from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.jobs.records.match_store import Verdict, VerifiedPair
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 
 LOST = (0, 2)
 LOST_NAMES = (NAMES[0], NAMES[2])

@@ -15,7 +15,8 @@ from epi360.jobs.matching import folder_verdicts, place_job
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.poses import rotation_from_vector
 from epi360.report.folder_page import summary_sentences
-from epi360.report.match_table import describe_match, pairs_csv
+from epi360.report.match_table import describe_match
+from epi360.report.pairs_table import pairs_csv
 from epi360_scenes.lenses import Lens
 
 ALL = MatchOptions(pairs="exhaustive")

@@ -3,6 +3,7 @@
 
 import dataclasses
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from epi360.cameras import Equirectangular
 from epi360.estimation import Explanations, SamePlace
-from epi360.estimation.result import pose_sigmas_deg
+from epi360.estimation.result import Status, pose_sigmas_deg
 from epi360.poses import Pose
 from epi360.report.text import (
+    EXPLANATION_WORDS,
+    STATUS_SENTENCES,
     describe_direction,
     describe_explanations,
     describe_pair,
@@ -23,6 +26,11 @@ from epi360.report.text import (
 
 CAMERA = Equirectangular(width=1024, height=512)
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, 2.0]))
+
+
+def test_every_explanation_and_status_has_its_words():
+    assert set(EXPLANATION_WORDS) == {each.name for each in dataclasses.fields(Explanations)}
+    assert set(STATUS_SENTENCES) == set(get_args(Status))
 
 
 @pytest.mark.parametrize("truth", [None, TRUTH])

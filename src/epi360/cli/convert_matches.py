@@ -18,7 +18,8 @@ from epi360.jobs.matching.verify_pairs import (
     verify_pairs,
     without_geometries,
 )
-from epi360.report.match_table import describe_verified, pairs_csv
+from epi360.report.match_table import describe_verified
+from epi360.report.pairs_table import pairs_csv
 from epi360.runs.whole_files import write_file
 
 

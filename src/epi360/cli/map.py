@@ -27,7 +27,6 @@ from epi360.cli.match import (
     default_output,
     images_of,
     match_options,
-    write_pairs_table,
     write_report,
 )
 from epi360.cli.report_option import check_report
@@ -138,6 +137,7 @@ def map_folder(
     from epi360.jobs.cubes.cubemap import check_cubemap_folder
     from epi360.jobs.folder.image_set import find_images
     from epi360.jobs.mapping.map_folder import map_images
+    from epi360.report.pairs_table import write_pairs_table
 
     if cube_faces != CUBE_FACES and not cubemap:
         raise ValueError("--face-size, --fov-deg, --faces and the like need --cubemap")

@@ -237,6 +237,7 @@ def default_output(folder: Path) -> Path:
 
 def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float) -> None:
     from epi360.report.match_table import describe_match
+    from epi360.report.pairs_table import write_pairs_table
 
     table = write_pairs_table(run)
     print(describe_match(run, skipped))
@@ -247,13 +248,3 @@ def _report(run: MatchRun, skipped: tuple[tuple[str, str], ...], seconds: float)
         shown = f", {rate:.1f}/s" if rate >= 0.1 else ""
         print(f"{num_new} new {pairs} in {seconds:.1f} s with their features{shown}")
     print(f"wrote {table}", flush=True)
-
-
-def write_pairs_table(run: MatchRun) -> AnyPath:
-    """Write pairs.csv, a row a pair, and return its path."""
-    from epi360.report.match_table import pairs_csv
-    from epi360.runs.whole_files import write_file
-
-    table = run.folder / "pairs.csv"
-    write_file(table, pairs_csv(run))
-    return table

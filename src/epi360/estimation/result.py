@@ -119,8 +119,8 @@ class RelativePoseResult(ShortRepr):
     probability : float
         Probability in [0, 1] that the pose with translation which was found is right, whatever the
         status says of it: the sum of ``surface`` and ``motion`` of the explanations, for panoramas
-        times that of an `ImagePairResult.place`. NaN after a pure rotation, 0 where no pose was
-        found.
+        times that of an `ImagePairResult.place`, and half of it where other matches agree on
+        another pose that looks as right. NaN after a pure rotation, 0 where no pose was found.
     explanations : Explanations
         Probabilities of the five things that the matches may be.
     alternatives : tuple of Pose

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The core's answer as a public result: its warnings as sentences, its numbers in degrees.
 
-Which status and which warnings an answer gets is decided in native/core/robust/verdict.cpp.
+Which status and which warnings the matches get is decided in native/core/robust/verdict.cpp;
+docs/how_it_works.md names the files that may change that where more is known than bearings.
 """
 
 from __future__ import annotations

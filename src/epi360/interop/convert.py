@@ -40,7 +40,9 @@ def read_reconstruction(path: PathLike, name: str, *, images: str = "images") ->
         return read_opensfm(path)
     if name == "nerfstudio":
         return read_nerfstudio(path, images=images)
-    return read_tum_trajectory(path)
+    if name == "tum":
+        return read_tum_trajectory(path)
+    raise ValueError(f"{name} is no format of reconstructions")
 
 
 def write_reconstruction(
@@ -64,9 +66,11 @@ def write_reconstruction(
         write_opensfm_folder(path, reconstruction, images=images)
     elif name == "nerfstudio":
         write_nerfstudio(path, reconstruction, images="images" if images is None else images)
-    else:
+    elif name == "tum":
         write_tum_trajectory(path, reconstruction, fps=fps)
         write_tum_names(names_path(path), reconstruction, fps=fps)
+    else:
+        raise ValueError(f"{name} is no format of reconstructions")
 
 
 def read_matches(

@@ -23,7 +23,6 @@ from epi360.report.match_table import (
     groups_sentence,
     joined_images,
     not_used,
-    rejection,
 )
 from epi360.report.model_scene import model_scene
 from epi360.report.pair_page import pictures_html
@@ -221,7 +220,7 @@ def summary_sentences(judged: JudgedPairs, skipped: Sequence[tuple[str, str]] = 
     images, pairs = counted(len(judged.images), "image"), counted(len(judged.verdicts), "pair")
     taken = f"{counted(len(accepted), 'pair')} {'is' if len(accepted) == 1 else 'are'} accepted"
     sentences = [f"{images} gave {pairs} ({judged.how}), and {taken}."]
-    counts = Counter(rejection(verdict) for verdict in judged.verdicts if not verdict.accepted)
+    counts = Counter(verdict.rejection for verdict in judged.verdicts if not verdict.accepted)
     for words, count in counts.most_common():
         refused = f"{'was' if count == 1 else 'were'} refused: {words}"
         sentences.append(f"Of the others, {count} {REJECTIONS.get(words, refused)}.")

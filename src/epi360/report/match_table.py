@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Matched pairs as a table for programs and a summary for people."""
+"""Matched pairs as a summary for people."""
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import astuple
 
 import numpy as np
 
@@ -15,20 +12,13 @@ from epi360.estimation.verdict import NOISE_QUESTION
 from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.lone_branches import Branch
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
-from epi360.jobs.matching.match_folder import MatchRun, PairVerdict
+from epi360.jobs.matching.match_folder import MatchRun
+from epi360.jobs.matching.pair_verdicts import CONTRADICTED, PairVerdict
 from epi360.jobs.matching.place_job import MOST_PAIRS
 from epi360.jobs.matching.verify_pairs import VerifiedGraph
-from epi360.report.text import STATUS_SENTENCES, counted, wrapped
+from epi360.report.text import counted, wrapped
 
-COLUMNS = (
-    "image1", "image2", "status", "accepted", "reason", "num_matches", "num_inliers", "noise_deg",
-    "parallax_deg", "qw", "qx", "qy", "qz", "tx", "ty", "tz", "rotation_sigma_deg",
-    "translation_sigma_deg", "num_triangles", "num_contradicted", "warnings", "probability",
-    "prior", "probability_nothing", "probability_rotation", "probability_surface",
-    "probability_motion", "probability_rival",
-)  # fmt: skip
-CONTRADICTED = "contradicted by other pairs"
-# What is said of so many pairs, by the words of `rejection`; other words say it by themselves.
+# What is said of so many pairs, by the words of `PairVerdict.rejection`; others say it themselves.
 REJECTIONS = {
     "too_few_matches": "had too few matches",
     "too_few_inliers": "had too few matches that agree with one pose",
@@ -53,42 +43,6 @@ _WITH_AGREED = {
 }
 _TAKES_LENSES = "--change-cameras takes the lenses that they agree on."
 _DOUBTED_BY_CHANCE = 0.1  # of accepted pairs whose cameras are right; 0.02 of real ones are
-
-
-def pairs_csv(judged: JudgedPairs) -> bytes:
-    """Table of all pairs in order, UTF-8 with a header; what is not determined is empty.
-
-    ``probability`` is by the matches of the pair and by what other pairs know, those of the
-    explanations are by its matches alone. ``prior`` is what was known beforehand: "upright", in a
-    level folder "level" or "level, one height"; or "second" or "implied", if the pose is not the
-    one that the matches said first.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for verdict in judged.verdicts:
-        pose = verdict.cam2_from_cam1
-        numbers = (verdict.noise_deg, verdict.parallax_deg, *pose.quaternion_wxyz)
-        sigmas = (verdict.rotation_sigma_deg, verdict.translation_sigma_deg)
-        writer.writerow(
-            [
-                verdict.image1,
-                verdict.image2,
-                verdict.status,
-                "yes" if verdict.accepted else "no",
-                verdict_reason(verdict, judged),
-                verdict.num_matches,
-                verdict.num_inliers,
-                *(_number(value) for value in (*numbers, *pose.translation, *sigmas)),
-                verdict.num_triangles,
-                verdict.num_contradicted,
-                "; ".join(verdict.warnings),
-                _number(verdict.probability),
-                verdict.prior,
-                *map(_number, astuple(verdict.explanations)),
-            ]
-        )
-    return text.getvalue().encode()
 
 
 def describe_match(run: MatchRun, skipped: Sequence[tuple[str, str]] = ()) -> str:
@@ -116,7 +70,7 @@ def _described(
     if accepted:
         inliers = np.median([verdict.num_inliers for verdict in accepted])
         rows.append(("", f"median of {inliers:.0f} inliers"))
-    counts = Counter(rejection(verdict) for verdict in judged.verdicts if not verdict.accepted)
+    counts = Counter(verdict.rejection for verdict in judged.verdicts if not verdict.accepted)
     rows += [("Rejected", f"{count} {_rejected(words)}") for words, count in counts.most_common()]
     rows += _listed("Not used", [f"{name}: {why}" for name, why in not_used(judged, skipped)])
     joined = joined_images(judged)
@@ -149,7 +103,7 @@ def branch_sentence(branch: Branch) -> str:
 
 def no_translation_sentence(judged: JudgedPairs) -> str:
     """Why there is nothing to map where no pair shows a translation."""
-    turned = sum(rejection(verdict) == "pure_rotation" for verdict in judged.verdicts)
+    turned = sum(verdict.rejection == "pure_rotation" for verdict in judged.verdicts)
     why = "pairs.csv says why"
     if turned:
         why = (
@@ -284,27 +238,6 @@ def groups_sentence(names: Sequence[str], joined: Iterable[tuple[str, str]]) -> 
     return f"The accepted pairs join {what} images{left}."
 
 
-def rejection(verdict: PairVerdict) -> str:
-    """Why a pair is not accepted, in the words that a summary counts."""
-    if verdict.contradicted:
-        return CONTRADICTED
-    return verdict.refused.partition(",")[0] or verdict.status
-
-
-def verdict_reason(verdict: PairVerdict, judged: JudgedPairs) -> str:
-    """Return why a pair has its verdict, as the table says it; empty where nothing is known."""
-    if verdict.contradicted:
-        return CONTRADICTED
-    if verdict.refused:
-        return verdict.refused
-    if verdict.accepted_for:
-        return verdict.accepted_for
-    if verdict.status in STATUS_SENTENCES:
-        return STATUS_SENTENCES[verdict.status]
-    names = (verdict.image1, verdict.image2)
-    return "; ".join(judged.unreadable[name] for name in names if name in judged.unreadable)
-
-
 def _rejected(words: str) -> str:
     return f"{REJECTIONS[words]} ({words})" if words in REJECTIONS else words
 
@@ -319,7 +252,3 @@ def _listed(label: str, lines: list[str]) -> list[Row]:
 def _first_few(names: Sequence[str]) -> str:
     more = f" and {len(names) - _FEW_NAMED} more" if len(names) > _FEW_NAMED else ""
     return ", ".join(names[:_FEW_NAMED]) + more
-
-
-def _number(value: float) -> str:
-    return f"{value:.9g}" if np.isfinite(value) else ""

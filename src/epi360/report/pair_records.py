@@ -14,7 +14,7 @@ from epi360.interop import MatchedPair, MatchGraph
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.poses import Pose
-from epi360.report.match_table import verdict_reason
+from epi360.report.pairs_table import verdict_reason
 from epi360.report.text import describe_explanations
 
 Array = NDArray[np.float64]

@@ -442,10 +442,8 @@ def _reasons(
     }
     tried: dict[str, Counter[str]] = {image.name: Counter() for image in images.images}
     for pair in matched.verdicts:
-        status = "contradicted by other pairs" if pair.contradicted else pair.status
-        status = pair.refused.partition(",")[0] or status
         for name in (pair.image1, pair.image2):
-            tried[name][status] += 1
+            tried[name]["ok" if pair.accepted else pair.rejection] += 1
     reasons = {}
     for name, statuses in tried.items():
         number = model_of.get(name)

@@ -31,6 +31,7 @@ from epi360.jobs.matching.second_poses import SECOND, SecondPair
 from epi360.jobs.records.match_store import Keys, Verdict
 from epi360.poses import Pose
 
+CONTRADICTED = "contradicted by other pairs"
 _UNDECIDED = ("pure_rotation", "planar_ambiguous")  # whose inliers are right matches all the same
 _AS_STATED = 2.0  # so many doubted poses are thought to be as probable as their matches say
 _OF_TWO_PLACES = f"{ANOTHER_PLACE}, as other pairs say that look from one to the other"
@@ -67,6 +68,11 @@ class PairVerdict(Verdict):
     def is_refused(self) -> bool:
         """Whether its own matches agree with a pose or two, which other pairs speak against."""
         return self.status in ("ok", *_UNDECIDED) and (self.contradicted or bool(self.refused))
+
+    @property
+    def rejection(self) -> str:
+        """Why it is not accepted, in the words that a summary counts."""
+        return CONTRADICTED if self.contradicted else self.refused.partition(",")[0] or self.status
 
     @property
     def by_others(self) -> bool:
