@@ -24,6 +24,7 @@ from epi360.estimation.calibration_doubt import Doubted, with_calibration_doubt
 from epi360.estimation.image_matches import IMAGE_OPTIONS as IMAGE_OPTIONS
 from epi360.estimation.image_matches import MAX_NOISE_PX
 from epi360.estimation.options import check_threshold
+from epi360.estimation.seen_through import without_what_is_seen_through
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
 from epi360.features import (
@@ -218,13 +219,16 @@ def asked_again(
 ) -> Doubted:
     """What the matches of two images say in the end, and the cameras that this pose belongs to.
 
-    The ground is asked where only the sky agrees, then whether other angles of the cameras explain
-    more; see `with_ground_motion` and `with_calibration_doubt`. Warnings have noise in pixels.
+    The ground is asked where only the sky agrees, then what is left where inliers would be seen
+    through a surface, then whether other angles of the cameras explain more; see
+    `with_ground_motion`, `without_what_is_seen_through` and `with_calibration_doubt`. Warnings
+    have noise in pixels.
     """
     pixel_deg = smallest_pixel_deg(cameras)
     again = partial(estimate, max_noise_deg=MAX_NOISE_PX * pixel_deg)
     grounded = with_ground_motion(result, bearings, cameras, again)
-    told = with_calibration_doubt(grounded, bearings, cameras, again)
+    seen = without_what_is_seen_through(grounded, bearings, again)
+    told = with_calibration_doubt(seen, bearings, cameras, again)
     return told._replace(result=noise_in_pixels(told.result, pixel_deg))
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -202,6 +202,17 @@ class ImagePairResult(RelativePoseResult):
     keypoints2: NDArray[np.float64]
     place: SamePlace = SamePlace()
     cameras: tuple[Camera | None, Camera | None] = (None, None)
+
+
+def among_all(
+    result: RelativePoseResult, rows: NDArray[np.intp], num_matches: int
+) -> RelativePoseResult:
+    """The result of some rows of all matches, for all of them; the others have no residual."""
+    inlier_mask = np.zeros(num_matches, dtype=bool)
+    inlier_mask[rows] = result.inlier_mask
+    residuals_rad = np.full(num_matches, np.nan)
+    residuals_rad[rows] = result.residuals_rad
+    return replace(result, inlier_mask=inlier_mask, residuals_rad=residuals_rad)
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:

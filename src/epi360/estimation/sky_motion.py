@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.estimation.angle_search import Bearings, Estimate, are_panoramas
-from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.result import RelativePoseResult, among_all
 from epi360.poses import poses_agree
 
 Mask = NDArray[np.bool_]
@@ -61,20 +61,12 @@ def with_ground_motion(
     is_same = poses_agree(*poses, _SAME_ROTATION_DEG, _SAME_DIRECTION_DEG)
     if is_same or answer.num_inliers < _LEAST_OF_GROUND * ground.sum():
         return result
-    inlier_mask = np.zeros(len(first), dtype=bool)
-    inlier_mask[ground] = answer.inlier_mask
-    residuals_rad = np.full(len(first), np.nan)
-    residuals_rad[ground] = answer.residuals_rad
     warning = (
         f"{int(moved.sum())} matches in the sky agree with a motion of their own, as clouds do; "
         f"this is what the {int(ground.sum())} matches on the ground say"
     )
-    return replace(
-        answer,
-        inlier_mask=inlier_mask,
-        residuals_rad=residuals_rad,
-        warnings=(*answer.warnings, warning),
-    )
+    told = among_all(answer, np.flatnonzero(ground), len(first))
+    return replace(told, warnings=(*told.warnings, warning))
 
 
 def _has_parallax(result: RelativePoseResult, bearings: Bearings) -> Mask:
