@@ -85,6 +85,18 @@ def test_an_image_of_a_name_that_the_model_has_gets_a_folder(
     assert "localized/Küche/1.png" in {i.name for i in read_colmap_model(tmp_path / "m").images}
 
 
+def test_a_trajectory_without_times_counts_the_images_and_names_them(
+    room_run, new_folder, tmp_path
+):
+    images = [str(new_folder / name) for name in ("0.png", "grey.png", "1.png")]
+    out = tmp_path / "poses.txt"
+    assert cli.main(["localize", str(room_run[0]), *images, "--out", str(out)]) == 0
+    rows = out.read_text(encoding="utf-8").splitlines()
+    assert [row.split()[0] for row in rows[1:]] == ["0", "2"]
+    names = (tmp_path / "poses_names.txt").read_text(encoding="utf-8").splitlines()
+    assert names[1:] == ["0 0.png", "2 1.png"]
+
+
 def test_a_run_goes_on_from_the_results_that_are_kept(room_run, new_folder, tmp_path, capsys):
     words = ["localize", str(room_run[0]), str(new_folder / "0.png")]
     kept = ["--keep", str(tmp_path / "kept")]

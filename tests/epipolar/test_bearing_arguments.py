@@ -85,6 +85,22 @@ def test_lists_and_single_precision_give_the_same_answer(name):
         np.testing.assert_array_equal(answer, expected)
 
 
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_masked_row_is_a_missing_one(name):
+    hidden = np.zeros(B1.shape, dtype=bool)
+    hidden[3] = True
+    answers = arrays_of(FUNCTIONS[name](np.ma.array(B1, mask=hidden), B2))
+    missing = arrays_of(FUNCTIONS[name](np.where(hidden, np.nan, B1), B2))
+    for answer, expected in zip(answers, missing, strict=True):
+        np.testing.assert_array_equal(answer, expected)
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((3, 3)), np.diag([1.0, 0.0, 0.0])])
+def test_a_matrix_near_no_essential_one_is_refused(matrix):
+    with pytest.raises(ValueError, match="E must have rank 2 or more"):
+        pose_from_essential(matrix, B1, B2)
+
+
 @pytest.mark.parametrize("name", sorted(set(FUNCTIONS) - {"eight_point"}))
 def test_no_matches_at_all_give_no_rows_or_a_pose_of_the_matrix(name):
     answer = FUNCTIONS[name](np.empty((0, 3)), np.empty((0, 3)))

@@ -218,6 +218,8 @@ def test_a_camera_that_does_not_fit_is_said_to_be_noisy():
         ({"shared_error": -1.0}, "shared_error must be 0 or more"),
         ({"gravity_sigma_deg": 0.0}, "gravity_sigma_deg must be positive"),
         ({"point_covariances": np.eye(3)}, "point_covariances must have shape (200, 3, 3)"),
+        ({"point_covariances": np.tile(-np.eye(3), (200, 1, 1))}, "symmetric and positive"),
+        ({"point_covariances": np.tile(np.triu(np.ones((3, 3))), (200, 1, 1))}, "symmetric and"),
         ({"seed": 1.5}, "seed must be an integer, got 1.5"),
         ({"max_noise_deg": -1}, "max_noise_deg must be a positive number"),
         ({"seed": float("nan")}, "seed must be an integer, got nan"),

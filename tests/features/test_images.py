@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from real_data import is_picture
 
 from epi360.cameras import Equirectangular
@@ -104,6 +105,16 @@ def test_the_orientation_tag_is_applied(tmp_path, orientation, quarter_turns):
     np.testing.assert_allclose(image.astype(int), np.rot90(pixels, quarter_turns), atol=12)
 
 
+@pytest.mark.parametrize(("orientation", "quarter_turns"), [(1, 0), (6, -1), (3, 2), (8, 1)])
+@pytest.mark.parametrize("mode", ["RGB", "RGBA"])
+def test_the_orientation_tag_of_a_png_is_applied(tmp_path, mode, orientation, quarter_turns):
+    pixels = random_image()
+    tag = Image.Exif()
+    tag[0x112] = orientation
+    Image.fromarray(pixels).convert(mode).save(tmp_path / "a.png", exif=tag)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), np.rot90(pixels, quarter_turns))
+
+
 def test_arrays_of_every_type_become_the_same_picture():
     levels = np.array([[0, 51, 255]], dtype=np.uint8)
     expected = np.repeat(levels[:, :, None], 3, axis=2)
@@ -138,6 +149,11 @@ def test_an_rgb_array_is_not_copied():
         (np.full((4, 8), 255.0), "left of floats must lie in .* divide by 255"),
         (np.full((4, 8), np.inf), "left of floats must lie in"),
         (None, "left must have shape"),
+        (np.full((4, 8), 4095, np.uint16), "left has 16 bits, of which the largest value is 4095"),
+        (
+            np.ma.zeros((4, 8), np.uint8),
+            "left must be a plain array; give what is hidden as a mask",
+        ),
     ],
 )
 def test_an_array_that_is_no_picture_is_refused(array, message):

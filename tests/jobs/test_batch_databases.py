@@ -242,6 +242,13 @@ def test_a_database_that_is_there_is_left_as_it_is_and_said(database, tmp_path, 
     assert (copy.read_bytes(), database.read_bytes()) == before
 
 
+def test_an_output_that_is_read_is_refused(database, tmp_path, capsys):
+    link = tmp_path / "poses.parquet"
+    link.symlink_to(database)
+    assert cli.main(["batch", str(database), "--output", str(link)]) == 2
+    assert "poses.parquet is read; give the output another name" in capsys.readouterr().err
+
+
 def leave_a_temporary_file(path):
     """What a run leaves that is killed while it writes a database, with SQLite's own file."""
     code = (

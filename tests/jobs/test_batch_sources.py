@@ -223,6 +223,11 @@ class Named:
         return iter(self.batches)
 
 
+def test_a_pair_of_an_image_with_itself_is_refused():
+    with pytest.raises(ValueError, match="in: row 1 is a pair of b with itself"):
+        check_names("in", Named((["a", "b"], ["b", "b"])))
+
+
 def test_the_same_pair_twice_is_found_also_across_batches():
     matches = Named((["a", "b"], ["c", "d"]), (["a", "c"], ["x", "a"]), (["b"], ["d"]))
     with pytest.raises(ValueError, match="in: the pair b d is there twice, in rows 1 and 4"):

@@ -210,6 +210,34 @@ def test_a_table_of_frames_must_have_a_time_for_each_image(tmp_path):
         read_trajectory(tmp_path / "model", {f"{k}.jpg": float(k) for k in range(3)})
 
 
+def of_two_cameras(tmp_path):
+    """Model of a rig: three moments of two cameras, and the front one's poses."""
+    poses = wandering(3)
+    images = [
+        PosedImage(f"{camera}/{k}.jpg", "c", pose.inverse())
+        for camera in ("front", "back")
+        for k, pose in enumerate(poses)
+    ]
+    write_colmap_model(
+        tmp_path / "rig", Reconstruction({"c": Equirectangular(8, 4)}, tuple(images))
+    )
+    return tmp_path / "rig", poses
+
+
+def test_two_images_of_one_time_are_no_trajectory(tmp_path):
+    model, _ = of_two_cameras(tmp_path)
+    both = {f"{camera}/{k}.jpg": float(k) for camera in ("front", "back") for k in range(3)}
+    with pytest.raises(ValueError, match=r"(front|back)/0.jpg of .*have the same time; a traj"):
+        read_trajectory(model, both)
+
+
+def test_a_table_of_one_camera_leaves_out_the_others(tmp_path):
+    model, poses = of_two_cameras(tmp_path)
+    frames = read_trajectory(model, {f"front/{k}.jpg": float(k) for k in range(3)})
+    assert frames.names == ("front/0.jpg", "front/1.jpg", "front/2.jpg")
+    np.testing.assert_allclose(frames.positions, [pose.translation for pose in poses], atol=1e-12)
+
+
 def test_too_few_frames_in_common_and_a_still_estimate_are_refused():
     truth = straight()
     later = posed_frames(list(truth.names), truth.times_s + 100, wandering(11))

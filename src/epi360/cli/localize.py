@@ -207,6 +207,7 @@ def _write(
     source: str,
 ) -> None:
     from epi360.interop import write_colmap_model, write_tum_trajectory
+    from epi360.interop.tum import names_path, write_tum_names
     from epi360.jobs.localization.outputs import model_with, record_of, table_of, trajectory_of
     from epi360.report.records import write_json
     from epi360.runs.whole_files import write_file
@@ -222,7 +223,9 @@ def _write(
             print(f"{path} was not written: no image has a pose")
             continue
         elif suffix in _TRAJECTORIES:
-            write_tum_trajectory(path, trajectory_of(results, _times(files)))
+            trajectory = trajectory_of(results, _times(files))
+            write_tum_trajectory(path, trajectory)
+            write_tum_names(names_path(path), trajectory)
         else:
             model, names = model_with(world.model, results)
             write_colmap_model(path, model)
@@ -233,19 +236,20 @@ def _write(
 
 
 def _times(files: Mapping[str, Path]) -> dict[str, float]:
-    """Times of images from the frames.csv beside them, if all have one."""
+    """Times of images from the frames.csv beside them, if all have one, or else their numbers."""
     from epi360.jobs.frames.frame_source import read_frame_table
 
+    numbers: dict[str, float] = {name: number for number, name in enumerate(files)}
     times: dict[str, float] = {}
     tables: dict[Path, Mapping[str, float | None]] = {}
     for name, path in files.items():
         table = path.parent / "frames.csv"
         if not table.is_file():
-            return {}
+            return numbers
         if table not in tables:
             tables[table] = read_frame_table(table)
         time_s = tables[table].get(path.name)
         if time_s is None:
-            return {}
+            return numbers
         times[name] = time_s
     return times

@@ -130,10 +130,11 @@ def pair(
         else:
             images = _read_pair(image1, image2, given, progress)
         result = _estimate(images, options, progress)
-        _write_outputs(images, result, output, progress)
     from epi360.report.text import describe_pair
 
-    print(describe_pair(result, images.truth))
+    print(describe_pair(result, images.truth), flush=True)  # even if a file cannot be written
+    with show_progress() as progress:
+        _write_outputs(images, result, output, progress)
     for path in (output.json, output.figure, output.report, output.save_images):
         if path is not None:
             print(f"wrote {path}")

@@ -8,8 +8,8 @@ Array = NDArray[np.float64]
 
 
 def bearings_array(bearings: ArrayLike, name: str) -> Array:
-    """Return unit bearings as float64 (N, 3); rows with NaN stay NaN."""
-    array = np.asarray(bearings, dtype=np.float64)
+    """Return unit bearings as float64 (N, 3); rows with NaN, or masked, are NaN."""
+    array = plain_array(bearings)
     check_rows_of_three(array, name)
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).any(axis=1))[0])
@@ -23,6 +23,13 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     array = array / largest[:, None]  # so that squares neither overflow nor vanish
     norms = np.sqrt(np.einsum("ij,ij->i", array, array))
     return np.ascontiguousarray(array / norms[:, None])
+
+
+def plain_array(values: ArrayLike) -> Array:
+    """Return float64 values; NaN where a masked array hides one."""
+    if isinstance(values, np.ma.MaskedArray):
+        return np.ma.filled(values.astype(np.float64), np.nan)
+    return np.asarray(values, dtype=np.float64)
 
 
 def check_rows_of_three(array: Array, name: str) -> None:

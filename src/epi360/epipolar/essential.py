@@ -11,6 +11,8 @@ from epi360.poses import Pose, checked_pose
 
 Array = NDArray[np.float64]
 
+_LEAST_SINGULAR = 1e-12  # of a rank, beside the largest singular value
+
 
 def skew(vector: ArrayLike) -> Array:
     """Return [v]x, so that ``skew(v) @ w == np.cross(v, w)``."""
@@ -34,9 +36,11 @@ def project_to_essential(E: ArrayLike) -> Array:
     Raises
     ------
     ValueError
-        If E is not a finite (3, 3) matrix.
+        If E is not a finite (3, 3) matrix of rank 2 or more.
     """
-    U, _, Vt = np.linalg.svd(_matrix(E))
+    U, (largest, second, _), Vt = np.linalg.svd(_matrix(E))
+    if not second > _LEAST_SINGULAR * largest:
+        raise ValueError("E must have rank 2 or more; [t]x R has rank 2")
     return np.asarray(U @ np.diag([1.0, 1.0, 0.0]) @ Vt)
 
 
@@ -48,7 +52,7 @@ def decompose_essential(E: ArrayLike) -> tuple[Pose, Pose, Pose, Pose]:
     Raises
     ------
     ValueError
-        If E is not a finite (3, 3) matrix.
+        If E is not a finite (3, 3) matrix of rank 2 or more.
 
     Notes
     -----
@@ -147,8 +151,8 @@ def pose_from_essential(E: ArrayLike, bearings1: ArrayLike, bearings2: ArrayLike
     Raises
     ------
     ValueError
-        If E is not a finite (3, 3) matrix, an array of bearings has another shape than (N, 3), or
-        the lengths differ.
+        If E is not a finite (3, 3) matrix of rank 2 or more, an array of bearings has another shape
+        than (N, 3), or the lengths differ.
     """
     b1, b2 = bearing_pair(bearings1, bearings2)
     poses = decompose_essential(E)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from epi360.epipolar.arguments import bearings_array, direction_array
+from epi360.epipolar.arguments import bearings_array, direction_array, plain_array
 from epi360.estimation.absolute_covariance import at_world
 from epi360.estimation.absolute_evidence import (
     Evidence,
@@ -39,6 +39,7 @@ Indices = NDArray[np.intp]
 # A second pose is truly different beyond this, in degrees and in median distances of the points.
 _RIVAL_DEG, _RIVAL_DISTANCE = 3.0, 0.05
 _FEWEST_SWAPPED = 20  # rows that tell whether bearings stand in the place of points
+_ROUNDING = 1e-6  # of the entries of a covariance, beside the largest one
 _UNIT = 1e-6  # by how much the length of a direction of single precision may differ from 1
 _LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _WITH_POSE = ("ok", "ambiguous")
@@ -257,7 +258,7 @@ def _are_unit(rows: ArrayLike) -> bool:
 
 
 def _points(points: ArrayLike, shape: tuple[int, ...]) -> Array:
-    X = np.ascontiguousarray(points, dtype=np.float64)
+    X = np.ascontiguousarray(plain_array(points))
     if X.shape != shape:
         raise ValueError(f"points must have shape {shape} like bearings, got {X.shape}")
     if np.isinf(X).any():
@@ -275,6 +276,10 @@ def _covariances(covariances: ArrayLike | None, count: int) -> Array | None:
         raise ValueError(f"point_covariances must have shape ({count}, 3, 3), got {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError("point_covariances must be finite")
+    allowed = _ROUNDING * np.abs(array).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(array - np.swapaxes(array, 1, 2)).max(axis=(1, 2), initial=0.0)
+    if (skew > allowed).any() or (np.linalg.eigvalsh(array)[:, 0] < -allowed).any():
+        raise ValueError("point_covariances must be symmetric and positive semidefinite")
     return array
 
 

@@ -13,6 +13,7 @@ from epi360.epipolar.arguments import (
     check_rows_of_three,
     direction_array,
     jacobians_array,
+    plain_array,
     weights_array,
 )
 
@@ -64,7 +65,7 @@ def native_pair(
 
 
 def _rows(bearings: ArrayLike, name: str) -> Array:
-    array = np.ascontiguousarray(bearings, dtype=np.float64)
+    array = np.ascontiguousarray(plain_array(bearings))
     check_rows_of_three(array, name)
     if _look_like_pixels(array):
         raise ValueError(

@@ -34,7 +34,7 @@ _RAW_FILES = {
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     """Pixels of a complete file, (H, W, 3) BGR or (H, W, 4) BGRA of the file's own type.
 
-    They are upright unless some are transparent. The errors are those of `read_image`.
+    They are upright. The errors are those of `read_image`.
     """
     data = _read_bytes(path, name)
     try:
@@ -45,6 +45,8 @@ def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
         else:
             check_complete(data)
             pixels = _decoded(data, header.may_have_alpha)
+            if data.startswith(PNG_SIGNATURE):
+                pixels = _turned(pixels, header.orientation)
         _check_size((pixels.shape[1], pixels.shape[0]), max_pixels)
     except ValueError as error:
         raise ValueError(f"{name} {path} {error}") from None
@@ -113,13 +115,16 @@ def _turned(pixels: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 
 def _decoded(data: bytes, may_have_alpha: bool) -> NDArray[Any]:
-    """Pixels as OpenCV orders them: BGR, or BGRA when some are transparent."""
+    """Pixels as OpenCV orders them: BGR, or BGRA when some are transparent; PNG not yet turned."""
+    # Unlike IMREAD_UNCHANGED this applies the orientation tag, to PNG in some versions only.
+    opaque = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH
+    if data.startswith(PNG_SIGNATURE):
+        opaque |= cv2.IMREAD_IGNORE_ORIENTATION
     encoded = np.frombuffer(data, dtype=np.uint8)
     try:
         pixels = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if may_have_alpha else None
         if pixels is None or pixels.ndim != 3 or pixels.shape[2] != 4:
-            # Unlike IMREAD_UNCHANGED this applies the orientation tag.
-            pixels = cv2.imdecode(encoded, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+            pixels = cv2.imdecode(encoded, opaque)
     except cv2.error as error:
         if "CV_IO_MAX_IMAGE" in str(error):
             raise ValueError(

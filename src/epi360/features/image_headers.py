@@ -46,8 +46,8 @@ def ignoring_warnings() -> Iterator[None]:
 class ImageHeader:
     """What the header of an image file says; ``size`` is None if only decoding tells.
 
-    ``orientation`` is that of a JPEG file. ``latitude_longitude_deg`` is that of Exif's GPS; None
-    if there is none, or it is damaged.
+    ``orientation`` is that of a JPEG or PNG file. ``latitude_longitude_deg`` is that of Exif's GPS;
+    None if there is none, or it is damaged.
     """
 
     size: tuple[int, int] | None = None
@@ -105,15 +105,16 @@ def _png_header(file: IO[bytes]) -> ImageHeader:
     except (struct.error, SyntaxError):
         pass  # cut or damaged: what came before it counts
     xmp = chunks.im_info.get("xmp")
-    # Whether OpenCV turns a PNG depends on transparency and on its version.
     exif = _exif(chunks.im_info)
-    known = all(chunks.im_size) and _orientation(exif) not in _TRANSPOSED
+    orientation = _orientation(exif)
+    size = chunks.im_size[::-1] if orientation in _TRANSPOSED else chunks.im_size
     may_have_alpha = chunks.im_mode in ("LA", "RGBA") or "transparency" in chunks.im_info
     return ImageHeader(
-        chunks.im_size if known else None,
+        size if all(size) else None,
         xmp.encode() if isinstance(xmp, str) else xmp,
         may_have_alpha,
-        latitude_longitude_deg=_latitude_longitude(exif),
+        orientation,
+        _latitude_longitude(exif),
     )
 
 

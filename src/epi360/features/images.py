@@ -15,6 +15,8 @@ from epi360.features.image_files import MAX_PIXELS, decode_image_file
 ImageSource = str | os.PathLike[str] | NDArray[Any]
 """A path or an array, see `read_image`."""
 
+_LARGEST_OF_12_BITS = 4095
+
 
 def read_image(
     source: ImageSource, *, max_pixels: int = MAX_PIXELS, name: str = "image"
@@ -42,9 +44,11 @@ def read_image(
 
     Notes
     -----
-    The orientation tag (EXIF) of a file is applied, except with transparency. Transparent pixels
-    are blended with black. 16 bits become 8 by value / 257, rounded.
+    The orientation tag (EXIF) of a file is applied. Transparent pixels are blended with black. 16
+    bits become 8 by value / 257, rounded.
     """
+    if isinstance(source, np.ma.MaskedArray):
+        raise ValueError(f"{name} must be a plain array; give what is hidden as a mask of its own")
     if not isinstance(source, str | os.PathLike):
         return _rgb_from_array(np.asarray(source), name)
     path = Path(source)
@@ -208,6 +212,11 @@ def _uint8_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
     if array.dtype == np.bool_:
         return array.astype(np.uint8) * np.uint8(255)
     if array.dtype == np.uint16:
+        if 0 < array.max() <= _LARGEST_OF_12_BITS:
+            raise ValueError(
+                f"{name} has 16 bits, of which the largest value is {array.max()}; multiply it so "
+                "that white is 65535, as 12 bits by 16, or 8 bits by 257"
+            )
         scale = 1 / 257
     elif np.issubdtype(array.dtype, np.floating):
         low, high = array.min(), array.max()

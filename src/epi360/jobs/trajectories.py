@@ -69,16 +69,18 @@ def read_trajectory(
 ) -> PosedFrames:
     """Poses of a TUM trajectory, a COLMAP model or another reconstruction, in order.
 
-    ``times_of`` gives names their times, where the file has none; it gives all of them or none. Its
-    names are compared as those of two trajectories, see `matching_frames`: those in transforms.json
-    begin with a folder. Images without a pose are left out.
+    ``times_of`` gives names their times, where the file has none; it gives all images of a folder a
+    time or none, and of several cameras that of one: the others are left out then, as are images
+    without a pose. Names are compared as those of two trajectories, see `matching_frames`: those in
+    transforms.json begin with a folder.
 
     Raises
     ------
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If it holds no poses, is damaged, or has images without a time beside others with one.
+        If it holds no poses, is damaged, has images without a time beside others with one, or two
+        images of one time, as those of a rig.
     """
     kind = format_of_file(path)
     if FORMATS[kind].kind != "reconstruction":
@@ -94,6 +96,8 @@ def read_trajectory(
         raise ValueError(f"{path} holds no pose")
     known = times_of or {}
     times = _times(images, known)
+    if known:
+        images, times = _of_timed_folders(images, times)
     unknown = [image.name for image, time in zip(images, times, strict=True) if time is None]
     if known and 0 < len(unknown) < len(images):
         raise ValueError(
@@ -103,6 +107,13 @@ def read_trajectory(
     if not unknown:
         order = np.argsort(np.array(times, dtype=np.float64), kind="stable")
         stamps = np.array(times, dtype=np.float64)[order]
+        (same,) = np.nonzero(np.diff(stamps) == 0.0)
+        if len(same):
+            first, second = (images[order[same[0] + k]].name for k in (0, 1))
+            raise ValueError(
+                f"images {first} and {second} of {path} have the same time; a trajectory is that "
+                "of one camera: name the images of one in the table of frames"
+            )
     else:
         order = np.array(sorted(range(len(images)), key=lambda k: _name_order(images[k].name)))
         stamps = None
@@ -122,6 +133,19 @@ def _times(images: Sequence[PosedImage], known: Mapping[str, float | None]) -> l
         if times[row] is None:
             times[row] = known[names[table_row]]
     return times
+
+
+def _of_timed_folders(
+    images: list[PosedImage], times: list[float | None]
+) -> tuple[list[PosedImage], list[float | None]]:
+    """Images and times without those of folders in which no image has a time, if others do."""
+    timed = {
+        PurePosixPath(image.name).parent
+        for image, time in zip(images, times, strict=True)
+        if time is not None
+    }
+    kept = [k for k, each in enumerate(images) if PurePosixPath(each.name).parent in timed]
+    return ([images[k] for k in kept], [times[k] for k in kept]) if kept else (images, times)
 
 
 def _name_order(name: str) -> list[Any]:

@@ -26,6 +26,14 @@ def local_path(path: str) -> Path:
     return Path(path.removeprefix("file://"))
 
 
+def is_same(path: str, other: str) -> bool:
+    """Whether two paths are one file or folder that exists; of URLs, whether they are equal."""
+    if is_remote(path) or is_remote(other):
+        return path == other
+    first, second = local_path(path), local_path(other)
+    return first.exists() and second.exists() and first.samefile(second)
+
+
 def exists(path: str) -> bool:
     """Whether there is such a file or folder."""
     if is_remote(path):

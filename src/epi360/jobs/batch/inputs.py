@@ -20,11 +20,19 @@ def open_matches(source: MatchSource) -> AbstractContextManager[OpenMatches]:
 
 
 def check_names(path: str, matches: OpenMatches) -> None:
-    """Raise where there is no pair, or one is there twice; of the input, only names are read."""
-    hashes = np.fromiter(
-        (pair_seed(0, *pair) for names in matches.names() for pair in zip(*names, strict=True)),
-        dtype=np.uint64,  # eight bytes a pair are kept
-    )
+    """Raise where there is no pair, or one is there twice, or is of an image with itself.
+
+    Of the input, only names are read.
+    """
+
+    def hashed(row: int, pair: tuple[str, str]) -> int:
+        if pair[0] == pair[1]:
+            raise ValueError(f"{path}: row {row} is a pair of {pair[0]} with itself")
+        return pair_seed(0, *pair)
+
+    pairs = (pair for names in matches.names() for pair in zip(*names, strict=True))
+    # Eight bytes a pair are kept.
+    hashes = np.fromiter((hashed(*each) for each in enumerate(pairs)), dtype=np.uint64)
     if not len(hashes):
         raise ValueError(f"{path} has no pairs")
     order = np.argsort(hashes, kind="stable")

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 from epi360.jobs.batch.inputs import check_names, open_matches
 from epi360.jobs.batch.job import BatchJob, merge_parts, missing_parts
@@ -60,6 +59,9 @@ def run_batch(
     check_engine(engine)
     if num_threads is not None and num_threads < 1:
         raise ValueError(f"num_threads must be 1 or more, got {num_threads}")
+    for path in filter(None, (job.source.path, job.source.features, job.source.pairs)):
+        if storage.is_same(job.output, path):
+            raise ValueError(f"{job.output} is read; give the output another name")
     if database is not None and job.source.kind == "colmap" and job.source.camera is not None:
         raise ValueError(
             f"{database}: the copy would keep the cameras of {job.source.path}, but the poses be "
@@ -131,10 +133,6 @@ def _needs_database(job: BatchJob, database: str, is_merged: bool) -> bool:
     path = storage.local_path(database)
     if not path.parent.is_dir():
         raise FileNotFoundError(f"folder {path.parent} of the database does not exist")
-    if path.exists() and (not is_merged or _is_same_file(path, job.source.path)):
+    if path.exists() and (not is_merged or storage.is_same(database, job.source.path)):
         raise ValueError(f"{path} is there already; give the name of a new file")
     return not path.exists()
-
-
-def _is_same_file(path: Path, source: str) -> bool:
-    return not storage.is_remote(source) and path.samefile(storage.local_path(source))

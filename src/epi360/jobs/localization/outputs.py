@@ -60,11 +60,11 @@ def record_of(results: Mapping[str, LocalizationResult], source: str) -> dict[st
 def trajectory_of(
     results: Mapping[str, LocalizationResult], times: Mapping[str, float]
 ) -> Reconstruction:
-    """Poses alone, with times where all are known."""
+    """Poses alone, with their times."""
     return Reconstruction(
         {},
         tuple(
-            PosedImage(name, None, result.cam_from_world, times.get(name))
+            PosedImage(name, None, result.cam_from_world, times[name])
             for name, result in results.items()
             if result.success
         ),

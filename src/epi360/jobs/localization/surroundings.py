@@ -114,7 +114,7 @@ def _asked(
     return Surroundings(
         share=float(likely @ _SHARES),
         num_parts=int(cells.max()) + 1,
-        probability=float(likely[_SHARES >= _LEAST_SHARE].sum()),
+        probability=min(1.0, float(likely[_SHARES >= _LEAST_SHARE].sum())),
         witness=view.name,
     )
 
