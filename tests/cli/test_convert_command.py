@@ -47,6 +47,23 @@ def test_nerfstudio_becomes_opensfm_and_comes_back(run, tmp_path):
         np.testing.assert_array_equal(reconstruction.colors, scene().colors)
 
 
+def test_the_folder_of_images_may_be_named_as_seen_from_here(run, tmp_path):
+    write_nerfstudio("transforms.json", scene())
+    (tmp_path / "new").mkdir()
+    (tmp_path / "walk" / "rgb").mkdir(parents=True)
+    assert run("transforms.json", "reconstruction.json")[0] == 0
+    assert run("reconstruction.json", "new/transforms.json", "--images", "walk/rgb")[::2] == (0, "")
+    back = read_nerfstudio("new/transforms.json", images="../walk/rgb")
+    assert back.images[0].name == "hall/0.jpg"
+
+
+def test_a_folder_of_images_that_is_nowhere_is_said(run, tmp_path):
+    write_nerfstudio("transforms.json", scene())
+    (tmp_path / "new").mkdir()
+    code, _, said = run("transforms.json", "new/transforms.json", "--images", "rgb")
+    assert code == 0 and "will look for images in new/rgb, which is no folder" in said
+
+
 def test_images_may_lie_beside_the_file(run, tmp_path):
     write_opensfm("reconstruction.json", scene())
     assert run("reconstruction.json", "transforms.json", "--images", "")[0] == 0

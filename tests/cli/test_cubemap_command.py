@@ -13,7 +13,7 @@ pytest.importorskip("pycolmap")
 from epi360.interop.colmap_model import read_colmap_model  # noqa: E402
 
 
-@pytest.mark.parametrize("model", ["sparse/0", "."])
+@pytest.mark.parametrize("model", ["sparse/0", ".", "transforms.json"])
 def test_a_model_that_is_there_is_cut_without_mapping(
     room_folder, room_run, tmp_path, capsys, model
 ):

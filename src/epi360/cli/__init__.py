@@ -10,7 +10,10 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 from epi360.cli.exit_codes import FAILURE, INTERRUPTED, SUCCESS, WRONG_USE
 
@@ -72,7 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _, given, _ = app.parse_args(words, exit_on_error=False, print_error=False)
         check_numbers(given.arguments)
-        code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        with warnings.catch_warnings():
+            warnings.showwarning = partial(_show_warning, warnings.showwarning)
+            code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return SUCCESS
@@ -89,6 +94,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("epi360: interrupted" + (f"; {left}" if left else ""), file=sys.stderr)
         return INTERRUPTED
     return code if isinstance(code, int) else SUCCESS
+
+
+def _show_warning(
+    shown_else: Callable[..., None], message: Warning | str, category: type[Warning], *more: Any
+) -> None:
+    """Show a warning to users as one line; those to programmers as they are."""
+    if category is UserWarning:
+        print(f"epi360: {message}", file=sys.stderr)
+    else:
+        shown_else(message, category, *more)
 
 
 def _one_line(error: Exception) -> str:

@@ -165,6 +165,8 @@ def convert(
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
         with _warnings_on_stderr():
+            if target_name == "nerfstudio":
+                images = _images_beside(target, images)
             write_reconstruction(target, target_name, content, images=images, fps=fps)
         print(_summary(target, target_name, content))
         return SUCCESS
@@ -190,6 +192,21 @@ def convert(
         if verified.verdicts and not any(verdict.accepted for verdict in verified.verdicts):
             return FAILURE
     return SUCCESS
+
+
+def _images_beside(target: Path, images: str | None) -> str | None:
+    """Folder of the images as seen from transforms.json; it may be given as seen from here."""
+    if images is None or (target.parent / images).is_dir():
+        return images
+    if Path(images).is_dir():
+        from epi360.interop.nerfstudio import seen_from
+
+        return seen_from(target.parent, images)
+    looked_for = target.parent / images
+    warnings.warn(
+        f"nerfstudio will look for images in {looked_for}, which is no folder", stacklevel=2
+    )
+    return images
 
 
 def _check_match_options(

@@ -222,6 +222,7 @@ def cubemap(
     """
     from epi360.interop.convert import read_reconstruction
     from epi360.interop.formats import FORMATS, format_of_file
+    from epi360.interop.nerfstudio import seen_from
     from epi360.jobs.folder.masks import MaskSource
     from epi360.runs.input_files import as_file
 
@@ -233,6 +234,10 @@ def cubemap(
                 f"{model} holds matches; a cubemap needs poses, as epi360 map finds them"
             )
         reconstruction = read_reconstruction(file, name)
+        if any(image.name.startswith("../") for image in reconstruction.images):
+            # Paths of transforms.json, whose images are elsewhere.
+            seen = seen_from(model.parent, images)
+            reconstruction = read_reconstruction(file, name, images=seen)
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}
     source.check_used(list(masks.values()))

@@ -13,6 +13,7 @@ nerfstudio_dataparser.py.
 """
 
 import json
+import os
 import posixpath
 from collections.abc import Mapping
 from pathlib import Path
@@ -125,6 +126,11 @@ def write_nerfstudio(
     if len(saved.points):
         write_ply_points(path.parent / POINTS_FILE, saved.points, saved.colors)
     write_file(path, json.dumps(document, ensure_ascii=False, indent=1).encode())
+
+
+def seen_from(folder: Path, images: PathLike) -> str:
+    """Path of the images as ``transforms.json`` in a folder has it, with slashes."""
+    return Path(os.path.relpath(images, folder)).as_posix()
 
 
 def _camera_entries(

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import unicodedata
+import warnings
 from pathlib import Path
 
 from epi360.features.image_headers import read_image_header
@@ -66,11 +67,21 @@ class MaskSource:
         )
 
     def check_used(self, masks: list[Path | None]) -> None:
-        """Raise ``ValueError`` where a folder of masks was given and no image has one."""
-        if self._masks is not None and not any(masks):
-            raise ValueError(
-                f"mask folder {self._path} has no mask for any of the images; the mask of a/b.jpg "
-                "is a/b.png or a/b.jpg.png"
+        """Raise ``ValueError`` where a folder of masks was given and no image has one.
+
+        Where some have none, and some masks belong to no image, a warning says so.
+        """
+        if self._masks is None:
+            return
+        named = "the mask of a/b.jpg is a/b.png or a/b.jpg.png"
+        if not any(masks):
+            raise ValueError(f"mask folder {self._path} has no mask for any of the images; {named}")
+        num_without, num_left = masks.count(None), len({*self._masks.values()} - {*masks})
+        if num_without and num_left:
+            warnings.warn(
+                f"{num_without} of {len(masks)} images have no mask in {self._path}, and "
+                f"{num_left} masks there belong to no image; {named}",
+                stacklevel=2,
             )
 
 
