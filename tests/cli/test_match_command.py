@@ -22,6 +22,17 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+def test_images_without_a_mask_are_said_in_one_line(here, capsys):
+    for name in (NAMES[0], "other.png"):
+        path = (here / "masks" / name).with_suffix(".png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_png(path, np.full_like(pictures()[0], 255))
+    assert main(["match", "tour", "--mask", "masks"]) == SUCCESS
+    said = capsys.readouterr().err
+    assert "images have no mask in masks, and 1 masks there belong to no image" in said
+    assert "UserWarning" not in said
+
+
 def documented_columns():
     section = text_of(ROOT / "docs" / "conventions.md").split("## Columns of `pairs.csv`\n")[1]
     first_columns = re.findall(r"^\| (`.+?`) \|", section.split("\n## ")[0], re.M)

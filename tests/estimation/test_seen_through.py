@@ -69,6 +69,15 @@ def test_what_is_left_of_few_right_matches_is_no_pose():
     assert told.status == "too_few_inliers" and len(told.alternatives) >= 1
 
 
+def test_missing_matches_are_counted_among_all():
+    bearings = turned_above_tiles(0)
+    bearings = [np.concatenate([np.full((3, 3), np.nan), each]) for each in bearings]
+    given = ESTIMATE(*bearings)
+    told = without_what_is_seen_through(given, bearings, ESTIMATE)
+    assert told.status == "pure_rotation" and len(told.inlier_mask) == 53
+    assert not any("of 28 matches" in warning for warning in told.warnings)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_step_in_a_room_stays(seed):
     rng = np.random.default_rng(seed)

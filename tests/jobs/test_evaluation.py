@@ -225,10 +225,11 @@ def of_two_cameras(tmp_path):
 
 
 def test_two_images_of_one_time_are_no_trajectory(tmp_path):
-    model, _ = of_two_cameras(tmp_path)
+    model, poses = of_two_cameras(tmp_path)
     both = {f"{camera}/{k}.jpg": float(k) for camera in ("front", "back") for k in range(3)}
-    with pytest.raises(ValueError, match=r"(front|back)/0.jpg of .*have the same time; a traj"):
-        read_trajectory(model, both)
+    truth = posed_frames(["a", "b", "c"], np.arange(3.0), poses)
+    with pytest.raises(ValueError, match=r"(front|back)/0.jpg have the same time; a trajectory"):
+        evaluate(read_trajectory(model, both), truth)
 
 
 def test_a_table_of_one_camera_leaves_out_the_others(tmp_path):

@@ -100,6 +100,18 @@ def test_who_is_asked_again_and_which_answer_is_kept():
         assert not LEVEL.asks_again(settled)
 
 
+def test_a_pose_is_no_more_probable_than_with_the_prior():
+    """Matches of one door with another leave a pose that is level, but hardly another way round."""
+    doubtful = replace(verdict_of(probability=0.99), warnings=("inliers cover little",))
+    lost = Verdict(status="too_few_inliers", probability=0.8)
+    told = LEVEL.told(doubtful, lost)
+    assert (told.status, told.probability) == ("ok", 0.8)
+    assert told.cam2_from_cam1 is doubtful.cam2_from_cam1
+    surer = verdict_of(probability=0.999)
+    assert LEVEL.told(doubtful, surer) is surer
+    assert LEVEL.told(lost, Verdict(status="too_few_inliers", probability=0.2)) is lost
+
+
 def test_a_rotation_that_tilts_is_in_doubt_too():
     pose = Pose(rotation_from_vector([0.2, 0.0, 0.0]), np.full(3, np.nan))
     turned = Verdict(status="pure_rotation", cam2_from_cam1=pose)

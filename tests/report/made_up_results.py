@@ -65,7 +65,7 @@ def fake_result(
         inlier_mask=inlier_mask.astype(bool),
         residuals_rad=sampson_residuals(E, *bearings)
         if has_translation
-        else np.full(len(keypoints1), 1e-3 if has_rotation else NAN),
+        else np.full(len(keypoints1), 1e-3),  # of a refused pose too
         noise_deg=0.1 if has_rotation else NAN,
         inlier_threshold_deg=0.3,
         parallax_deg=8.0 if has_translation else NAN,

@@ -140,7 +140,7 @@ def _as_typed(text: str, words: Sequence[str]) -> str:
 
 def _options_of(words: Sequence[str]) -> set[str]:
     """Names of what the command of these words takes; empty if there is no such command."""
-    if not words or words[0] not in app:
+    if not words or words[0].startswith("-") or words[0] not in app:
         return set()
     taken = app[words[0]].assemble_argument_collection(parse_docstring=False)
     return {name for argument in taken for name in argument.names}

@@ -183,11 +183,21 @@ def _described(result: LocalizationResult) -> str:
     return "; ".join([line, *result.warnings])
 
 
+def _is_trajectory(path: Path) -> bool:
+    return path.suffix.lower() in _TRAJECTORIES
+
+
 def _check_outputs(outputs: Sequence[Path]) -> None:
     """Raise before the work where something could not be written."""
-    if len(set(outputs)) < len(outputs):
-        raise ValueError("out must name different files, got one twice")
-    for path in outputs:
+    from epi360.interop.tum import names_path
+
+    written = [*outputs, *map(names_path, filter(_is_trajectory, outputs))]
+    if len(set(written)) < len(written):
+        raise ValueError(
+            "out must name different files, got one twice (a trajectory has a second one, "
+            "NAME_names.txt)"
+        )
+    for path in written:
         suffix = path.suffix.lower()
         if suffix not in ("", _TABLE, _RECORD, *_TRAJECTORIES):
             raise ValueError(
@@ -222,10 +232,11 @@ def _write(
         elif not located:
             print(f"{path} was not written: no image has a pose")
             continue
-        elif suffix in _TRAJECTORIES:
+        elif _is_trajectory(path):
             trajectory = trajectory_of(results, _times(files))
             write_tum_trajectory(path, trajectory)
             write_tum_names(names_path(path), trajectory)
+            print(f"wrote {names_path(path)}")
         else:
             model, names = model_with(world.model, results)
             write_colmap_model(path, model)

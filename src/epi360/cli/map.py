@@ -234,9 +234,9 @@ def cubemap(
                 f"{model} holds matches; a cubemap needs poses, as epi360 map finds them"
             )
         reconstruction = read_reconstruction(file, name)
-        if any(image.name.startswith("../") for image in reconstruction.images):
-            # Paths of transforms.json, whose images are elsewhere.
-            seen = seen_from(model.parent, images)
+        seen = f"{seen_from(model.parent, images)}/"
+        if all(image.name.startswith(seen) for image in reconstruction.images):
+            # transforms.json has paths from where it is.
             reconstruction = read_reconstruction(file, name, images=seen)
     source = MaskSource(mask)
     masks = {image.name: source.mask_of(image.name) for image in reconstruction.images}

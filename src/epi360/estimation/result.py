@@ -25,6 +25,7 @@ Status = Literal[
 ]
 
 
+MISSING_MATCHES = "matches are missing"  # of the warning about them, by which it is known
 LEAST_PROBABILITY = 0.85  # of a pose that is accepted; the core's kAccepted is the same
 
 
@@ -207,12 +208,16 @@ class ImagePairResult(RelativePoseResult):
 def among_all(
     result: RelativePoseResult, rows: NDArray[np.intp], num_matches: int
 ) -> RelativePoseResult:
-    """The result of some rows of all matches, for all of them; the others have no residual."""
+    """The result of some rows of all matches, for all of them; the others have no residual.
+
+    What it says of missing matches is of the rows alone, and is left out.
+    """
     inlier_mask = np.zeros(num_matches, dtype=bool)
     inlier_mask[rows] = result.inlier_mask
     residuals_rad = np.full(num_matches, np.nan)
     residuals_rad[rows] = result.residuals_rad
-    return replace(result, inlier_mask=inlier_mask, residuals_rad=residuals_rad)
+    warnings = tuple(each for each in result.warnings if MISSING_MATCHES not in each)
+    return replace(result, inlier_mask=inlier_mask, residuals_rad=residuals_rad, warnings=warnings)
 
 
 def pose_sigmas_deg(result: RelativePoseResult) -> tuple[float, float]:

@@ -26,7 +26,7 @@ _FEWEST_MOVED, _LEAST_STILL = 6, 0.2  # inliers that moved, and the share that s
 _SAME_DEPTH = 0.15  # of the inverse depth, by which what is on one plane misses it
 _LEAST_ON_PLANE = 0.7  # of what moved
 _NEAR_DEG, _APART_DEG = 45.0, 1.0  # from what is on the plane, and from each other
-_FEWEST_BEHIND = 2
+_FEWEST_BEHIND, _MOST_COUNTED = 2, 500
 _NUM_SAMPLES = 64
 
 
@@ -37,8 +37,8 @@ def without_what_is_seen_through(
 
     The inliers with parallax must lie on one plane, and others without any must look at it, near
     what lies on it, where it would show much. ``bearings``, (N, 3) each, are those that the result
-    was estimated from, wrong matches included. The result stays as it is if the others agree on
-    anything but a turn.
+    was estimated from, wrong matches included. The result stays as it is if the others say more
+    than a turn, or that they are too few.
     """
     if not result.success:
         return result
@@ -48,17 +48,18 @@ def without_what_is_seen_through(
         return result
     others = np.delete(np.arange(len(bearings[0])), inliers[surface])
     answer = estimate(bearings[0][others], bearings[1][others])
-    if answer.status not in ("pure_rotation", "too_few_inliers"):
+    if answer.status not in ("pure_rotation", "too_few_inliers", "too_few_matches"):
         return result
     warning = (
         f"{len(surface)} matches on one surface agree with a step, but {num_behind} others would "
         "be seen through it: its pattern may repeat itself; this is what the others say"
     )
     given = () if answer.status == "pure_rotation" else (result.cam2_from_cam1,)
+    told = among_all(answer, others, len(bearings[0]))
     return replace(
-        among_all(answer, others, len(bearings[0])),
-        alternatives=(*answer.alternatives, *given),
-        warnings=(*answer.warnings, warning),
+        told,
+        alternatives=(*told.alternatives, *given),
+        warnings=(*told.warnings, warning),
     )
 
 
@@ -116,7 +117,7 @@ def _angles(first: Array, second: Array) -> Array:
 def _num_apart(bearings: Array) -> int:
     """How many directions are not near one that was counted."""
     counted: list[Array] = []
-    for each in bearings:
+    for each in bearings[:_MOST_COUNTED]:
         if all(each @ other < np.cos(np.radians(_APART_DEG)) for other in counted):
             counted.append(each)
     return len(counted)

@@ -14,7 +14,7 @@ import numpy as np
 from epi360 import _core
 from epi360.epipolar.essential import essential_from_pose
 from epi360.estimation.copies import copies_sentence
-from epi360.estimation.result import Explanations, RelativePoseResult
+from epi360.estimation.result import MISSING_MATCHES, Explanations, RelativePoseResult
 from epi360.poses import Pose
 
 _HAS_TRANSLATION = ("ok", "planar_ambiguous")
@@ -63,7 +63,7 @@ def _sentence(warning: _core.Warning) -> str:
     value, reference = warning.value, warning.reference
     if warning.code == "missing_matches":
         return (
-            f"{value:.0f} of {reference:.0f} matches are missing (NaN, as of pixels outside their "
+            f"{value:.0f} of {reference:.0f} {MISSING_MATCHES} (NaN, as of pixels outside their "
             "image, or weight 0)"
         )
     if warning.code == "copies":

@@ -34,7 +34,7 @@ _RAW_FILES = {
 def decode_image_file(path: Path, max_pixels: int, name: str) -> NDArray[Any]:
     """Pixels of a complete file, (H, W, 3) BGR or (H, W, 4) BGRA of the file's own type.
 
-    They are upright. The errors are those of `read_image`.
+    They are upright, but for WebP with transparency. The errors are those of `read_image`.
     """
     data = _read_bytes(path, name)
     try:

@@ -44,8 +44,8 @@ def read_image(
 
     Notes
     -----
-    The orientation tag (EXIF) of a file is applied. Transparent pixels are blended with black. 16
-    bits become 8 by value / 257, rounded.
+    The orientation tag (EXIF) of a file is applied, but for WebP with transparency. Transparent
+    pixels are blended with black. 16 bits become 8 by value / 257, rounded.
     """
     if isinstance(source, np.ma.MaskedArray):
         raise ValueError(f"{name} must be a plain array; give what is hidden as a mask of its own")

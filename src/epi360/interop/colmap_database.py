@@ -319,4 +319,7 @@ def _decomposed(
         pairs.camera(name).bearings_from_pixels(pairs.keypoints(name)[indices])
         for name, indices in zip(names, inliers.T, strict=True)
     ]
-    return pose_from_essential(matrix, *bearings)
+    try:
+        return pose_from_essential(matrix, *bearings)
+    except ValueError:  # of rank 1: near no essential matrix
+        return None

@@ -129,8 +129,12 @@ def write_nerfstudio(
 
 
 def seen_from(folder: Path, images: PathLike) -> str:
-    """Path of the images as ``transforms.json`` in a folder has it, with slashes."""
-    return Path(os.path.relpath(images, folder)).as_posix()
+    """Path of images, a folder or a file, as a ``transforms.json`` in a folder has it."""
+    target = Path(images).resolve()
+    try:
+        return Path(os.path.relpath(target, folder.resolve())).as_posix()
+    except ValueError:  # on another drive
+        return target.as_posix()
 
 
 def _camera_entries(

@@ -79,8 +79,7 @@ def read_trajectory(
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If it holds no poses, is damaged, has images without a time beside others with one, or two
-        images of one time, as those of a rig.
+        If it holds no poses, is damaged, or has images without a time beside others with one.
     """
     kind = format_of_file(path)
     if FORMATS[kind].kind != "reconstruction":
@@ -107,13 +106,6 @@ def read_trajectory(
     if not unknown:
         order = np.argsort(np.array(times, dtype=np.float64), kind="stable")
         stamps = np.array(times, dtype=np.float64)[order]
-        (same,) = np.nonzero(np.diff(stamps) == 0.0)
-        if len(same):
-            first, second = (images[order[same[0] + k]].name for k in (0, 1))
-            raise ValueError(
-                f"images {first} and {second} of {path} have the same time; a trajectory is that "
-                "of one camera: name the images of one in the table of frames"
-            )
     else:
         order = np.array(sorted(range(len(images)), key=lambda k: _name_order(images[k].name)))
         stamps = None
@@ -139,13 +131,13 @@ def _of_timed_folders(
     images: list[PosedImage], times: list[float | None]
 ) -> tuple[list[PosedImage], list[float | None]]:
     """Images and times without those of folders in which no image has a time, if others do."""
-    timed = {
-        PurePosixPath(image.name).parent
-        for image, time in zip(images, times, strict=True)
-        if time is not None
-    }
-    kept = [k for k, each in enumerate(images) if PurePosixPath(each.name).parent in timed]
-    return ([images[k] for k in kept], [times[k] for k in kept]) if kept else (images, times)
+    parents = [PurePosixPath(image.name).parent for image in images]
+    timed = {parent for parent, time in zip(parents, times, strict=True) if time is not None}
+    kept = [k for k, parent in enumerate(parents) if parent in timed]
+    # Folders of a camera hold several images; where each has its own, none is of another camera.
+    if not kept or len(set(parents)) == len(images):
+        return images, times
+    return [images[k] for k in kept], [times[k] for k in kept]
 
 
 def _name_order(name: str) -> list[Any]:
@@ -177,9 +169,12 @@ def matching_frames(
     Raises
     ------
     ValueError
-        If one side has times only and the other names only, or a name fits several frames.
+        If one side has times only and the other names only, a name fits several frames, or two
+        frames of one side have the same time, as those of a rig have.
     """
     if estimate.times_s is not None and truth.times_s is not None:
+        _check_times_differ(estimate)
+        _check_times_differ(truth)
         return _matching_times(estimate.times_s, truth.times_s, max_gap_s)
     if not (estimate.has_names and truth.has_names):
         sides = ("truth", "estimate") if estimate.has_names else ("estimate", "truth")
@@ -255,6 +250,16 @@ def _matching_times(
     close = np.abs(estimate[nearest] - truth) <= max_gap_s
     keep = close & (back[nearest] == rows)
     return nearest[keep], rows[keep]
+
+
+def _check_times_differ(frames: PosedFrames) -> None:
+    (same,) = np.nonzero(np.diff([] if frames.times_s is None else frames.times_s) == 0.0)
+    if len(same):
+        first, second = frames.names[same[0]], frames.names[same[0] + 1]
+        raise ValueError(
+            f"{first} and {second} have the same time; a trajectory is that of one camera: name "
+            "the images of one in the table of frames"
+        )
 
 
 def _nearest(sorted_times: Floats, wanted: Floats) -> NDArray[np.intp]:

@@ -43,6 +43,13 @@ def cameras_of_pose(result: ImagePairResult, given: tuple[Camera, Camera]) -> tu
     return first, second
 
 
+def shown_residuals_deg(result: ImagePairResult) -> Array:
+    """Size of the residual of each match, NaN where no pose is given."""
+    if not np.isfinite(result.cam2_from_cam1.rotation).all():
+        return np.full(result.num_matches, np.nan)
+    return np.degrees(np.abs(result.residuals_rad))
+
+
 def spread_matches(
     bearings: Array, normals: Array, inlier_mask: NDArray[np.bool_], count: int
 ) -> NDArray[np.intp]:

@@ -22,7 +22,12 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.estimation.result import ImagePairResult, pose_sigmas_deg
 from epi360.features.picture_writing import encode_figure
-from epi360.report.curves import cameras_of_pose, epipolar_curve, spread_matches
+from epi360.report.curves import (
+    cameras_of_pose,
+    epipolar_curve,
+    shown_residuals_deg,
+    spread_matches,
+)
 from epi360.report.files import check_figure_name, check_writable
 from epi360.report.text import (
     CONVENTION,
@@ -106,7 +111,7 @@ def draw_pair(
         check_writable(path)
     cameras = cameras_of_pose(result, (camera1, camera2))
     views = _views((image1, image2), cameras, result)
-    residuals_deg = np.degrees(result.residuals_rad)
+    residuals_deg = shown_residuals_deg(result)
     figure, axes, colour_bar_axes = _layout(views)
     points = None
     for view, view_axes in zip(views, axes, strict=True):

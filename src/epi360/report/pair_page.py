@@ -12,7 +12,7 @@ from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.epipolar import triangulate
 from epi360.estimation.result import ImagePairResult
 from epi360.report.charts import residual_histogram, residuals_by_latitude
-from epi360.report.curves import cameras_of_pose
+from epi360.report.curves import cameras_of_pose, shown_residuals_deg
 from epi360.report.html_page import Page, camera_record, escaped, packed, picture_address
 from epi360.report.pair_words import evidence_of, verdict_headline, verdict_sentences
 from epi360.report.sk_section import search_of_pair
@@ -67,7 +67,7 @@ def pair_page(
         cameras[0].bearings_from_pixels(result.keypoints1),
         cameras[1].bearings_from_pixels(result.keypoints2),
     )
-    residuals_deg = np.degrees(np.abs(result.residuals_rad))
+    residuals_deg = shown_residuals_deg(result)
     shown = _Shown(names, images, cameras, result, bearings, residuals_deg)
     webgl = find_webgl_library()
     points = _triangulated(shown)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,18 @@ class Level:
             return False
         waits = verdict.status != "ok" and awaits_confirmation(later)
         return waits or prior_is_better(later.status, self._contradicts(verdict))
+
+    def told(self, verdict: Verdict, later: Verdict) -> Verdict:
+        """The verdict that counts, of one without the prior and one with it.
+
+        A pose that is kept without the prior, though it is less probable with it, is as probable as
+        that: what other pairs must say for it is asked by its probability.
+        """
+        if self.keeps(verdict, later):
+            return later
+        if verdict.status != "ok" or not later.probability < verdict.probability:
+            return verdict
+        return replace(verdict, probability=later.probability)
 
     def _contradicts(self, verdict: Verdict) -> bool:
         return is_settled(verdict.status) and not self.fits(verdict)

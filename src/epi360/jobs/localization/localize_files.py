@@ -16,6 +16,7 @@ from epi360.jobs.localization.localization_result import LocalizationOptions, Lo
 from epi360.jobs.localization.localize import localize_image
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.progress import Progress, no_progress
+from epi360.runs.input_files import open_input
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,6 @@ def _check_opens(image: Path, mask: Path | None) -> None:
     """Raise ``ValueError`` for a file that cannot be opened: only those of results end the run."""
     for path in (image,) if mask is None else (image, mask):
         try:
-            path.open("rb").close()
+            open_input(path).close()
         except OSError as error:
             raise ValueError(f"{path} cannot be opened: {error.strerror}") from None

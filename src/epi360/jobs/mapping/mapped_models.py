@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 from epi360.cameras import Camera, KannalaBrandt
 from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
-from epi360.interop.nerfstudio import write_nerfstudio
+from epi360.interop.nerfstudio import seen_from, write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
 
@@ -76,9 +75,9 @@ def write_transforms(
     model = models[0].reconstruction
     posed = {image.name for image in model.images}
     files = {image.name: image.mask for image in images.images if image.name in posed}
-    masks = {name: _relative(file, output) for name, file in files.items() if file is not None}
+    masks = {name: seen_from(output, file) for name, file in files.items() if file is not None}
     every_mask = masks if len(masks) == len(posed) else None
-    folder = _relative(images.folder, output)
+    folder = seen_from(output, images.folder)
     try:
         write_nerfstudio(output / TRANSFORMS, model, images=folder, masks=every_mask)
     except ValueError as error:
@@ -86,7 +85,3 @@ def write_transforms(
     if mask_nadir_deg > 0 or (masks and every_mask is None):
         return (f"{TRANSFORMS} does not name all masks; that of --cubemap does",)
     return ()
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

@@ -156,8 +156,7 @@ def _with_level(
     usable = readable_pairs(folder, pairs, has_a_vertical)
     wanted = {keys: pair for keys, pair in usable.items() if level.asks_again(finished[keys])}
     again = folder.verify_again(wanted, level)
-    kept = {keys: later for keys, later in again.items() if level.keeps(finished[keys], later)}
-    return {**finished, **kept}
+    return {**finished, **{keys: level.told(finished[keys], each) for keys, each in again.items()}}
 
 
 def _num_accepted_more(verdicts: Mapping[Keys, Verdict], others: Mapping[Keys, Verdict]) -> int:

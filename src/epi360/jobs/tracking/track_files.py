@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +18,7 @@ from epi360.interop import (
     write_nerfstudio,
     write_tum_trajectory,
 )
+from epi360.interop.nerfstudio import seen_from
 from epi360.interop.ply import write_ply_points
 from epi360.interop.upright_world import mean_down, moved, upright_from_world
 from epi360.odometry.frame_result import FrameResult, MapPoints
@@ -148,5 +148,5 @@ def write_model(output: Path, model: Reconstruction, images: Path, written: Writ
     """Write the COLMAP model, ``transforms.json`` and the points of the key frames."""
     written.attempt(POINTS, lambda: write_ply_points(output / POINTS, model.points, model.colors))
     written.attempt(MODEL, lambda: write_colmap_model(output / MODEL, model))
-    folder = Path(os.path.relpath(images.resolve(), output.resolve())).as_posix()
+    folder = seen_from(output, images)
     written.attempt(TRANSFORMS, lambda: write_nerfstudio(output / TRANSFORMS, model, images=folder))
