@@ -28,6 +28,7 @@ from epi360.interop.gpano import gpano_packet, with_gpano
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching import folder_verdicts, match_job, place_job, verified_matches
+from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.records.match_store import Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
@@ -246,6 +247,7 @@ def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors,
     before = stored(tmp_path)
     priors.clear()
     monkeypatch.setattr(folder_verdicts, "find_level", lambda verdicts: Level(1.5))
+    (tmp_path / VERDICTS).unlink()
     run = match_images(tour, tmp_path)
     assert priors == [(2, 1.5)]
     assert before.items() < stored(tmp_path).items()
@@ -253,11 +255,13 @@ def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors,
 
 
 def test_restart_throws_away_what_was_made_with_a_prior(tour, tmp_path, bad_first_look):
-    match_images(tour, tmp_path)
-    match_images(tour, tmp_path, MatchOptions(seed=5), restart=True)
-    assert len({path.parent for path in stored(tmp_path)}) == 2
-    match_images(tour, tmp_path, MatchOptions(upright_deg=1.0), restart=True)
-    assert {path.parent.name for path in stored(tmp_path)} == {"pairs"}
+    output, fresh = tmp_path / "output", tmp_path / "fresh"
+    match_images(tour, output)
+    match_images(tour, output, MatchOptions(seed=5), restart=True)
+    match_images(tour, fresh, MatchOptions(seed=5))
+    assert stored(output) == stored(fresh)
+    match_images(tour, output, MatchOptions(upright_deg=1.0), restart=True)
+    assert not list(output.glob("level-*"))
 
 
 @pytest.mark.parametrize("tour_is_level", [True, False])

@@ -7,6 +7,7 @@ from twin_rooms import rooms
 
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching import rival_poses
+from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import match_images
 from epi360.places.repeated_place import MANY_OTHERS
 from epi360.report.pairs_table import verdict_reason
@@ -57,6 +58,7 @@ def test_right_pairs_have_one(run, names):
 @pytest.mark.usefixtures("run")
 def test_many_matches_of_a_pose_that_looks_less_right_are_a_warning(folder, monkeypatch):
     monkeypatch.setattr(rival_poses, "looks_right", lambda _: False)
+    (folder / "out" / VERDICTS).unlink()
     told = matched(folder)
     assert verdict_of(told, MIXED).accepted and MANY_OTHERS in verdict_of(told, MIXED).warnings
     assert MANY_OTHERS not in verdict_of(told, ("a0.png", "a1.png")).warnings

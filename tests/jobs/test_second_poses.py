@@ -176,11 +176,11 @@ def test_a_pose_that_its_inliers_leave_a_doubt_about_may_be_the_second(
         "rotation_sigma_deg": np.nan,
         "translation_sigma_deg": np.nan,
     }
-    found = verdict_on(match_images(tour, tmp_path))
+    found = verdict_on(match_images(tour, tmp_path / "sure"))
     assert found.accepted and is_right(found.cam2_from_cam1)
     assert np.isnan(found.rotation_sigma_deg)
     lost["second"]["probability"] = 0.5
-    assert not verdict_on(match_images(tour, tmp_path, restart=True)).accepted
+    assert not verdict_on(match_images(tour, tmp_path / "doubtful")).accepted
 
 
 def test_a_wrong_pose_is_not_accepted(tour, tmp_path, lost):

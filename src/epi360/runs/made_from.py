@@ -3,11 +3,14 @@
 
 import json
 from collections.abc import Mapping
+from functools import cache
 from hashlib import blake2b
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from epi360 import _core
 from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
@@ -44,6 +47,14 @@ def fingerprint(*pieces: object) -> str:
             piece = np.ascontiguousarray(piece).tobytes()
         digest.update(piece if isinstance(piece, bytes) else repr(piece).encode())
     return digest.hexdigest()
+
+
+@cache
+def code_fingerprint() -> str:
+    """Hash of the code and the weights of this package, of what other ones may say otherwise."""
+    package = Path(__file__).parents[1]
+    files = [*sorted(package.rglob("*.py")), *sorted(package.rglob("*.json")), Path(_core.__file__)]
+    return fingerprint(*(path.read_bytes() for path in files))
 
 
 def json_bytes(record: Mapping[str, Any]) -> bytes:

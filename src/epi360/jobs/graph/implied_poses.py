@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from epi360.epipolar.essential import cheirality_mask
 from epi360.epipolar.residuals import pose_residuals
@@ -55,7 +55,8 @@ class Way:
         steps = np.unique(np.linspace(1, last, min(last, _NUM_EXCHANGES)).astype(int))
         exchanged = [self.num_agreeing(bearings1, np.roll(bearings2, step, 0)) for step in steps]
         expected = float(np.mean(exchanged)) + 1.0 / len(steps)
-        return bool(poisson.sf(self.num_agreeing(bearings1, bearings2) - 1, expected) > _CHANCE)
+        fewer = self.num_agreeing(bearings1, bearings2) - 1
+        return fewer < 0 or bool(pdtrc(fewer, expected) > _CHANCE)
 
 
 class ImpliedPoses:

@@ -20,6 +20,7 @@ from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.matching.agreed_cameras import MOST_ROUNDS, CameraSearch
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
+from epi360.jobs.matching.kept_verdicts import KeptVerdicts, made_from
 from epi360.jobs.matching.match_engines import LocalEngine, MatchEngine
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.match_result import load_matches, names_in_index, write_index
@@ -200,14 +201,18 @@ def _judged(
     options: MatchOptions,
     agreed: tuple[str, ...],
 ) -> MatchRun:
-    judged = judge_folder(
-        job,
-        chosen.pairs,
-        chosen.finished,
-        is_upright=options.upright_deg is not None,
-        looks_around=not chosen.is_sequence,  # neighbours in a sequence are of one place
+    is_upright = options.upright_deg is not None
+    looks_around = not chosen.is_sequence  # neighbours in a sequence are of one place
+    keys = [job.keys_of(pair) if job.is_readable(pair) else None for pair in chosen.pairs]
+    names = [(job.name_of(first), job.name_of(second)) for first, second in chosen.pairs]
+    asked = made_from(
+        names, keys, chosen.finished, is_upright=is_upright, looks_around=looks_around
     )
-    _write_index(images, job, judged)
+    kept = KeptVerdicts(job.output, asked)
+    judged = kept.read(keys) or judge_folder(
+        job, chosen.pairs, chosen.finished, is_upright=is_upright, looks_around=looks_around
+    )
+    kept.write(judged, _write_index(images, job, judged))
     return MatchRun(
         folder=job.output,
         how=chosen.how,
@@ -253,8 +258,11 @@ def _chosen(
     return _Chosen(how, pairs, finished, num_found, is_sequence)
 
 
-def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> None:
-    """Keep what is the result, and the pairs that have another pose than their own first one."""
+def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> str:
+    """Keep what is the result, and the pairs that have another pose than their own first one.
+
+    Returns the name of the part with these pairs, "" without any.
+    """
     matched, confirmed, refused = [], [], []
     for keys, verdict in zip(judged.keys, judged.verdicts, strict=True):
         names = verdict.image1, verdict.image2
@@ -268,6 +276,7 @@ def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> Non
     part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""
     keys_of_images = job.readable_keys()
     write_index(job.output, images, keys_of_images, matched, judged.level, confirmed, refused, part)
+    return part
 
 
 def open_match_output(

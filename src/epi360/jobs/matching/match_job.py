@@ -12,6 +12,7 @@ from epi360.cameras import Camera
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.folder.panoramas import read_panorama
 from epi360.jobs.graph.level_folder import Level
+from epi360.jobs.matching.kept_estimates import Asked, KeptEstimates, Told
 from epi360.jobs.matching.match_engines import MatchEngine
 from epi360.jobs.matching.pair_work import PairWork
 from epi360.jobs.matching.verified_matches import Matched
@@ -47,6 +48,7 @@ class MatchJob:
         self.unreadable = work.unreadable
         self.engine = engine
         self.progress = progress
+        self._estimates = KeptEstimates(self.output, self.keys_of)
 
     def find_features(self, wanted: Sequence[int]) -> None:
         """Find the key points of images, where they are not known."""
@@ -138,10 +140,14 @@ class MatchJob:
     ) -> dict[Pair, VerifiedPair]:
         """Verify some matches of pairs, with the prior of a level folder, or what was given.
 
-        ``prior`` says in words how they were chosen.
+        ``prior`` says in words how they were chosen. What is found is kept.
         """
-        given = self.work.given_of([pair for pair, _ in matched])
-        return self.work.estimated(matched, prior, **(given if level is None else level.known))
+
+        def estimate(asked: Asked) -> Told:
+            given = self.work.given_of([pair for pair, _ in asked])
+            return self.work.estimated(asked, prior, **(given if level is None else level.known))
+
+        return self._estimates.estimated(matched, prior, level, estimate)
 
     @property
     def num_threads(self) -> int:

@@ -11,10 +11,14 @@
     Some verified pairs, known by the keys of their images. Parts appear whole or not at all.
 ``level-HASH/part-HASH.npz``
     Pairs of a level folder that were estimated again with a prior; the first hash is the prior's.
+``some-HASH/part-HASH.npz``
+    What some of the matches of a pair say by themselves; the first hash is how they were chosen.
 ``implied/part-HASH.npz``
     Pairs with a second pose, or one that other pairs imply; the index names the file that counts.
 ``images.json``, ``cameras.json``
     Images and pairs of the last complete run.
+``verdicts.json``
+    Verdicts of that run, see `kept_verdicts`; only saves time.
 """
 
 from __future__ import annotations
@@ -41,6 +45,7 @@ FORMAT = 2
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
 FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
 LEVEL_PAIRS = "level-"  # and the fingerprint of the prior
+SOME_MATCHES = "some-"  # and the fingerprint of how they were chosen
 IMPLIED_PAIRS = "implied"
 UNREADABLE = "unreadable_image"  # the status of a pair of which an image is of no use
 Keys = tuple[str, str]
@@ -92,9 +97,10 @@ def open_output(folder: AnyPath, options: Mapping[str, Any], *, restart: bool) -
     found = _marker(folder)
     if restart and found is not None and found != wanted:
         (folder / IMAGES).unlink(missing_ok=True)
-        for pairs in (folder / PAIRS, folder / IMPLIED_PAIRS, *folder.glob(f"{LEVEL_PAIRS}*")):
-            if pairs.is_dir():
-                remove_folder(str(pairs))
+        for store in (PAIRS, IMPLIED_PAIRS, f"{LEVEL_PAIRS}*", f"{SOME_MATCHES}*"):
+            for pairs in folder.glob(store):
+                if pairs.is_dir():
+                    remove_folder(str(pairs))
     elif found is not None:
         _check_same(folder, found, wanted)
     folder.mkdir(parents=True, exist_ok=True)
