@@ -12,6 +12,7 @@ from rendered_views import NAMES, image_set, write_views
 from epi360.jobs.graph import loop_check
 from epi360.jobs.graph.loop_check import LoopVerdict, check_loops
 from epi360.jobs.mapping.map_folder import map_images
+from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.records.match_store import Verdict
@@ -314,6 +315,7 @@ def test_a_pair_that_two_triangles_contradict_stays_out_of_the_map(
         "epi360.jobs.graph.graph_check.check_loops",
         lambda pairs, _: [found if pair == wrong_pair else ALONE for pair in pairs],
     )
+    (folder / "out" / VERDICTS).unlink(missing_ok=True)  # they do not know of `found`
     run = map_images(image_set(folder), folder / "out")
     assert len(run.models[0].reconstruction.images) == 4
     with pycolmap.Database.open(folder / "out" / "database.db") as database:

@@ -3,10 +3,7 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -164,10 +161,9 @@ def convert(
     if not content.images:
         raise ValueError(f"{source} holds no images: there is nothing to convert")
     if isinstance(content, Reconstruction):
-        with _warnings_on_stderr():
-            if target_name == "nerfstudio":
-                images = _images_beside(target, images)
-            write_reconstruction(target, target_name, content, images=images, fps=fps)
+        if target_name == "nerfstudio":
+            images = _images_beside(target, images)
+        write_reconstruction(target, target_name, content, images=images, fps=fps)
         print(_summary(target, target_name, content))
         return SUCCESS
     changes = (camera is not None and source_name == "colmap-database", verdicts.change_cameras)
@@ -391,22 +387,10 @@ def _read_reconstruction(
     from epi360.jobs.folder.given_cameras import read_given_cameras
 
     given = None if camera is None else read_given_cameras(camera)
-    with _warnings_on_stderr():
-        reconstruction = read_reconstruction(source, name, images=images)
+    reconstruction = read_reconstruction(source, name, images=images)
     if given is None:
         return reconstruction
     return with_camera(reconstruction, next(iter(given.cameras)), given.only())
-
-
-@contextmanager
-def _warnings_on_stderr() -> Iterator[None]:
-    """Print each warning as a line."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, UserWarning):  # not those about the libraries
-            print(f"epi360: {warning.message}", file=sys.stderr)
 
 
 def _check_free(outputs: list[Path], name: str) -> None:

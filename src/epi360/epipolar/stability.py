@@ -13,7 +13,7 @@ from epi360.epipolar.essential import kronecker_rows
 from epi360.epipolar.linear import nine_singular_values
 from epi360.epipolar.normalization import check_normalization, normalizers
 from epi360.epipolar.sk_search import search_sk
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_between
 
 Array = NDArray[np.float64]
 
@@ -120,13 +120,18 @@ class Stability:
         """Means of the internal angles beta1_ij and beta2_ij over all pairs i < j."""
         sums = np.zeros(2)
         for a, b in self._blocks():
-            sums += _angles(a[:, None], self._q1).sum(), _angles(b[:, None], self._q2).sum()
+            sums += (
+                angles_between(a[:, None], self._q1).sum(),
+                angles_between(b[:, None], self._q2).sum(),
+            )
         pairs = self.num_matches * (self.num_matches - 1)
         return float(sums[0] / pairs), float(sums[1] / pairs)
 
     def internal_angles_rad(self) -> tuple[Array, Array]:
         """Return the internal angles beta1 and beta2, each (n, n) for the n matches without NaN."""
-        return _angles(self._q1[:, None], self._q1), _angles(self._q2[:, None], self._q2)
+        return angles_between(self._q1[:, None], self._q1), angles_between(
+            self._q2[:, None], self._q2
+        )
 
     def essential_error_bound(self, bearings1: ArrayLike, bearings2: ArrayLike) -> float:
         """Return the right side of eq. 12, |Q|_2 / sigma_8, from the matches without noise.
@@ -205,18 +210,13 @@ def stability(
         nine_singular_values(kronecker_rows(q1[usable], q2[usable])),
         N1,
         N2,
-        _angles(q1, q2),
-        _angles(turned, b2),
-        _angles(turned @ N2.T, q2),
+        angles_between(q1, q2),
+        angles_between(turned, b2),
+        angles_between(turned @ N2.T, q2),
         q1[usable],
         q2[usable],
         np.asarray(usable),
     )
-
-
-def _angles(a: Array, b: Array) -> Array:
-    across = np.linalg.norm(np.cross(a, b), axis=-1)
-    return np.asarray(np.arctan2(across, (a * b).sum(axis=-1)))
 
 
 def _mean(angles: Array) -> float:

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.epipolar.essential import skew
-from epi360.estimation.absolute_evidence import angles_between
 from epi360.estimation.absolute_pose_fit import Gravity
-from epi360.poses import Pose, rotation_from_vector
+from epi360.poses import Pose, angles_of_units, rotation_from_vector
 
 Array = NDArray[np.float64]
 
@@ -99,7 +98,7 @@ def _linearised(pose: Pose, bearings: Array, points: Array) -> _Linearised:
     away = bearings - u
     # The length of the residual is the angle, not the chord.
     chords = np.maximum(np.linalg.norm(away, axis=1), 1e-300)
-    away = away * (angles_between(bearings, u) / chords)[:, None]
+    away = away * (angles_of_units(bearings, u) / chords)[:, None]
     residuals = np.einsum("nij,ni->nj", basis, away)
     # A direction u at distance r moves by w x u + (1 - u u^T) d / r.
     turned = np.cross(u[:, None, :], np.swapaxes(basis, 1, 2))  # (w x u) . e = w . (u x e)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,13 +41,6 @@ class Evidence:
     log10_false_alarms: float
     cells: int  # of 48 equal ones of the sphere of view with an inlier
     cells_of_matches: int
-
-
-def angles_between(a: Array, b: Array) -> Array:
-    """Angle (N,) between the unit vectors of the same rows, with all digits near 0 and pi."""
-    return np.asarray(
-        2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
-    )
 
 
 def directions_of(pose: Pose, points: Array) -> Array:
@@ -110,7 +103,7 @@ def log10_false_alarms(total: float, agreeing: Array, chance: float | Array) -> 
 
 def best_gate(bearings: Array, directions: Array, largest_rad: float) -> tuple[float, float]:
     """Gate with the fewest false alarms, in radians, and log10 of their number."""
-    residuals = np.sort(angles_between(bearings, directions))
+    residuals = np.sort(angles_of_units(bearings, directions))
     residuals = residuals[residuals < largest_rad]
     if len(residuals) <= _SAMPLE_SIZE:
         return largest_rad, np.inf

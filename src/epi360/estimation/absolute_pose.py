@@ -11,12 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearings_array, direction_array, plain_array
 from epi360.estimation.absolute_covariance import at_world
-from epi360.estimation.absolute_evidence import (
-    Evidence,
-    angles_between,
-    directions_of,
-    evidence_for,
-)
+from epi360.estimation.absolute_evidence import Evidence, directions_of, evidence_for
 from epi360.estimation.absolute_pose_fit import Gravity
 from epi360.estimation.absolute_result import AbsolutePoseResult, no_pose
 from epi360.estimation.absolute_search import FoundPose, PoseSearch
@@ -30,7 +25,7 @@ from epi360.estimation.absolute_verdict import (
 )
 from epi360.estimation.copies import distinct_rows
 from epi360.estimation.options import Threshold, check_threshold, checked_integer, checked_noise
-from epi360.poses import Pose, checked_pose, rotation_error_deg
+from epi360.poses import Pose, angles_of_units, checked_pose, rotation_error_deg
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -235,7 +230,7 @@ def _rival(search: PoseSearch, found: FoundPose, distance: float) -> tuple[Pose 
     if pose is None or not _differ(pose, found.pose, distance):
         return None, 0.0
     directions = directions_of(pose, rest.points)
-    inliers = angles_between(rest.bearings, directions) < found.gate
+    inliers = angles_of_units(rest.bearings, directions) < found.gate
     return pose, evidence_for(rest.bearings, directions, inliers, found.gate).num_regions
 
 

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from epi360 import _core
 from epi360.epipolar.arguments import bearings_array, direction_array
 from epi360.epipolar.essential import skew
-from epi360.estimation.absolute_evidence import angles_between, directions_of
-from epi360.poses import Pose
+from epi360.estimation.absolute_evidence import directions_of
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 Status = Literal["ok", "too_few_inliers", "degenerate"]
@@ -148,7 +148,7 @@ def _judged(
 ) -> AbsolutePoseFit:
     residuals = np.full(len(b), np.nan)
     if pose is not None:
-        residuals = angles_between(b, directions_of(pose, X))
+        residuals = angles_of_units(b, directions_of(pose, X))
     inliers = residuals < threshold
     if pose is None or inliers.sum() < min_inliers:
         nothing = np.full((6, 6), np.nan)

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.estimation.absolute_covariance import Refined, refined_pose
-from epi360.estimation.absolute_evidence import angles_between, best_gate, directions_of
+from epi360.estimation.absolute_evidence import best_gate, directions_of
 from epi360.estimation.absolute_pose_fit import Gravity, fit_absolute_pose
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -122,7 +122,7 @@ class PoseSearch:
         return found if found is None or found.inliers.sum() >= self.min_num_inliers else None
 
     def _residuals(self, pose: Pose) -> Array:
-        return angles_between(self.bearings, directions_of(pose, self.points))
+        return angles_of_units(self.bearings, directions_of(pose, self.points))
 
     def _refined(self, pose: Pose, inliers: Mask) -> Refined:
         covariances = None if self.covariances is None else self.covariances[inliers]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from epi360.epipolar import triangulate
 from epi360.estimation.angle_search import Bearings, Estimate
 from epi360.estimation.result import RelativePoseResult, among_all
+from epi360.poses import angles_between
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,7 +69,7 @@ def _surface(result: RelativePoseResult, inliers: Bearings) -> tuple[NDArray[np.
     pose, gate = result.cam2_from_cam1, np.radians(result.inlier_threshold_deg)
     first, second = inliers
     nothing = np.empty(0, dtype=np.intp), 0
-    apart = _angles(first @ pose.rotation.T, second)
+    apart = angles_between(first @ pose.rotation.T, second)
     moved = np.flatnonzero(apart > _MOVED_GATES * gate)
     still = np.flatnonzero(apart < _STILL_GATES * gate)
     if len(moved) < _FEWEST_MOVED or len(still) < max(_FEWEST_BEHIND, _LEAST_STILL * len(first)):
@@ -81,7 +82,7 @@ def _surface(result: RelativePoseResult, inliers: Bearings) -> tuple[NDArray[np.
     turned = first[still] @ pose.rotation.T
     inverse_depths = first[still] @ plane
     on_it = turned + inverse_depths[:, None] * pose.translation
-    behind = (inverse_depths > 0.0) & (_angles(turned, on_it) > _MOVED_GATES * gate)
+    behind = (inverse_depths > 0.0) & (angles_between(turned, on_it) > _MOVED_GATES * gate)
     nearest = [each[still] @ each[surface].T for each in inliers]
     behind &= np.max([each.max(axis=1) for each in nearest], axis=0) > np.cos(np.radians(_NEAR_DEG))
     return surface, _num_apart(first[still[behind]])
@@ -106,12 +107,6 @@ def _plane(bearings: Array, inverse_depths: Array) -> tuple[Array, Mask]:
         if on_plane.sum() > best[1].sum():
             best = plane, on_plane
     return best
-
-
-def _angles(first: Array, second: Array) -> Array:
-    """Angles between vectors (N, 3), in radians."""
-    sines = np.linalg.norm(np.cross(first, second), axis=1)
-    return np.asarray(np.arctan2(sines, (first * second).sum(axis=1)))
 
 
 def _num_apart(bearings: Array) -> int:

@@ -15,7 +15,8 @@ from epi360.estimation import RelativePoseResult, estimate_relative_pose
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.odometry.frame_result import FrameStatus, FrameTracks, shared_rows
 from epi360.odometry.gravity import GravityPrior
-from epi360.odometry.turning import angles_between, rotation_angle, rotation_between
+from epi360.odometry.turning import rotation_angle, rotation_between
+from epi360.poses import angles_of_units
 
 Array = NDArray[np.float64]
 
@@ -180,5 +181,5 @@ def _is_still(tracks: FrameTracks, before: FrameTracks | None, limit_rad: float)
     if before is None:
         return False
     rows1, rows2 = shared_rows(before.ids, tracks.ids)
-    moved = angles_between(before.bearings[rows1], tracks.bearings[rows2])
+    moved = angles_of_units(before.bearings[rows1], tracks.bearings[rows2])
     return len(moved) > 0 and float(np.median(moved)) < limit_rad

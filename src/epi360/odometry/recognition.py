@@ -23,8 +23,7 @@ from epi360.odometry.pose_graph import (
 )
 from epi360.odometry.relocalization import MappedView, PlaceOptions, map_view, relocalize
 from epi360.odometry.similarity import Similarity
-from epi360.odometry.turning import angles_between
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 
@@ -142,7 +141,7 @@ class Recognition:
         cosines = tracks.bearings @ rays.T
         nearest = cosines.argmax(axis=1)
         mutual = cosines.argmax(axis=0)[nearest] == np.arange(len(nearest))
-        close = angles_between(tracks.bearings, rays[nearest]) < limit_rad
+        close = angles_of_units(tracks.bearings, rays[nearest]) < limit_rad
         rows = np.flatnonzero(mutual & close)
         sparse_map.join(tracks.ids[rows], ids[nearest[rows]])
         return len(rows)

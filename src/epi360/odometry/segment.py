@@ -18,8 +18,8 @@ from epi360.odometry.key_frames import KeyFrame, SparseMap
 from epi360.odometry.mapping import Noise, adjust_all, adjust_last, triangulate, triangulate_new
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.recognition import Recognition
-from epi360.odometry.turning import angles_between, rotation_between
-from epi360.poses import Pose
+from epi360.odometry.turning import rotation_between
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ class Segment:
         rows1, rows2 = shared_rows(last.ids, self.map.landmarks_of(tracks.ids))
         if len(rows1) < self._options.min_survival * len(last.ids) or num_inliers < 100:
             return bool(last.index < tracks.index - 1 or len(rows1) < 0.5 * len(last.ids))
-        parallax = angles_between(last.rays[rows1], tracks.bearings[rows2] @ pose.rotation)
+        parallax = angles_of_units(last.rays[rows1], tracks.bearings[rows2] @ pose.rotation)
         wanted = np.radians(self._options.key_frame_parallax_deg)
         wanted = min(wanted, _YOUNG * self._widest_rad)
         return bool(np.median(parallax) > wanted)
@@ -342,4 +342,4 @@ def _parallax_between(first: KeyFrame, last: KeyFrame) -> float:
     rows1, rows2 = shared_rows(first.ids, last.ids)
     if len(rows1) < _FEWEST_SHARED:
         return float("inf")
-    return float(np.median(angles_between(first.rays[rows1], last.rays[rows2])))
+    return float(np.median(angles_of_units(first.rays[rows1], last.rays[rows2])))

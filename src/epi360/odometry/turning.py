@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.poses import vector_from_rotation
+from epi360.poses import angles_of_units, vector_from_rotation
 
 Array = NDArray[np.float64]
 _ROUNDS = 6  # with weights of Cauchy's loss, more rounds change the median by less than 1 %
@@ -18,19 +18,14 @@ def rotation_between(bearings1: Array, bearings2: Array) -> tuple[Array, Array]:
     Points that move on their own have little weight (Cauchy's loss at the median).
     """
     weights = np.ones(len(bearings1))
-    rotation, angles = np.eye(3), angles_between(bearings1, bearings2)
+    rotation, angles = np.eye(3), angles_of_units(bearings1, bearings2)
     for _ in range(_ROUNDS):
         u, _, vt = np.linalg.svd((bearings2 * weights[:, None]).T @ bearings1)
         rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-        angles = angles_between(bearings1 @ rotation.T, bearings2)
+        angles = angles_of_units(bearings1 @ rotation.T, bearings2)
         scale = max(float(np.median(angles)), 1e-9)
         weights = 1.0 / (1.0 + np.square(angles / scale))
     return rotation, angles
-
-
-def angles_between(a: Array, b: Array) -> Array:
-    """Angles (N,) between unit vectors, in radians, exact for small ones."""
-    return np.asarray(2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(a - b, axis=1), 0.0, 1.0)))
 
 
 def rotation_angle(rotation: Array) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.jobs.records.match_store import Verdict
+from epi360.poses import angles_between
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -193,13 +194,8 @@ def _angles_to_arc(points: Array, start: Array, end: Array) -> Array:
     across = np.arctan2(
         np.abs(_dot(normal, points)), np.linalg.norm(np.cross(normal, points), axis=1)
     )
-    to_ends = np.minimum(_angles(points, start), _angles(points, end))
+    to_ends = np.minimum(angles_between(points, start), angles_between(points, end))
     angles: Array = np.where(is_beside, across, to_ends)
-    return angles
-
-
-def _angles(a: Array, b: Array) -> Array:
-    angles: Array = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), _dot(a, b))
     return angles
 
 

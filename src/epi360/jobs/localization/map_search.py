@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
-from epi360.estimation.absolute_evidence import angles_between, directions_of
+from epi360.estimation.absolute_evidence import directions_of
 from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
 from epi360.jobs.localization.localization_result import LocalizationOptions
 from epi360.jobs.localization.map_matches import MapMatches, joined, matches_with, no_matches
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.localization.new_image import NewImage
 from epi360.jobs.localization.surroundings import Surroundings, surroundings_at
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_of_units
 
 # Points of a map are less certain than key points: their own errors come on top.
 _MAX_NOISE_PX = 2.0 * MAX_NOISE_PX
@@ -132,7 +132,7 @@ class MapSearch:
         gate = _CLEARLY_OFF * math.radians(result.inlier_threshold_deg)
         found = []
         for pose, other in zip(poses, poses[::-1], strict=True):
-            off = angles_between(bearings, directions_of(other, matches.points)) > gate
+            off = angles_of_units(bearings, directions_of(other, matches.points)) > gate
             rest = matches.chosen(np.asarray(off, np.bool_))
             found.append(self.with_surroundings(self.pose_of(rest, pose), rest))
         return found

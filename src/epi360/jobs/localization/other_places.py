@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.estimation.absolute_evidence import angles_between, directions_of, evidence_for
+from epi360.estimation.absolute_evidence import directions_of, evidence_for
 from epi360.jobs.localization.map_matches import MapMatches, joined
 from epi360.jobs.localization.map_search import Found, MapSearch
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.localization.surroundings import Surroundings
-from epi360.poses import rotation_error_deg
+from epi360.poses import angles_of_units, rotation_error_deg
 
 Array = NDArray[np.float64]
 
@@ -147,5 +147,5 @@ def _num_regions(found: Found, matches: MapMatches, bearings: Array) -> float:
     seen = bearings[matches.rows]
     directions = directions_of(found.result.cam_from_world, matches.points)
     gate = float(np.radians(found.result.inlier_threshold_deg))
-    inliers = angles_between(seen, directions) < gate
+    inliers = angles_of_units(seen, directions) < gate
     return evidence_for(seen, directions, inliers, gate).num_regions

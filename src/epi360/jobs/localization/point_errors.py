@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.estimation.absolute_evidence import angles_between
 from epi360.interop.reconstruction import Reconstruction
-from epi360.poses import Pose
+from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
 
@@ -30,7 +29,7 @@ def point_covariances(model: Reconstruction) -> Array:
     away = model.points[seen.points] - centers[seen.images]
     distances = np.maximum(np.linalg.norm(away, axis=1), 1e-12)
     rays = away / distances[:, None]
-    residuals = angles_between(_observed_rays(model), rays)
+    residuals = angles_of_units(_observed_rays(model), rays)
     residuals = residuals[np.isfinite(residuals)]
     # Each point took three of the numbers of its observations.
     spare = max(1.0 - 1.5 * len(np.unique(seen.points)) / len(seen.points), 0.2)

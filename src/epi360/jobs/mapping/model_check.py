@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
 from epi360.jobs.matching.match_folder import PairVerdict
-from epi360.poses import Pose, rotation_error_deg, translation_error_deg
+from epi360.poses import Pose, angles_between, rotation_error_deg, translation_error_deg
 
 Array = NDArray[np.float64]
 
@@ -192,7 +192,7 @@ class _Graph:
             points, rays = self.points[rows], self.rays[rows]
             unseen = np.isnan(first_rays[points, 0])
             first_rays[points[unseen][::-1]] = rays[unseen][::-1]
-            np.maximum.at(parallax, points, _angles(first_rays[points], rays))
+            np.maximum.at(parallax, points, angles_between(first_rays[points], rays))
             is_known = parallax >= _MIN_PARALLAX_RAD
             num_points = np.bincount(
                 self.moments[is_known[self.points]], minlength=self.num_moments
@@ -214,11 +214,6 @@ def _farthest_first(pairs: NDArray[np.int64]) -> list[NDArray[np.int64]]:
     """Pairs (N, 2) of two moments, each once."""
     pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)
     return list(pairs[np.argsort(pairs[:, 0] - pairs[:, 1], kind="stable")])
-
-
-def _angles(a: Array, b: Array) -> Array:
-    angles: Array = np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ni,ni->n", a, b))
-    return angles
 
 
 def _agrees(pair: PairVerdict, cam_from_world: Mapping[str, Pose]) -> bool:
