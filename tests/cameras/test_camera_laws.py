@@ -227,3 +227,12 @@ def test_numbers_that_no_lens_has_are_refused(value):
 def test_focal_lengths_must_be_positive(model, focal_length):
     with pytest.raises(ValueError, match="fy must be positive"):
         model(640, 480, 300, focal_length, 320, 240)
+
+
+@every_camera
+def test_what_a_masked_array_hides_is_no_pixel(camera):
+    pixels = pixels_in_the_field_of_view(camera)[:3]
+    hidden = np.ma.masked_array(pixels, mask=[[False, False], [True, False], [False, False]])
+    expected = camera.bearings_from_pixels(pixels)
+    expected[1] = np.nan
+    np.testing.assert_allclose(camera.bearings_from_pixels(hidden), expected, rtol=0, atol=1e-9)

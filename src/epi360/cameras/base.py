@@ -177,8 +177,13 @@ def _finite_number(value: object, name: str) -> float:
 
 
 def _finite_columns(array: ArrayLike, count: int, name: str) -> list[Array]:
-    """Return contiguous columns of an (N, count) array; rows that are not finite become NaN."""
+    """Return contiguous columns of an (N, count) array.
+
+    Rows that are not finite, or of which a masked array hides a number, become NaN.
+    """
     try:
+        if isinstance(array, np.ma.MaskedArray):
+            array = np.ma.filled(array.astype(np.float64), np.nan)
         rows = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} must be numbers of shape (N, {count}): {error}") from None

@@ -125,8 +125,8 @@ def match_images(
     ``output``, a folder or a URL that fsspec understands, keeps key points and pairs. With
     ``restart``, pairs in it that were made with other options are thrown away instead of refusing
     them; features that still fit are kept. ``progress`` is told of the stages "images", "features",
-    "retrieval", "pairs", in a level folder "level pairs", and "places" and "second poses" where
-    accepted pairs have surroundings to look at.
+    "retrieval", "pairs", in a level folder "level pairs", and "places", "rival poses" and "second
+    poses" where accepted pairs have surroundings to look at.
 
     With ``pairs="auto"``, 16 to 30 frames of a dense sequence are not matched exhaustively: the
     pairs of `dense_pairs` are looked at first, and suffice where `is_dense` finds that all of them

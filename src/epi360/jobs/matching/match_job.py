@@ -36,8 +36,8 @@ PAIRS_PER_PART = 32
 class MatchJob:
     """What is known and done so far; an engine does the work.
 
-    ``progress`` is told of the stages "images", "features", "pairs", "level pairs",
-    "places" and "second poses".
+    ``progress`` is told of the stages "images", "features", "pairs", "level pairs", "places",
+    "rival poses" and "second poses".
     """
 
     def __init__(self, work: PairWork, engine: MatchEngine, progress: Progress) -> None:

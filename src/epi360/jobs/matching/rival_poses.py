@@ -30,10 +30,11 @@ def find_rivals(
 ) -> dict[Keys, PlaceVerdict]:
     """Verdicts on accepted pairs that another pose refuses, or warns of; see `with_rival_pose`."""
     found: dict[Keys, PlaceVerdict] = {}
-    for results in asked_anew(settled, accepted & settled.images.keys(), _PRIOR):
+    asked = accepted & settled.images.keys()
+    for results in asked_anew(settled, asked, _PRIOR) if asked else ():
         rivals, many = {}, set()
-        for asked, other in results:
-            verdict, keys = asked.verified.verdict, asked.verified.keys
+        for pair, other in results:
+            verdict, keys = pair.verified.verdict, pair.verified.keys
             if not other.verdict.accepted or not is_another(
                 verdict.cam2_from_cam1, other.verdict.cam2_from_cam1
             ):

@@ -25,7 +25,7 @@ from epi360.poses import poses_agree
 
 _SAME_DEG = 5.0  # a pose this near to the first one says nothing new
 _PAIRS_AT_ONCE = 256  # whose matches are in memory
-PRIOR, _STAGE = "second", "second poses"
+PRIOR = "second"
 SECOND = "the matches that do not agree with the first pose say this one; its surroundings fit"
 
 
@@ -65,7 +65,6 @@ def find_second(
     ``accepted`` are those whose own pose is accepted. A camera that has only turned has no second
     pose: what does not agree with the first has moved.
     """
-    folder = settled.folder
     others = {
         keys
         for keys in settled.images
@@ -75,7 +74,6 @@ def find_second(
     }
     if not others or not places.can_judge_more:
         return {}
-    folder.progress(_STAGE, 0, len(others))
     found: dict[Keys, SecondPair] = {}
     for results in asked_anew(settled, others, PRIOR):
         told = (asked.with_pose_of(result) for asked, result in results)
@@ -84,7 +82,6 @@ def find_second(
         for verified, place in zip(second, verdicts, strict=True):
             if place is not None and not place.refused:
                 found[verified.keys] = SecondPair(verified, place)
-    folder.progress(_STAGE, len(others), len(others))
     return found
 
 
@@ -93,8 +90,10 @@ def asked_anew(
 ) -> Iterator[list[tuple[AskedAnew, VerifiedPair]]]:
     """Wanted pairs, some at a time, and what their matches say that do not agree with the pose.
 
-    ``prior`` says in words how these were chosen.
+    ``prior`` says in words how these were chosen, and begins the name of the stage.
     """
+    stage, progress, num_done = f"{prior} poses", settled.folder.progress, 0
+    progress(stage, num_done, len(wanted))
     candidates = _candidates(settled, wanted)
     while some := {
         settled.images[each.verified.keys]: each for each in islice(candidates, _PAIRS_AT_ONCE)
@@ -102,6 +101,9 @@ def asked_anew(
         matched = [(pair, each.matched.some(each.left)) for pair, each in some.items()]
         results = settled.folder.estimated(matched, prior, settled.level)
         yield [(some[pair], result) for pair, result in results.items()]
+        num_done += len(some)
+        progress(stage, num_done, len(wanted))
+    progress(stage, len(wanted), len(wanted))  # of some no matches are left
 
 
 def _candidates(settled: SettledPairs, wanted: Set[Keys]) -> Iterator[AskedAnew]:

@@ -29,8 +29,7 @@ class VerifiedFolder(Protocol):
     """Images, by their numbers, of which pairs have been verified by their own matches.
 
     A pair that was verified goes by the keys of both images; equal images may have equal keys.
-    ``progress`` is told of the stages "level pairs", "places" and
-    "second poses".
+    ``progress`` is told of the stages "level pairs", "places", "rival poses" and "second poses".
     """
 
     @property

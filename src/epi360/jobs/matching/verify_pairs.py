@@ -85,8 +85,8 @@ def verify_pairs(
     these, which are those of its graph then, but for panoramas if ``keep_panoramas``. Cameras of
     few images that are equal are taken for one.
 
-    ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs", "places" and
-    "second poses".
+    ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs", "places",
+    "rival poses" and "second poses".
 
     Raises
     ------
