@@ -282,8 +282,10 @@ class TestExport:
 
         folder, source = two_panoramas(tmp_path)
         one, other = tmp_path / "one.png", tmp_path / "other.png"
-        for path in (one, other):
-            write_png(path, np.full((128, 256), 255, np.uint8))
+        for path, below in ((one, 0), (other, 9)):
+            mask = np.full((128, 256), 255, np.uint8)
+            mask[128 - below :] = 0
+            write_png(path, mask)
         out = tmp_path / "out"
         export_cubemap(folder, source, out, masks={"a.png": one, "b.png": one})
         assert (out / "masks" / "a_front.jpg.png").exists()
@@ -294,6 +296,31 @@ class TestExport:
         turned = Equirectangular(256, 128, center_longitude_deg=90.0)
         third = export_cubemap(folder, plain_reconstruction(["a.png", "b.png"], turned), out)
         assert (third.num_written, third.num_kept) == (2, 0)
+
+    def test_faces_of_another_picture_of_the_same_name_and_time_are_cut_again(self, tmp_path):
+        """Who renames a picture, unpacks or copies it keeps its time."""
+        from epi360.jobs.cubes.cubemap import export_cubemap
+
+        folder, source = two_panoramas(tmp_path)
+        write_png(folder / "b.png", np.full((128, 256, 3), 90, np.uint8))
+        mask = tmp_path / "mask.png"
+        write_png(mask, np.full((128, 256), 255, np.uint8))
+        masks = {"a.png": mask, "b.png": None}
+        out, fresh = tmp_path / "out", tmp_path / "fresh"
+        export_cubemap(folder, source, out, masks=masks)
+        (folder / "a.png").rename(folder / "c.png")
+        (folder / "b.png").rename(folder / "a.png")
+        (folder / "c.png").rename(folder / "b.png")
+        assert export_cubemap(folder, source, out, masks=masks).num_written == 2
+        picture = np.full((128, 256), 255, np.uint8)
+        picture[:40] = 0
+        was = mask.stat()
+        write_png(mask, picture)
+        os.utime(mask, ns=(was.st_atime_ns, was.st_mtime_ns))
+        assert export_cubemap(folder, source, out, masks=masks).num_written == 1
+        export_cubemap(folder, source, fresh, masks=masks)
+        for file in (*fresh.glob("images/*"), *fresh.glob("masks/*")):
+            assert (out / file.relative_to(fresh)).read_bytes() == file.read_bytes()
 
     def test_faces_of_a_panorama_that_left_the_model_are_removed(self, tmp_path):
         from epi360.jobs.cubes.cubemap import export_cubemap

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from level_views import NAMES, judge_otherwise, write_tour
 
-from epi360.jobs.matching import kept_verdicts, match_folder
+from epi360.jobs.matching import kept_verdicts, match_folder, match_job
 from epi360.jobs.matching.kept_verdicts import VERDICTS, KeptVerdicts
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.pair_work import PairWork
 from epi360.poses import Pose
+from epi360.report.match_table import describe_match
 from epi360.report.pairs_table import pairs_csv
 from epi360.runs.remote_path import path_of
 
@@ -127,6 +128,46 @@ def test_damaged_ones_count_as_none(tour, tmp_path, second_pose, judged, damage)
     assert pairs_csv(match_images(tour, tmp_path)) == pairs_csv(run)
     assert len(judged) == 2
     assert len(load_matches(tmp_path).pairs) == len(run.verdicts)
+
+
+def test_verdicts_without_their_level_pairs_count_as_none(tmp_path, judged, monkeypatch):
+    tour = write_tour(tmp_path / "pictures")
+
+    def lost(verified, pair, prior):
+        if pair != LOST or prior:
+            return verified
+        verdict = dataclasses.replace(
+            verified.verdict, status="too_few_inliers", cam2_from_cam1=Pose.nan()
+        )
+        return dataclasses.replace(verified, verdict=verdict)
+
+    judge_otherwise(monkeypatch, lost)
+    run = match_images(tour, tmp_path / "out")
+    assert run.level is not None and run.num_gained == 1
+    (part,) = (tmp_path / "out").glob("level-*/part-*.npz")
+    content = part.read_bytes()
+    part.write_bytes(content[:1000])
+    assert pairs_csv(match_images(tour, tmp_path / "out")) == pairs_csv(run)
+    assert len(judged) == 2
+    assert part.read_bytes() == content
+
+
+def test_verdicts_without_a_picture_are_not_kept(tour, tmp_path, judged, monkeypatch):
+    read = match_job.read_panorama
+
+    def unreadable(image, *more):
+        if image.name == NAMES[1]:
+            raise OSError(5, "Input/output error", str(image.path))
+        return read(image, *more)
+
+    monkeypatch.setattr(match_job, "read_panorama", unreadable)
+    run = match_images(tour, tmp_path)
+    assert list(run.gone) == [NAMES[1]]
+    assert f"The surroundings of {NAMES[1]} were not compared" in describe_match(run)
+    assert not (tmp_path / VERDICTS).exists()
+    monkeypatch.undo()
+    assert not match_images(tour, tmp_path).gone
+    assert (tmp_path / VERDICTS).exists()
 
 
 def test_what_some_matches_say_is_found_once(tour, tmp_path, second_pose, estimates):

@@ -145,6 +145,18 @@ def test_a_second_run_maps_nothing_again_unless_an_option_changes(room_folder, r
         np.testing.assert_array_equal(image.cam_from_world.matrix(), same.cam_from_world.matrix())
 
 
+@pytest.mark.parametrize("name", ["points3D.bin", "images.bin"])
+def test_a_damaged_model_is_mapped_again(room_folder, room_run, tmp_path, name):
+    output, first = room_run[0], tmp_path / "map"
+    shutil.copytree(output, first)
+    file = first / "sparse" / "0" / name
+    file.write_bytes(file.read_bytes()[:100])
+    options = MapOptions(MatchOptions(num_threads=1), mapper_threads=1)
+    run = map_images(find_images(room_folder[0]), first, options)
+    assert not run.was_mapped and len(run.models[0].reconstruction.images) == 6
+    assert map_images(find_images(room_folder[0]), first, options).was_mapped
+
+
 def test_a_negative_seed_maps_as_well(room_folder, room_run, tmp_path):
     output = tmp_path / "map"
     options = MapOptions(MatchOptions(num_threads=1, seed=-1), mapper_threads=1)
@@ -290,8 +302,11 @@ def test_transforms_name_the_masks_where_every_image_has_one(tmp_path):
     assert remarks == ()
     remarks, frames = written_transforms(tmp_path, cameras, {"a": both["a"]})
     assert not any("mask_path" in frame for frame in frames)
-    assert remarks == ("transforms.json does not name all masks; that of --cubemap does",)
-    assert written_transforms(tmp_path, cameras, mask_nadir_deg=20.0)[0] == remarks
+    others = "the faces that --cubemap cuts have all masks"
+    no_files = "masks, because some images have none"
+    assert remarks == (f"transforms.json lacks {no_files}; {others}",)
+    nadir = written_transforms(tmp_path, cameras, mask_nadir_deg=20.0)[0]
+    assert nadir == (f"transforms.json lacks what --mask-nadir-deg masks; {others}",)
     assert written_transforms(tmp_path, cameras)[0] == ()
 
 

@@ -169,15 +169,18 @@ def map_folder(
     print(_describe(run, images), flush=True)
     if report is not None:
         write_report(report, source, run.matched, images, _shown_map(run))
+    old_cube = output / "cubemap"
     if not run.models:
+        if old_cube.exists():
+            print(f"{old_cube} is of an earlier map, which is gone")
         return FAILURE
     print(f"wrote {run.models[0].folder}")
     if cubemap:
         masks = {image.name: image.mask for image in images.images}
         model = run.models[0].reconstruction
-        _cut(folder, model, output / "cubemap", cutting, masks, given.mask_nadir_deg)
-    elif (output / "cubemap").exists() and not run.was_mapped:
-        print(f"{output / 'cubemap'} is of an earlier map: --cubemap cuts it again")
+        _cut(folder, model, old_cube, cutting, masks, given.mask_nadir_deg)
+    elif old_cube.exists() and not run.was_mapped:
+        print(f"{old_cube} is of an earlier map: --cubemap cuts it again")
     return SUCCESS
 
 

@@ -119,7 +119,8 @@ def match(
         Folder for the results; may be a URL of an object store. Default: NAME-epi360 in the current
         folder, beside the images where that is inside them.
     restart
-        Throw away the pairs in the output that were made with other options, and a video's frames.
+        Throw away the pairs in the output that were made with other options, and a video's frames;
+        what was made with the same ones stays.
         Needed, too, where the output holds the result of other images, which is replaced.
     report
         Write a page that a browser opens offline: the graph of the pairs, a table that sorts and

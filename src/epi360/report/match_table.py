@@ -181,15 +181,22 @@ def _asks(verdict: PairVerdict, question: str) -> bool:
 
 
 def describe_not_compared(judged: JudgedPairs) -> list[str]:
-    """A line that warns of rooms that look alike where nobody told them apart."""
-    count = judged.num_not_compared
-    if not count:
-        return []
-    return [
-        f"The surroundings of {count:,} accepted pairs were not compared, which is "
-        f"done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. Fewer pairs, "
-        "or a folder for each floor, let them be compared."
-    ]
+    """Lines that warn of rooms that look alike where nobody told them apart."""
+    lines = []
+    if judged.num_not_compared:
+        lines.append(
+            f"The surroundings of {judged.num_not_compared:,} accepted pairs were not compared, "
+            f"which is done for up to {MOST_PAIRS:,}: rooms that look alike may be taken for one. "
+            "Fewer pairs, or a folder for each floor, let them be compared."
+        )
+    if judged.gone:
+        name, why = min(judged.gone.items())
+        lines.append(
+            f"The surroundings of {_first_few(sorted(judged.gone))} were not compared, for what "
+            f"could be read at first cannot be read any more ({name}: {why}): rooms that look "
+            "alike may be taken for one. Run the same command again when it is there."
+        )
+    return lines
 
 
 def describe_level(judged: JudgedPairs) -> list[str]:

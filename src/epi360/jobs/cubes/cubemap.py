@@ -35,11 +35,12 @@ from epi360.jobs.cubes.cube_faces import (
 from epi360.jobs.cubes.face_sampler import FaceSampler
 from epi360.poses import Pose, vector_from_rotation
 from epi360.progress import Progress, no_progress
+from epi360.runs.file_digests import FileDigests
 from epi360.runs.inside import inside
 from epi360.runs.made_from import first_difference, read_record, write_record
 from epi360.runs.whole_files import whole_file
 
-RECORD_FILE = "cubemap.json"
+RECORD_FILE, DIGESTS_FILE = "cubemap.json", "digests.json"
 _STAGE = "cutting cube faces"
 _FaceMask = tuple[NDArray[np.bool_], bytes]  # white = use, and the content of its file
 
@@ -86,7 +87,7 @@ def export_cubemap(
     ``images/NAME.jpg`` it is ``masks/NAME.jpg.png``, COLMAP's name, and the same again as
     ``masks/NAME.png``, where nerfstudio's reader of COLMAP models looks. ``masks`` are those of the
     images by name, white = use; ``mask_nadir_deg`` around straight down is masked as well. A
-    panorama is not cut again while its faces are newer than itself and its mask.
+    panorama is not cut again while its content, its camera and its mask are the same.
 
     Raises
     ------
@@ -128,7 +129,7 @@ def export_cubemap(
     write_colmap_model(output / "sparse" / "0", cube)
     mask_of = {face: f"masks/{face}.png" for face in names.values()} if cutter.masked else None
     write_nerfstudio(output / "transforms.json", cube, images="images", masks=mask_of)
-    cutter.finish(reconstruction, turn)
+    cutter.finish(turn)
     return Cubemap(cube, done - kept, kept, turn)
 
 
@@ -193,6 +194,7 @@ class _Cutter:
     mask_nadir_deg: float
     masked: bool  # every face gets a mask: nerfstudio takes those of all images or of none
     _face_masks: tuple[Camera, Path | None, dict[FaceName, _FaceMask]] | None = None
+    _record: dict[str, Any] = field(default_factory=dict)
     _left: set[str] = field(default_factory=set)  # faces of panoramas that left the model
 
     def prepare(
@@ -205,7 +207,8 @@ class _Cutter:
         """
         if self.output.resolve() == self.folder.resolve():
             raise ValueError(f"the cubemap cannot be written into the images' folder {self.folder}")
-        record = self._record(reconstruction)
+        digests = FileDigests(self.output / DIGESTS_FILE)
+        record = self._record = self._made_from(reconstruction, digests)
         before = check_cubemap_folder(self.output, self.options, self.mask_nadir_deg)
         made_before = before.get("made_from", {})
         names_before = face_image_names(list(made_before), self.options)
@@ -227,19 +230,28 @@ class _Cutter:
         self._left = set(names_before.values()) - set(names.values())
         both = {**record, "made_from": {**made_before, **record["made_from"]}}
         write_record(self.output / RECORD_FILE, both)
+        digests.save()
 
-    def finish(self, reconstruction: Reconstruction, upright_from_world: Pose) -> None:
+    def finish(self, upright_from_world: Pose) -> None:
         """Remove the faces of panoramas that left the model, and note the world of the new ones."""
         self._remove(self._left)
         world = {"upright_from_world": upright_from_world.matrix()[:3].tolist()}
-        write_record(self.output / RECORD_FILE, {**self._record(reconstruction), **world})
+        write_record(self.output / RECORD_FILE, {**self._record, **world})
 
-    def _record(self, reconstruction: Reconstruction) -> dict[str, Any]:
-        made_from = {
-            image.name: f"{reconstruction.cameras[str(image.camera)]}, "
-            f"{self._mask_words(image.name)}"
-            for image in reconstruction.images
-        }
+    def _made_from(self, reconstruction: Reconstruction, digests: FileDigests) -> dict[str, Any]:
+        """The record of this cubemap: its options, and what the faces of each panorama show."""
+
+        def content_of(file: Path | None) -> str:
+            # Of a file that is not there, the work on it says so.
+            return digests.digest_of(file).hex()[:32] if file and file.is_file() else "none"
+
+        made_from = {}
+        for image in reconstruction.images:
+            camera = reconstruction.cameras[str(image.camera)]
+            mask = content_of(self.masks.get(image.name)) if self.masked else "not written"
+            made_from[image.name] = (
+                f"{camera}, content {content_of(self.folder / image.name)}, mask {mask}"
+            )
         return {"options": _options(self.options, self.mask_nadir_deg), "made_from": made_from}
 
     def _remove(self, faces: Iterable[str]) -> None:
@@ -255,16 +267,14 @@ class _Cutter:
             _check_size(f"mask of {panorama}", mask, camera)
 
     def is_cut(self, panorama: str, faces: Iterable[str]) -> bool:
-        """Whether the faces of a panorama are there and newer than what they are made from."""
-        mask = self.masks.get(panorama)
-        source = self.folder / panorama
+        """Whether the faces of a panorama are there; `prepare` has removed those of another one."""
+        source, mask = self.folder / panorama, self.masks.get(panorama)
         if not source.exists() or (mask is not None and not mask.exists()):
             return False  # cut() says so
-        newest = max(path.stat().st_mtime_ns for path in (source, mask) if path is not None)
         files = [self._face_file(face) for face in faces]
         if self.masked:
             files += [file for face in faces for file in self._mask_files(face)]
-        return all(path.exists() and path.stat().st_mtime_ns >= newest for path in files)
+        return all(path.exists() for path in files)
 
     def cut(
         self,
@@ -317,9 +327,6 @@ class _Cutter:
             above = _nadir_mask(camera, self.mask_nadir_deg)
             mask = above if mask is None else mask & above
         return mask
-
-    def _mask_words(self, panorama: str) -> str:
-        return f"mask {self.masks.get(panorama)}" if self.masked else "no masks"
 
     def _face_file(self, face: str) -> Path:
         return inside(self.output / "images", face)

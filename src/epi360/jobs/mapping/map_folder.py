@@ -20,7 +20,9 @@ from epi360.extras import extra_library
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
+from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
+from epi360.interop.nerfstudio import POINTS_FILE
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.panoramas import read_panorama
@@ -293,7 +295,8 @@ class _Work:
         """Write database and models; returns what the record says of them."""
         start = time.perf_counter()
         write_record(self.output / RECORD, {})  # from here on database and models are ours
-        (self.output / TRANSFORMS).unlink(missing_ok=True)
+        for name in (TRANSFORMS, POINTS_FILE):
+            (self.output / name).unlink(missing_ok=True)
         self._write_database()
         mapped = map_by_attempts(
             self.output / DATABASE,
@@ -388,9 +391,13 @@ def _read_record(output: Path) -> dict[str, Any]:
 
 
 def _has_models(output: Path, record: Mapping[str, Any]) -> bool:
-    """Whether nobody has deleted a model since."""
-    numbers = range(len(record["mean_error_px"]))
-    return all((output / MODELS / str(number)).is_dir() for number in numbers)
+    """Whether nobody has deleted or damaged a model since."""
+    try:
+        for number in range(len(record["mean_error_px"])):
+            read_colmap_model(output / MODELS / str(number))
+    except (OSError, ValueError):
+        return False
+    return True
 
 
 def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, Pose]) -> str:

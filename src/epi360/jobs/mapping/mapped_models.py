@@ -82,6 +82,13 @@ def write_transforms(
         write_nerfstudio(output / TRANSFORMS, model, images=folder, masks=every_mask)
     except ValueError as error:
         return (f"{TRANSFORMS} was not written: {error}; that of --cubemap has one camera model",)
-    if mask_nadir_deg > 0 or (masks and every_mask is None):
-        return (f"{TRANSFORMS} does not name all masks; that of --cubemap does",)
-    return ()
+    missing = []
+    if masks and every_mask is None:
+        missing.append("masks, because some images have none")
+    if mask_nadir_deg > 0:
+        missing.append("what --mask-nadir-deg masks")
+    if not missing:
+        return ()
+    return (
+        f"{TRANSFORMS} lacks {' and '.join(missing)}; the faces that --cubemap cuts have all masks",
+    )

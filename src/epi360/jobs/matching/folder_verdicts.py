@@ -43,6 +43,8 @@ class JudgedPairs:
     verdicts: tuple[PairVerdict, ...]  # in the order of the pairs
     how: str  # how the pairs were chosen, in words
     unreadable: Mapping[str, str] = field(default_factory=dict)  # image and why it was of no use
+    # Images that could be read at first, and not when surroundings were compared, and why.
+    gone: Mapping[str, str] = field(default_factory=dict)
     kept: tuple[tuple[str, str], ...] = ()  # images of the pairs that had a pose, and no verdict
     questioned: tuple[tuple[str, str], ...] = ()  # those whose pose others or its inliers refuse
     agreed: tuple[str, ...] = ()  # what is said of cameras that are other ones than were given

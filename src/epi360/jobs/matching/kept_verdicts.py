@@ -18,7 +18,13 @@ from epi360.estimation import Explanations
 from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts
 from epi360.jobs.matching.pair_verdicts import PairVerdict
-from epi360.jobs.records.match_store import IMPLIED_PAIRS, Keys, Verdict, read_part
+from epi360.jobs.records.match_store import (
+    IMPLIED_PAIRS,
+    Keys,
+    Verdict,
+    keys_by_part,
+    read_part,
+)
 from epi360.poses import Pose
 from epi360.runs.made_from import code_fingerprint, fingerprint, read_record
 from epi360.runs.remote_path import AnyPath
@@ -86,25 +92,32 @@ def made_from(
 def _folder_verdicts(
     output: AnyPath, record: Mapping[str, Any], keys: Sequence[Keys | None]
 ) -> FolderVerdicts | None:
-    part, level = record["other_poses"], record["level"]
+    part = record["other_poses"]
     others = read_part(output, part, IMPLIED_PAIRS) if part else []
-    if len(others) != record["num_other_poses"]:
+    level = None if record["level"] is None else Level(**record["level"])
+    names = [(key1, key2) for key1, key2 in record["settled_keys"]]
+    settled = dict(zip(names, _verdicts(Verdict, record["settled"]), strict=True))
+    if len(others) != record["num_other_poses"] or not _are_there(output, level, settled):
         return None
-    settled = _verdicts(Verdict, record["settled"])
     return FolderVerdicts(
         keys,
         tuple(_verdicts(PairVerdict, record["verdicts"])),
-        None if level is None else Level(**level),
-        {
-            (key1, key2): told
-            for (key1, key2), told in zip(record["settled_keys"], settled, strict=True)
-        },
+        level,
+        settled,
         {each.keys: each for each in others},
         looked_around=record["looked_around"],
         num_gained=record["num_gained"],
         num_lost=record["num_lost"],
         num_not_compared=record["num_not_compared"],
     )
+
+
+def _are_there(output: AnyPath, level: Level | None, settled: Mapping[Keys, Verdict]) -> bool:
+    """Whether the pairs whose verdicts have the prior of a level folder are in whole parts."""
+    if level is None:
+        return True
+    there = {keys for _, some in keys_by_part(output, level.store) for keys in some}
+    return there >= {keys for keys, told in settled.items() if told.prior == level.prior}
 
 
 def _table(verdicts: Sequence[Verdict]) -> list[list[Any]]:

@@ -212,13 +212,16 @@ def _judged(
     judged = kept.read(keys) or judge_folder(
         job, chosen.pairs, chosen.finished, is_upright=is_upright, looks_around=looks_around
     )
-    kept.write(judged, _write_index(images, job, judged))
+    part = _write_index(images, job, judged)
+    if not job.gone:  # these verdicts are of a run that has seen everything
+        kept.write(judged, part)
     return MatchRun(
         folder=job.output,
         how=chosen.how,
         images=tuple(image.name for image in images.images),
         verdicts=judged.verdicts,
         unreadable=job.unreadable,
+        gone=job.gone,
         num_found=chosen.num_found,
         level=judged.level,
         num_gained=judged.num_gained,

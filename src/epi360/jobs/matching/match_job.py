@@ -48,6 +48,7 @@ class MatchJob:
         self.unreadable = work.unreadable
         self.engine = engine
         self.progress = progress
+        self.gone: dict[str, str] = {}  # images that could be read before, and why not any more
         self._estimates = KeptEstimates(self.output, self.keys_of)
 
     def find_features(self, wanted: Sequence[int]) -> None:
@@ -161,7 +162,11 @@ class MatchJob:
     def panorama_of(self, index: int) -> Panorama:
         """What an image shows all around; OSError or ValueError where it cannot be read now."""
         nadir_deg = self.work.inputs.cache.options.mask_nadir_deg
-        return read_panorama(self.images[index], self.camera_of(index), nadir_deg)
+        try:
+            return read_panorama(self.images[index], self.camera_of(index), nadir_deg)
+        except (OSError, ValueError) as error:
+            self.gone[self.name_of(index)] = str(error)
+            raise
 
     def camera_of(self, index: int) -> Camera:
         """Camera of an image."""
