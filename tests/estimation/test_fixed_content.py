@@ -51,7 +51,7 @@ def with_fixed_content(seed, *, num_fixed, moved=True, num_wrong=0, radius_deg=4
 
 
 def says_fixed(result):
-    return any("fixed to the camera" in warning for warning in result.warnings)
+    return any("something is fixed to the camera" in warning for warning in result.warnings)
 
 
 def errors_deg(result, pose):
@@ -71,6 +71,22 @@ def test_a_car_that_has_more_matches_than_the_scene_is_left_out(seed, num_fixed,
     assert max(errors_deg(result, pose)) < 1.5
     assert not result.inlier_mask[100:].any()
     assert f"{num_fixed} of {100 + num_fixed} matches stand still" in result.warnings[0]
+
+
+@pytest.mark.parametrize("num_fixed", [200, 400])
+@pytest.mark.parametrize("seed", range(3))
+def test_in_a_cabin_all_around_the_motion_is_an_alternative(seed, num_fixed):
+    """Nothing tells a camera in a car from one that stands still among things that moved."""
+    b1, b2, pose = with_fixed_content(seed, num_fixed=1, num_wrong=20)
+    cabin = anywhere(num_fixed, np.random.default_rng(seed))
+    b1, b2 = np.concatenate([b1, cabin]), np.concatenate([b2, cabin])
+    result = epi360.estimate_relative_pose(b1, b2)
+    assert result.status == "pure_rotation" and not says_fixed(result)
+    (warning,) = (each for each in result.warnings if "the camera has moved" in each)
+    assert "stand still in the images: these may be fixed to it" in warning
+    moved = result.alternatives[0]
+    assert epi360.rotation_error_deg(moved, pose) < 1.5
+    assert epi360.translation_error_deg(moved, pose) < 1.5
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -132,6 +148,7 @@ def test_a_camera_that_stands_still_among_wrong_matches_has_not_moved(seed, num_
     assert result.status == "pure_rotation"
     assert epi360.rotation_error_deg(result.cam2_from_cam1, Pose(np.eye(3), np.zeros(3))) < 0.1
     assert not says_fixed(result)
+    assert not any("has moved" in warning for warning in result.warnings)
 
 
 @pytest.mark.parametrize("seed", range(3))

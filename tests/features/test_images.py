@@ -11,14 +11,16 @@ import pytest
 from PIL import Image
 from real_data import is_picture
 
-from epi360.cameras import Equirectangular
+from epi360.cameras import Equirectangular, Pinhole
 from epi360.features.images import (
     looks_like_dual_fisheye,
+    looks_like_photograph,
     nadir_mask,
     read_image,
     read_mask,
     require_panorama,
 )
+from epi360_scenes.room import demo_pair
 
 
 def random_image(height=32, width=64, channels=3, dtype=np.uint8, seed=0):
@@ -342,7 +344,51 @@ def test_a_raw_dual_fisheye_frame_is_recognised(options):
 def test_a_raw_dual_fisheye_frame_is_refused_with_the_remedy():
     with pytest.raises(ValueError, match="b.jpg looks like a raw dual fisheye.* export a stitched"):
         require_panorama(dual_fisheye(smooth_panorama()), "b.jpg")
-    require_panorama(smooth_panorama().astype(np.uint8))
+
+
+def cut_panorama(picture, rows, columns):
+    """Part of a panorama that somebody has stretched to the shape of a whole one."""
+    return cv2.resize(picture[rows, columns], picture.shape[1::-1], interpolation=cv2.INTER_AREA)
+
+
+def photograph(picture):
+    """What a camera of 70 degrees sees in a panorama, in the shape of one."""
+    camera, lens = Equirectangular(*picture.shape[1::-1]), Pinhole(512, 256, 365, 365, 256, 128)
+    u, v = np.meshgrid(np.arange(512) + 0.5, np.arange(256) + 0.5)
+    rays = lens.bearings_from_pixels(np.stack([u, v], axis=-1).reshape(-1, 2))
+    pixels = camera.pixels_from_bearings(rays).reshape(256, 512, 2).astype(np.float32) - 0.5
+    return cv2.remap(picture, pixels, None, cv2.INTER_LINEAR)
+
+
+@pytest.fixture(scope="module")
+def panorama():
+    return demo_pair().image1
+
+
+def test_a_photograph_in_the_shape_of_a_panorama_is_refused(panorama):
+    picture = photograph(panorama)
+    assert looks_like_photograph(picture)
+    with pytest.raises(ValueError, match="c.jpg has the shape of a panorama, but its left and"):
+        require_panorama(picture, "c.jpg")
+
+
+def test_panoramas_of_which_something_was_cut_are_no_photographs(panorama):
+    everything = np.s_[:]
+    for parts in (
+        (everything, everything),
+        (np.s_[: int(0.8 * len(panorama))], everything),
+        (everything, np.s_[: int(0.9 * panorama.shape[1])]),
+        (np.s_[60:-60], everything),
+    ):
+        assert not looks_like_photograph(cut_panorama(panorama, *parts))
+
+
+def test_no_real_panorama_is_taken_for_a_photograph(data_dir: Path):
+    paths = [path for ext in ("jpg", "png") for path in data_dir.rglob(f"*.{ext}")]
+    for path in filter(is_picture, paths):
+        image = read_image(path)
+        if image.shape[1] == 2 * len(image):
+            assert not looks_like_photograph(image), path
 
 
 @pytest.mark.parametrize(

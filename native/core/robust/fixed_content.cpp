@@ -18,6 +18,8 @@ constexpr double kSurrounds = 1.5;
 // Of two poses that explain the matches about equally well, one may be that of matches that stand
 // still: so many times these are at least as many as the inliers of the other.
 constexpr double kCompeting = 4.0;
+// The others are asked if they are at least so many times as many as those that stand still.
+constexpr double kFewestBeside = 0.2;
 
 // Whether some matches lie around the camera, and others in a smaller part of what it sees. A pole
 // is a corner of many cells, and two poles have no mean bearing: either measure will do.
@@ -69,7 +71,11 @@ std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answe
   std::vector<unsigned char> others(m.size);
   std::transform(fixed.begin(), fixed.end(), others.begin(), [](auto each) { return !each; });
   const Extent where = extents(m, fixed.data()).chosen;
-  return surround(extents(m, others.data()).chosen, where) ? still : std::vector<std::size_t>{};
+  const bool may_count = surround(extents(m, others.data()).chosen, where);
+  // Of a camera that only turned, what all around it says otherwise is worth a warning.
+  const bool may_warn = answer.verdict.status == Status::kPureRotation &&
+                        kFewestBeside * static_cast<double>(still.size()) <= m.size - still.size();
+  return may_count || may_warn ? still : std::vector<std::size_t>{};
 }
 
 MatchesLeft without(const Matches& m, const MatchPriors& priors,
@@ -87,20 +93,21 @@ MatchesLeft without(const Matches& m, const MatchPriors& priors,
   return left;
 }
 
-bool shows_fixed(const Matches& m, const std::vector<std::size_t>& fixed, const MatchesLeft& left,
-                 const RobustResult& answer, Residual residual) {
+OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
+                     const MatchesLeft& left, const RobustResult& answer, Residual residual) {
   const Status status = answer.verdict.status;
-  if (status != Status::kOk && status != Status::kPureRotation) return false;
+  if (status != Status::kOk && status != Status::kPureRotation) return OthersSay::kNothing;
   const Matches still = chosen_matches(m, fixed);
   const std::vector<double> residuals = residuals_under(answer, still, residual);
   std::size_t moved = 0;
   for (std::size_t i = 0; i < still.size; ++i)
     moved += !(std::abs(residuals[i]) < answer.threshold);
-  if (2 * moved <= still.size) return false;
+  if (2 * moved <= still.size) return OthersSay::kNothing;
   const auto agreeing = std::count(answer.inlier.begin(), answer.inlier.end(), 1);
-  if (2 * static_cast<std::size_t>(agreeing) <= left.m.size) return false;
+  if (2 * static_cast<std::size_t>(agreeing) <= left.m.size) return OthersSay::kNothing;
   const Extent where = extents(m, mask_of(m, fixed).data()).chosen;
-  return surround(extents(left.m, answer.inlier.data()).chosen, where);
+  if (surround(extents(left.m, answer.inlier.data()).chosen, where)) return OthersSay::kFixed;
+  return status == Status::kOk ? OthersSay::kPose : OthersSay::kNothing;
 }
 
 RobustResult on_all(const Matches& m, const MatchesLeft& left, RobustResult answer,

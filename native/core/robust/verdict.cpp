@@ -240,6 +240,8 @@ const char* name_of(WarningCode code) {
       return "displaced";
     case WarningCode::kCopies:
       return "copies";
+    case WarningCode::kMotionBeside:
+      return "motion_beside";
     case WarningCode::kFixedContent:
       break;
   }

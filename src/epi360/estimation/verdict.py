@@ -73,6 +73,12 @@ def _sentence(warning: _core.Warning) -> str:
             f"{value:.0f} of {reference:.0f} matches stand still in the images while the camera "
             "moved: something is fixed to the camera, and they were left out"
         )
+    if warning.code == "motion_beside":
+        return (
+            f"{value:.0f} matches agree that the camera has moved, and {reference:.0f} stand still "
+            "in the images: these may be fixed to it, as a car is, and the motion is the first "
+            "alternative"
+        )
     if warning.code == "little_parallax":
         return (
             f"the median parallax is only {value / reference:.1f} times the noise: "

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera
+from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.gpano import GPano, panorama_camera, parse_gpano
 from epi360.features.image_headers import read_image_header
 from epi360.features.images import ImageSource, require_panorama
@@ -24,11 +24,14 @@ def find_camera(
     """
     height, width = picture.shape[:2]
     if camera is None:
-        require_panorama(picture, name)
+        gpano = gpano_of(source)
         try:
-            return panorama_camera(width, height, gpano_of(source))
+            found = panorama_camera(width, height, gpano)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
+        if found == Equirectangular(width, height):
+            require_panorama(picture, name)
+        return found
     check_camera(camera, f"the camera of {name}")
     if (camera.width, camera.height) != (width, height):
         raise ValueError(
