@@ -25,6 +25,7 @@ from epi360.estimation.options import (
 )
 from epi360.estimation.pair_arrays import cut_pairs, listed_pairs, native_pair, values_per_pair
 from epi360.estimation.result import RelativePoseResult
+from epi360.estimation.separate_things import with_doubt_of_things
 from epi360.estimation.verdict import result_of
 
 
@@ -128,7 +129,7 @@ def estimate_relative_pose(
     )
     threshold = inlier_threshold_deg, inlier_threshold_px
     (answer,) = _estimate([pair], *threshold, residual, options, 1)
-    return result_of(answer)
+    return with_doubt_of_things(result_of(answer), bearings1, bearings2)
 
 
 def estimate_relative_poses(
@@ -237,7 +238,10 @@ def estimate_relative_poses(
             raise ValueError(f"pair {k}: {error}") from None
     threads = thread_count(num_threads)
     answers = _estimate(native, inlier_threshold_deg, None, residual, options, threads)
-    return [result_of(answer) for answer in answers]
+    return [
+        with_doubt_of_things(result_of(answer), *pair)
+        for answer, pair in zip(answers, pairs, strict=True)
+    ]
 
 
 def estimate_timed_poses(
@@ -280,7 +284,11 @@ def estimate_timed_poses(
         )
     ]
     answers = _estimate(pairs, "auto", None, "sampson", options, thread_count(num_threads))
-    return [result_of(answer) for answer in answers], [answer.seconds for answer in answers]
+    results = [
+        with_doubt_of_things(result_of(answer), *pair)
+        for answer, pair in zip(answers, zip(bearings1, bearings2, strict=True), strict=True)
+    ]
+    return results, [answer.seconds for answer in answers]
 
 
 def _estimate(

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses that rest on a few things which stand apart, and nothing else is matched.
+
+A poster, a chair: two of them that stand elsewhere in another room nearly always agree on some
+pose, for either gives three of its five numbers. Where a whole thing has matches of its own, and
+none agrees, things stand elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from epi360.epipolar.arguments import plain_array
+from epi360.estimation.result import RelativePoseResult
+from epi360.poses import Pose
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+# Matches so near to each other in both views are of one thing, which is no wider than that around
+# its middle; so many at least of some hundreds that are looked at.
+_BESIDE_DEG, _WIDEST_DEG, _FEWEST, _MOST_MATCHES = 5.0, 25.0, 6, 480
+_LARGEST_COVERAGE = 0.35  # of the sphere by inliers; few things cover less
+# Shares of all matches and of the inliers that lie on such things. Of the right poses of ALIKED and
+# SIFT in a real home none has more than 0.85 of the inliers there.
+_LEAST_OF_ALL, _LEAST_OF_INLIERS = 0.8, 0.9
+_AGREES, _DISAGREES = 0.5, 0.2  # of the matches of a thing
+_FEW = 3  # things that agree may do so by chance
+_MOST_PROBABLE = 0.5
+
+
+class Things(NamedTuple):
+    """How many things agree with a pose, and of how many hardly any match does."""
+
+    agreeing: int
+    disagreeing: int
+
+
+def with_doubt_of_things(
+    result: RelativePoseResult, bearings1: ArrayLike, bearings2: ArrayLike
+) -> RelativePoseResult:
+    """The result, refused or with a warning where a few things are all that it rests on.
+
+    ``bearings1`` and ``bearings2`` (N, 3) are those that it was estimated from.
+    """
+    if not result.success or result.sphere_coverage > _LARGEST_COVERAGE:
+        return result
+    things = things_apart(plain_array(bearings1), plain_array(bearings2), result.inlier_mask)
+    if things is None:
+        return result
+    agreeing, disagreeing = things
+    if disagreeing and (agreeing <= _FEW or disagreeing >= agreeing):
+        return _refused(result, things)
+    if agreeing == 2 and not disagreeing:
+        sentence = "nearly all matches lie on two things: if either stands elsewhere, no pose shows"
+        return replace(result, warnings=(*result.warnings, sentence))
+    return result
+
+
+def things_apart(b1: Array, b2: Array, inlier_mask: Mask) -> Things | None:
+    """Things that bearings (N, 3) show, if hardly any match lies elsewhere; None if many do."""
+    rows = np.flatnonzero(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
+    rows = rows[:: 1 + len(rows) // _MOST_MATCHES]
+    views = [b[rows] / np.linalg.norm(b[rows], axis=1, keepdims=True) for b in (b1, b2)]
+    agrees = inlier_mask[rows]
+    beside = np.logical_and(*(view @ view.T > np.cos(np.radians(_BESIDE_DEG)) for view in views))
+    has_some = beside.sum(axis=1) > 2  # itself, too
+    if np.count_nonzero(has_some) < max(_LEAST_OF_ALL * len(rows), _FEWEST):
+        return None
+    on_things = np.zeros(len(rows), dtype=bool)
+    shares = []
+    for thing in _connected(beside):
+        if np.count_nonzero(thing) < _FEWEST:
+            continue
+        if max(_radius_deg(view[thing]) for view in views) > _WIDEST_DEG:
+            return None
+        on_things |= thing
+        shares.append(agrees[thing].mean())
+    inliers_on_things = np.count_nonzero(on_things & agrees)
+    if on_things.mean() < _LEAST_OF_ALL or inliers_on_things < _LEAST_OF_INLIERS * agrees.sum():
+        return None
+    told = np.array(shares)
+    return Things(int(np.sum(told > _AGREES)), int(np.sum(told < _DISAGREES)))
+
+
+def _connected(beside: Mask) -> Iterator[Mask]:
+    """Rows (N,) that are connected with each other, by which (N, N) lie side by side."""
+    left = np.ones(len(beside), dtype=bool)
+    while left.any():
+        some = np.zeros(len(beside), dtype=bool)
+        newest = np.array([np.argmax(left)])
+        while len(newest):
+            some[newest] = True
+            newest = np.flatnonzero(beside[newest].any(axis=0) & ~some)
+        left &= ~some
+        yield some
+
+
+def _radius_deg(bearings: Array) -> float:
+    """Largest angle from the middle of some directions."""
+    middle = bearings.mean(axis=0)
+    cosines = bearings @ (middle / np.linalg.norm(middle))
+    return float(np.degrees(np.arccos(np.clip(cosines.min(), -1.0, 1.0))))
+
+
+def _refused(result: RelativePoseResult, things: Things) -> RelativePoseResult:
+    """The result without its pose, which is the first of the alternatives."""
+    others = f"{things.disagreeing} others do" if things.disagreeing > 1 else "another one does"
+    sentence = (
+        f"nearly all matches lie on a few things; {things.agreeing} of them agree on the pose and "
+        f"{others} not: they may stand elsewhere, or be others of their kind"
+    )
+    return replace(
+        result,
+        status="concentrated_inliers",
+        cam2_from_cam1=Pose.nan(),
+        E=np.full((3, 3), np.nan),
+        covariance=np.full((5, 5), np.nan),
+        translation_basis=np.full((3, 2), np.nan),
+        probability=min(result.probability, _MOST_PROBABLE),
+        alternatives=(result.cam2_from_cam1, *result.alternatives),
+        warnings=(*result.warnings, sentence),
+    )
