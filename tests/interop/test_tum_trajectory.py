@@ -96,7 +96,7 @@ def test_an_image_without_pose_is_not_written(tmp_path):
         ("0 1 2 3 0 0 0\n", "row 1 of .* must hold 8 values"),
         ("0 1 2 3 0 0 0 1\n1 1 2 nan 0 0 0 1\n", "row 2 of .* must hold the numbers tx,ty,tz"),
         ("0 1 2 3 0 0 0 2\n", "must hold a unit quaternion"),
-        ("0 0 0 0 0 0 0 1\n0 1 0 0 0 0 0 1\n", "image 0 is there twice"),
+        ("0 0 0 0 0 0 0 1\n0 1 0 0 0 0 0 1\n", "the time 0 is there twice"),
     ],
 )
 def test_a_bad_row_is_named_with_file_and_line(trajectory, text, message):

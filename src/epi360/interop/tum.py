@@ -8,6 +8,7 @@ seconds. Source: https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats.
 import math
 import re
 import warnings
+from collections import Counter
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -42,16 +43,17 @@ def read_tum_trajectory(path: PathLike) -> Reconstruction:
     table = read_table(path, COLUMNS, None)
     times, translations = table.floats(0, 1)[:, 0], table.floats(1, 4)
     quaternions_wxyz = table.quaternions(4)[:, [3, 0, 1, 2]]
+    counts = Counter(times.tolist())
+    twice = [cells[0] for cells, time in zip(table.cells, times, strict=True) if counts[time] > 1]
+    if twice:
+        raise ValueError(f"{path}: the time {twice[0]} is there twice")
     images = tuple(
         PosedImage(cells[0], None, pose_from_quaternion(position, wxyz).inverse(), float(time))
         for cells, time, position, wxyz in zip(
             table.cells, times, translations, quaternions_wxyz, strict=True
         )
     )
-    try:
-        return Reconstruction({}, images)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    return Reconstruction({}, images)
 
 
 def write_tum_trajectory(
