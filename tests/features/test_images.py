@@ -385,10 +385,22 @@ def test_panoramas_of_which_something_was_cut_are_no_photographs(panorama):
 
 def test_no_real_panorama_is_taken_for_a_photograph(data_dir: Path):
     paths = [path for ext in ("jpg", "png") for path in data_dir.rglob(f"*.{ext}")]
+    num_panoramas = 0
     for path in filter(is_picture, paths):
         image = read_image(path)
         if image.shape[1] == 2 * len(image):
+            num_panoramas += 1
             assert not looks_like_photograph(image), path
+    assert num_panoramas > 0
+
+
+@pytest.mark.parametrize("change", [0.2, 0.5])
+def test_a_panorama_whose_ends_are_not_equally_bright_is_one(panorama, change):
+    slope = np.linspace(1.0 - change, 1.0 + change, panorama.shape[1])[:, None]
+    brighter = np.clip(0.6 * panorama * slope, 0, 255).astype(np.uint8)
+    assert not looks_like_photograph(brighter)
+    brighter[:, -2:] = 255  # a white border
+    assert not looks_like_photograph(brighter)
 
 
 @pytest.mark.parametrize(

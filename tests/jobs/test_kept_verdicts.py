@@ -9,9 +9,10 @@ import pytest
 from level_views import NAMES, judge_otherwise, write_tour
 
 from epi360.jobs.matching import kept_verdicts, match_folder, match_job
-from epi360.jobs.matching.kept_verdicts import VERDICTS, KeptVerdicts
+from epi360.jobs.matching.kept_verdicts import KeptVerdicts
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
 from epi360.jobs.matching.pair_work import PairWork
+from epi360.jobs.records.match_store import VERDICTS
 from epi360.poses import Pose
 from epi360.report.match_table import describe_match
 from epi360.report.pairs_table import pairs_csv

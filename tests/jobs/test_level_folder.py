@@ -28,9 +28,8 @@ from epi360.interop.gpano import gpano_packet, with_gpano
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.graph.level_folder import Level, find_level
 from epi360.jobs.matching import folder_verdicts, match_job, place_job, verified_matches
-from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import MatchOptions, load_matches, match_images
-from epi360.jobs.records.match_store import Verdict
+from epi360.jobs.records.match_store import VERDICTS, Verdict
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector, translation_error_deg
 from epi360.report.match_table import describe_match
 from epi360.report.pairs_table import pairs_csv
@@ -257,6 +256,7 @@ def test_another_prior_is_another_record(tour, tmp_path, bad_first_look, priors,
 def test_restart_throws_away_what_was_made_with_a_prior(tour, tmp_path, bad_first_look):
     output, fresh = tmp_path / "output", tmp_path / "fresh"
     match_images(tour, output)
+    assert list(output.glob("level-*"))
     match_images(tour, output, MatchOptions(seed=5), restart=True)
     match_images(tour, fresh, MatchOptions(seed=5))
     assert stored(output) == stored(fresh)

@@ -12,10 +12,9 @@ from rendered_views import NAMES, image_set, write_views
 from epi360.jobs.graph import loop_check
 from epi360.jobs.graph.loop_check import LoopVerdict, check_loops
 from epi360.jobs.mapping.map_folder import map_images
-from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import MatchOptions, match_images
 from epi360.jobs.matching.match_job import MatchJob
-from epi360.jobs.records.match_store import Verdict
+from epi360.jobs.records.match_store import VERDICTS, Verdict
 from epi360.poses import Pose, rotation_from_vector
 from epi360.report.match_table import describe_match
 from epi360.report.pairs_table import pairs_csv

@@ -7,8 +7,8 @@ from twin_rooms import rooms
 
 from epi360.jobs.folder.image_set import find_images
 from epi360.jobs.matching import rival_poses
-from epi360.jobs.matching.kept_verdicts import VERDICTS
 from epi360.jobs.matching.match_folder import match_images
+from epi360.jobs.records.match_store import VERDICTS
 from epi360.places.repeated_place import MANY_OTHERS
 from epi360.report.pairs_table import verdict_reason
 

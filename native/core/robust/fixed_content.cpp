@@ -18,7 +18,7 @@ constexpr double kSurrounds = 1.5;
 // Of two poses that explain the matches about equally well, one may be that of matches that stand
 // still: so many times these are at least as many as the inliers of the other.
 constexpr double kCompeting = 4.0;
-// The others are asked if they are at least so many times as many as those that stand still.
+// The others are asked if they are at least a fifth as many as those that stand still.
 constexpr double kFewestBeside = 0.2;
 
 // Whether some matches lie around the camera, and others in a smaller part of what it sees. A pole

@@ -2,8 +2,8 @@
 """Poses that rest on a few things which stand apart, and nothing else is matched.
 
 A poster, a chair: two of them that stand elsewhere in another room nearly always agree on some
-pose, for either gives three of its five numbers. Where a whole thing has matches of its own, and
-none agrees, things stand elsewhere.
+pose, for either gives three of its five numbers. Where others with many of the matches disagree,
+things stand elsewhere.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from epi360.epipolar.arguments import plain_array
+from epi360.epipolar.arguments import bearing_pair
 from epi360.estimation.result import RelativePoseResult
 from epi360.poses import Pose
 
@@ -26,19 +26,25 @@ Mask = NDArray[np.bool_]
 # its middle; so many at least of some hundreds that are looked at.
 _BESIDE_DEG, _WIDEST_DEG, _FEWEST, _MOST_MATCHES = 5.0, 25.0, 6, 480
 _LARGEST_COVERAGE = 0.35  # of the sphere by inliers; few things cover less
+_NARROW_DEG = 50.0  # around the middle of all matches: a narrow view, which may be one thing itself
 # Shares of all matches and of the inliers that lie on such things. Of the right poses of ALIKED and
 # SIFT in a real home none has more than 0.85 of the inliers there.
 _LEAST_OF_ALL, _LEAST_OF_INLIERS = 0.8, 0.9
 _AGREES, _DISAGREES = 0.5, 0.2  # of the matches of a thing
-_FEW = 3  # things that agree may do so by chance
+# As many matches, of the inliers, as those that disagree must have: a car that drove on has fewer.
+_LEAST_AGAINST = 0.4
 _MOST_PROBABLE = 0.5
 
 
 class Things(NamedTuple):
-    """How many things agree with a pose, and of how many hardly any match does."""
+    """How many things agree with a pose, of how many hardly any match does, and how much that is.
+
+    ``against`` is the number of matches on the latter, of the number of inliers.
+    """
 
     agreeing: int
     disagreeing: int
+    against: float
 
 
 def with_doubt_of_things(
@@ -50,30 +56,33 @@ def with_doubt_of_things(
     """
     if not result.success or result.sphere_coverage > _LARGEST_COVERAGE:
         return result
-    things = things_apart(plain_array(bearings1), plain_array(bearings2), result.inlier_mask)
-    if things is None:
+    used = np.isfinite(result.residuals_rad)
+    b1, b2 = bearing_pair(bearings1, bearings2)
+    things = things_apart(b1[used], b2[used], result.inlier_mask[used])
+    if things is None or things.agreeing < 2:
         return result
-    agreeing, disagreeing = things
-    if disagreeing and (agreeing <= _FEW or disagreeing >= agreeing):
+    if things.against >= _LEAST_AGAINST:
         return _refused(result, things)
-    if agreeing == 2 and not disagreeing:
+    if things.agreeing == 2 and not things.disagreeing:
         sentence = "nearly all matches lie on two things: if either stands elsewhere, no pose shows"
         return replace(result, warnings=(*result.warnings, sentence))
     return result
 
 
 def things_apart(b1: Array, b2: Array, inlier_mask: Mask) -> Things | None:
-    """Things that bearings (N, 3) show, if hardly any match lies elsewhere; None if many do."""
-    rows = np.flatnonzero(np.isfinite(b1).all(axis=1) & np.isfinite(b2).all(axis=1))
-    rows = rows[:: 1 + len(rows) // _MOST_MATCHES]
-    views = [b[rows] / np.linalg.norm(b[rows], axis=1, keepdims=True) for b in (b1, b2)]
-    agrees = inlier_mask[rows]
-    beside = np.logical_and(*(view @ view.T > np.cos(np.radians(_BESIDE_DEG)) for view in views))
-    has_some = beside.sum(axis=1) > 2  # itself, too
-    if np.count_nonzero(has_some) < max(_LEAST_OF_ALL * len(rows), _FEWEST):
+    """Things that unit bearings (N, 3) show; None if more matches lie elsewhere, or all in a cone.
+
+    What moves through a narrow view is no reason to doubt what all the others say.
+    """
+    rows = slice(None, None, 1 + len(b1) // _MOST_MATCHES)
+    views, agrees = [b1[rows], b2[rows]], inlier_mask[rows]
+    if len(agrees) < _FEWEST or min(map(_radius_deg, views)) < _NARROW_DEG:
         return None
-    on_things = np.zeros(len(rows), dtype=bool)
-    shares = []
+    beside = np.logical_and(*(view @ view.T > np.cos(np.radians(_BESIDE_DEG)) for view in views))
+    if np.mean(beside.sum(axis=1) > 2) < _LEAST_OF_ALL:  # a match is beside itself
+        return None
+    on_things = np.zeros(len(agrees), dtype=bool)
+    shares, counts = [], []
     for thing in _connected(beside):
         if np.count_nonzero(thing) < _FEWEST:
             continue
@@ -81,11 +90,14 @@ def things_apart(b1: Array, b2: Array, inlier_mask: Mask) -> Things | None:
             return None
         on_things |= thing
         shares.append(agrees[thing].mean())
+        counts.append(np.count_nonzero(thing))
     inliers_on_things = np.count_nonzero(on_things & agrees)
     if on_things.mean() < _LEAST_OF_ALL or inliers_on_things < _LEAST_OF_INLIERS * agrees.sum():
         return None
     told = np.array(shares)
-    return Things(int(np.sum(told > _AGREES)), int(np.sum(told < _DISAGREES)))
+    is_against = told < _DISAGREES
+    against = float(np.sum(np.array(counts)[is_against]) / max(agrees.sum(), 1))
+    return Things(int(np.sum(told > _AGREES)), int(np.sum(is_against)), against)
 
 
 def _connected(beside: Mask) -> Iterator[Mask]:
@@ -110,7 +122,7 @@ def _radius_deg(bearings: Array) -> float:
 
 def _refused(result: RelativePoseResult, things: Things) -> RelativePoseResult:
     """The result without its pose, which is the first of the alternatives."""
-    others = f"{things.disagreeing} others do" if things.disagreeing > 1 else "another one does"
+    others = f"{things.disagreeing} others do" if things.disagreeing > 1 else "one does"
     sentence = (
         f"nearly all matches lie on a few things; {things.agreeing} of them agree on the pose and "
         f"{others} not: they may stand elsewhere, or be others of their kind"

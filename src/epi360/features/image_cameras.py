@@ -30,7 +30,7 @@ def find_camera(
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         if found == Equirectangular(width, height):
-            require_panorama(picture, name)
+            require_panorama(picture, name, is_stated=gpano is not None)
         return found
     check_camera(camera, f"the camera of {name}")
     if (camera.width, camera.height) != (width, height):

@@ -167,8 +167,12 @@ def _surroundings(result: RelativePoseResult) -> list[Evidence]:
 def _alternatives(result: RelativePoseResult) -> list[Evidence]:
     if result.success and not result.alternatives:
         return [Evidence(True, "No other pose explains the matches about as well.")]
-    has_pose = bool(np.isfinite(result.E).all())
-    begin = "Another pose fits about as well:" if has_pose else "A pose was found and refused:"
+    if result.status == "pure_rotation":
+        begin = "Other matches agree on a motion:"
+    elif np.isfinite(result.E).all():
+        begin = "Another pose fits about as well:"
+    else:
+        begin = "A pose was found and refused:"
     return [Evidence(False, f"{begin} {_pose_words(pose)}.") for pose in result.alternatives]
 
 

@@ -80,11 +80,11 @@ def describe_pair(result: RelativePoseResult, truth: Pose | None = None) -> str:
     rows = [("Status", describe_status(result.status))]
     rows += [("Warning", warning) for warning in result.warnings]
     rows += [*_pose_rows(result), *_evidence_rows(result)]
-    has_pose = bool(np.isfinite(result.E).all())
+    is_answer = bool(np.isfinite(result.E).all()) or result.status == "pure_rotation"
     for pose in result.alternatives:
         rows.append(
             (
-                "Also fits" if has_pose else "Refused",
+                "Also fits" if is_answer else "Refused",
                 f"{_rotation_text(pose)}; t = {_vector_text(pose.translation)}",
             )
         )

@@ -51,7 +51,7 @@ def fingerprint(*pieces: object) -> str:
 
 @cache
 def code_fingerprint() -> str:
-    """Hash of the code and the weights of this package, of what other ones may say otherwise."""
+    """Hash of the code and the weights of this package: others may give other verdicts."""
     package = Path(__file__).parents[1]
     files = [*sorted(package.rglob("*.py")), *sorted(package.rglob("*.json")), Path(_core.__file__)]
     return fingerprint(*(path.read_bytes() for path in files))

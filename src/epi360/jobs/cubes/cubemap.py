@@ -33,6 +33,7 @@ from epi360.jobs.cubes.cube_faces import (
     visible_faces,
 )
 from epi360.jobs.cubes.face_sampler import FaceSampler
+from epi360.jobs.threads import num_cores, on_threads
 from epi360.poses import Pose, vector_from_rotation
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
@@ -241,16 +242,23 @@ class _Cutter:
     def _made_from(self, reconstruction: Reconstruction, digests: FileDigests) -> dict[str, Any]:
         """The record of this cubemap: its options, and what the faces of each panorama show."""
 
-        def content_of(file: Path | None) -> str:
+        def content_of(file: Path) -> str:
             # Of a file that is not there, the work on it says so.
-            return digests.digest_of(file).hex()[:32] if file and file.is_file() else "none"
+            return digests.digest_of(file).hex()[:32] if file.is_file() else "none"
 
+        masks = [self.masks.get(image.name) for image in reconstruction.images if self.masked]
+        files = {
+            *(self.folder / image.name for image in reconstruction.images),
+            *filter(None, masks),
+        }
+        contents = dict(on_threads(content_of, sorted(files), num_cores()))
         made_from = {}
         for image in reconstruction.images:
             camera = reconstruction.cameras[str(image.camera)]
-            mask = content_of(self.masks.get(image.name)) if self.masked else "not written"
+            mask = self.masks.get(image.name)
+            masked = ("none" if mask is None else contents[mask]) if self.masked else "not written"
             made_from[image.name] = (
-                f"{camera}, content {content_of(self.folder / image.name)}, mask {mask}"
+                f"{camera}, content {contents[self.folder / image.name]}, mask {masked}"
             )
         return {"options": _options(self.options, self.mask_nadir_deg), "made_from": made_from}
 

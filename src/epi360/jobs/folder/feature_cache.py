@@ -11,6 +11,7 @@ import numpy as np
 from epi360.cameras import Camera, Equirectangular
 from epi360.features import read_image, require_panorama
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, SiftKeypoints, find_keypoints
+from epi360.features.image_cameras import gpano_of
 from epi360.jobs.folder.image_set import SourceImage
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.file_digests import FileDigests
@@ -19,7 +20,7 @@ from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
-EXTRACTION_VERSION = 3
+EXTRACTION_VERSION = 4
 _TYPES = {
     "pixels": np.float32,
     "sizes": np.float32,
@@ -82,7 +83,7 @@ class FeatureCache:
         try:
             picture = read_image(image.path)
             if camera == Equirectangular(camera.width, camera.height):
-                require_panorama(picture)
+                require_panorama(picture, is_stated=gpano_of(image.path) is not None)
             found = find_keypoints(
                 picture,
                 camera,

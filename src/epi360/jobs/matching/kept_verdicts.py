@@ -20,6 +20,7 @@ from epi360.jobs.matching.folder_verdicts import FolderVerdicts
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.jobs.records.match_store import (
     IMPLIED_PAIRS,
+    VERDICTS,
     Keys,
     Verdict,
     keys_by_part,
@@ -30,7 +31,6 @@ from epi360.runs.made_from import code_fingerprint, fingerprint, read_record
 from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
-VERDICTS = "verdicts.json"
 AnyVerdict = TypeVar("AnyVerdict", bound=Verdict)
 
 
@@ -52,7 +52,7 @@ class KeptVerdicts:
             if record is None or record["made_from"] != self.made_from:
                 return None
             return _folder_verdicts(self.output, record, keys)
-        except (KeyError, TypeError, ValueError):  # damaged
+        except (AttributeError, IndexError, KeyError, TypeError, ValueError):  # damaged
             return None
 
     def write(self, judged: FolderVerdicts, other_poses: str) -> None:

@@ -209,11 +209,12 @@ def _judged(
         names, keys, chosen.finished, is_upright=is_upright, looks_around=looks_around
     )
     kept = KeptVerdicts(job.output, asked)
-    judged = kept.read(keys) or judge_folder(
+    before = kept.read(keys)
+    judged = before or judge_folder(
         job, chosen.pairs, chosen.finished, is_upright=is_upright, looks_around=looks_around
     )
     part = _write_index(images, job, judged)
-    if not job.gone:  # these verdicts are of a run that has seen everything
+    if before is None and not job.gone:  # this run has seen everything
         kept.write(judged, part)
     return MatchRun(
         folder=job.output,

@@ -43,6 +43,7 @@ from epi360.runs.whole_files import write_file
 
 FORMAT = 2
 MARKER, IMAGES, CAMERAS = "epi360-match.json", "images.json", "cameras.json"
+VERDICTS = "verdicts.json"
 FEATURES, PAIRS, DIGESTS = "features", "pairs", "digests.json"
 LEVEL_PAIRS = "level-"  # and the fingerprint of the prior
 SOME_MATCHES = "some-"  # and the fingerprint of how they were chosen
@@ -96,7 +97,8 @@ def open_output(folder: AnyPath, options: Mapping[str, Any], *, restart: bool) -
     wanted = {"format": FORMAT, "epi360_version": package_version(), "options": dict(options)}
     found = _marker(folder)
     if restart and found is not None and found != wanted:
-        (folder / IMAGES).unlink(missing_ok=True)
+        for name in (IMAGES, VERDICTS):
+            (folder / name).unlink(missing_ok=True)
         for store in (PAIRS, IMPLIED_PAIRS, f"{LEVEL_PAIRS}*", f"{SOME_MATCHES}*"):
             for pairs in folder.glob(store):
                 if pairs.is_dir():
