@@ -275,8 +275,8 @@ def test_features_and_tracks_of_a_described_file_are_those_of_its_part(described
     )
 
 
-def test_an_array_and_a_file_without_metadata_are_whole_panoramas(tmp_path, described_pair):
-    picture = read_image(described_pair[0][0])
+def test_an_array_and_a_file_without_metadata_are_whole_panoramas(tmp_path):
+    picture = cv2.resize(demo_pair().image1, (600, 300), interpolation=cv2.INTER_AREA)
     (tmp_path / "a.png").write_bytes(encode_picture(picture, ".png"))
     for source in (picture, tmp_path / "a.png", str(tmp_path / "a.png")):
         assert find_camera(source, picture, None, "image") == Equirectangular(600, 300)
