@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -203,6 +203,22 @@ class ImagePairResult(RelativePoseResult):
     keypoints2: NDArray[np.float64]
     place: SamePlace = SamePlace()
     cameras: tuple[Camera | None, Camera | None] = (None, None)
+
+
+AnyResult = TypeVar("AnyResult", bound=RelativePoseResult)
+
+
+def with_pose_refused(result: AnyResult, status: Status) -> AnyResult:
+    """The result without its pose, which is the first of the alternatives then."""
+    return replace(
+        result,
+        status=status,
+        cam2_from_cam1=Pose.nan(),
+        E=np.full((3, 3), math.nan),
+        covariance=np.full((5, 5), math.nan),
+        translation_basis=np.full((3, 2), math.nan),
+        alternatives=(result.cam2_from_cam1, *result.alternatives),
+    )
 
 
 def among_all(

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from epi360.epipolar.arguments import bearing_pair
-from epi360.estimation.result import RelativePoseResult
-from epi360.poses import Pose
+from epi360.estimation.result import RelativePoseResult, with_pose_refused
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -128,13 +127,7 @@ def _refused(result: RelativePoseResult, things: Things) -> RelativePoseResult:
         f"{others} not: they may stand elsewhere, or be others of their kind"
     )
     return replace(
-        result,
-        status="concentrated_inliers",
-        cam2_from_cam1=Pose.nan(),
-        E=np.full((3, 3), np.nan),
-        covariance=np.full((5, 5), np.nan),
-        translation_basis=np.full((3, 2), np.nan),
+        with_pose_refused(result, "concentrated_inliers"),
         probability=min(result.probability, _MOST_PROBABLE),
-        alternatives=(result.cam2_from_cam1, *result.alternatives),
         warnings=(*result.warnings, sentence),
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.jobs.trajectories import Alignment, PosedFrames, Similarity, align, matching_frames
+from epi360.poses import angles_between
 
 Floats = NDArray[np.float64]
 
@@ -218,8 +219,7 @@ def _direction_errors_deg(
     """Angle between the translations of cam2_from_cam1, which eq. 16 compares."""
     _, a = _motions(estimate, second, first)
     _, b = _motions(truth, second, first)
-    sine = np.linalg.norm(np.cross(a, b), axis=1)
-    angles = np.degrees(np.arctan2(sine, np.einsum("ki,ki->k", a, b)))
+    angles = np.degrees(angles_between(a, b))
     lengths = np.minimum(np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1))
     return np.where(lengths > 1e-12, angles, np.nan)
 

@@ -15,13 +15,17 @@ import numpy as np
 
 from epi360.cameras import Camera
 from epi360.cameras.resizing import pixels_per_radian
-from epi360.estimation.result import LEAST_PROBABILITY, ImagePairResult, SamePlace
+from epi360.estimation.result import (
+    LEAST_PROBABILITY,
+    ImagePairResult,
+    SamePlace,
+    with_pose_refused,
+)
 from epi360.features.sphere_pictures import share_seen
 from epi360.features.warped_patches import Panorama
 from epi360.places.corridor import shown_by_itself
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
-from epi360.poses import Pose
 
 Cameras = tuple[Camera, Camera]
 Panoramas = tuple[Panorama, Panorama]
@@ -157,13 +161,4 @@ def _refused(result: ImagePairResult, *, looks_wrong: bool) -> ImagePairResult:
 
     Unless it ``looks_wrong``, its matches are what speaks most against it.
     """
-    no = math.nan
-    return replace(
-        result,
-        status="another_place" if looks_wrong else "too_few_inliers",
-        cam2_from_cam1=Pose.nan(),
-        E=np.full((3, 3), no),
-        covariance=np.full((5, 5), no),
-        translation_basis=np.full((3, 2), no),
-        alternatives=(result.cam2_from_cam1, *result.alternatives),
-    )
+    return with_pose_refused(result, "another_place" if looks_wrong else "too_few_inliers")

@@ -120,7 +120,7 @@ def export_cubemap(
             samplers: dict[FaceName, FaceSampler] = {}
             for panorama in panoramas:
                 wanted = {face: names[panorama, face] for face in visible_faces(camera, options)}
-                if cutter.is_cut(panorama, wanted.values()):
+                if cutter.is_cut(wanted.values()):
                     kept += 1
                 else:
                     samplers = samplers or _samplers(camera, options)
@@ -274,11 +274,8 @@ class _Cutter:
         if mask is not None:
             _check_size(f"mask of {panorama}", mask, camera)
 
-    def is_cut(self, panorama: str, faces: Iterable[str]) -> bool:
-        """Whether the faces of a panorama are there; `prepare` has removed those of another one."""
-        source, mask = self.folder / panorama, self.masks.get(panorama)
-        if not source.exists() or (mask is not None and not mask.exists()):
-            return False  # cut() says so
+    def is_cut(self, faces: Iterable[str]) -> bool:
+        """Whether these faces are there; `prepare` has removed those of another panorama."""
         files = [self._face_file(face) for face in faces]
         if self.masked:
             files += [file for face in faces for file in self._mask_files(face)]

@@ -20,7 +20,6 @@ from epi360.extras import extra_library
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
-from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE
 from epi360.interop.reconstruction import Reconstruction
@@ -209,11 +208,11 @@ def map_images(
     matching_s = time.perf_counter() - start
     poses = given or ({} if tracked is None else tracked.cam_from_world)
     work = _Work(images, graph, matched, colors, output, options, progress)
-    record, was_mapped = work.mapped(record, "the given poses" if given else TRACKED_POSES, poses)
+    how = "the given poses" if given else TRACKED_POSES
+    record, models, was_mapped = work.mapped(record, how, poses)
     record["track"] = None if tracked is None else tracked.summary()
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
-    models = read_models(output / MODELS, record["mean_error_px"], graph)
     remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
     # A folder that only looked like a sequence is mapped without a word, as it always was.
     was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
@@ -255,21 +254,31 @@ class _Work:
 
     def mapped(
         self, record: Mapping[str, Any], how: str, poses: Mapping[str, Pose]
-    ) -> tuple[dict[str, Any], bool]:
-        """Map, unless an earlier run has; the record of it, and whether it was there.
+    ) -> tuple[dict[str, Any], tuple[MappedModel, ...], bool]:
+        """Map, unless an earlier run has; the record of it, the models, and whether it was there.
 
         ``poses`` are tried first, and ``how`` says in words where they come from.
         """
         made_from = _fingerprint(self.graph, self._mapper, poses)
-        if record.get("fingerprint") == made_from and _has_models(self.output, record):
+        before = self._models_of(record) if record.get("fingerprint") == made_from else None
+        if before is not None:
             count = len(self.graph.images)
             self.progress(STAGE, count, count)
             has_them = record.get("descriptors") == self.options.descriptors
             if not has_them or not (self.output / DATABASE).is_file():
                 self._write_database()
-            return {**record, "descriptors": self.options.descriptors}, True
+            return {**record, "descriptors": self.options.descriptors}, before, True
         made = self._map(how, poses)
-        return {"fingerprint": made_from, **made, "descriptors": self.options.descriptors}, False
+        models = read_models(self.output / MODELS, made["mean_error_px"], self.graph)
+        made = {"fingerprint": made_from, **made, "descriptors": self.options.descriptors}
+        return made, models, False
+
+    def _models_of(self, record: Mapping[str, Any]) -> tuple[MappedModel, ...] | None:
+        """The models of an earlier run; None where somebody has deleted or damaged one since."""
+        try:
+            return read_models(self.output / MODELS, record["mean_error_px"], self.graph)
+        except (OSError, ValueError):
+            return None
 
     @cached_property
     def _with_guided(self) -> MatchGraph:
@@ -388,16 +397,6 @@ def _read_record(output: Path) -> dict[str, Any]:
                 "name another output folder"
             )
     return {}
-
-
-def _has_models(output: Path, record: Mapping[str, Any]) -> bool:
-    """Whether nobody has deleted or damaged a model since."""
-    try:
-        for number in range(len(record["mean_error_px"])):
-            read_colmap_model(output / MODELS / str(number))
-    except (OSError, ValueError):
-        return False
-    return True
 
 
 def _fingerprint(graph: MatchGraph, options: MapperOptions, poses: Mapping[str, Pose]) -> str:

@@ -30,8 +30,7 @@ def find_rivals(
 ) -> dict[Keys, PlaceVerdict]:
     """Verdicts on accepted pairs that another pose refuses, or warns of; see `with_rival_pose`."""
     found: dict[Keys, PlaceVerdict] = {}
-    asked = accepted & settled.images.keys()
-    for results in asked_anew(settled, asked, _PRIOR) if asked else ():
+    for results in asked_anew(settled, accepted & settled.images.keys(), _PRIOR):
         rivals, many = {}, set()
         for pair, other in results:
             verdict, keys = pair.verified.verdict, pair.verified.keys

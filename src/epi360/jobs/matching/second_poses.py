@@ -92,6 +92,8 @@ def asked_anew(
 
     ``prior`` says in words how these were chosen, and begins the name of the stage.
     """
+    if not wanted:
+        return
     stage, progress, num_done = f"{prior} poses", settled.folder.progress, 0
     progress(stage, num_done, len(wanted))
     candidates = _candidates(settled, wanted)
