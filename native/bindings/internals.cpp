@@ -9,6 +9,7 @@
 #include "core/refinement/refine.h"
 #include "core/robust/displacement.h"
 #include "core/robust/evidence.h"
+#include "core/robust/grid_noise.h"
 #include "core/robust/plane.h"
 #include "core/robust/ransac.h"
 #include "core/robust/rotation_search.h"
@@ -220,6 +221,9 @@ void bind_internals(nb::module_& module) {
         return matrix(align_rotations(to_matches(b1, b2), weights.data()));
       },
       "bearings1"_a, "bearings2"_a, "weights"_a);
+  m.def(
+      "grid_noise", [](Bearings b1, Bearings b2) { return grid_noise(to_matches(b1, b2)); },
+      "bearings1"_a, "bearings2"_a);
   m.def(
       "best_rotation",
       [](Bearings b1, Bearings b2, double gate, std::uint64_t seed) {

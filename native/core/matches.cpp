@@ -91,6 +91,7 @@ Matches paired_matches(const Matches& m, const std::vector<std::size_t>& rows1,
                       &Matches::u2z, &Matches::v2x, &Matches::v2y, &Matches::v2z}) {
     take(m.*column, rows2, out.*column);
   }
+  out.least_scale = m.least_scale;
   for (const std::size_t row : rows1) out.unit_weights = out.unit_weights && m.weight[row] == 1.0;
   return out;
 }

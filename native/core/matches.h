@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <vector>
 
+#include "core/constants.h"
+
 namespace epi360 {
 
 // Bearings are unit vectors. Arrays are padded to a multiple of kBlock with copies of a harmless
@@ -18,6 +20,8 @@ struct Matches {
   std::vector<double> x1, y1, z1, x2, y2, z2;
   std::vector<double> weight;
   bool unit_weights = true;  // every match has weight 1
+  // Standard deviation of the residuals (radians) below which they are not believed.
+  double least_scale = kSmallestScale;
   // Columns of the cameras' unprojection Jacobians, only for tangent Sampson: u1 = d b1 / d column.
   std::vector<double> u1x, u1y, u1z, v1x, v1y, v1z, u2x, u2y, u2z, v2x, v2y, v2z;
 

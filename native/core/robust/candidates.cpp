@@ -62,7 +62,7 @@ void Candidates::compute_residuals_at(const RelativePose& pose) {
 LossModel Candidates::fitted_mixture(const RelativePose& pose) {
   compute_residuals_at(pose);
   return fit_mixture(m_, workspace_.current.residuals.data(), workspace_.current.margins.data(),
-                     depth_tolerance_, outlier_density_, kSmallestScale);
+                     depth_tolerance_, outlier_density_, m_.least_scale);
 }
 
 LossModel Candidates::mixture_at(const RelativePose& pose) {
@@ -82,6 +82,7 @@ RefineResult Candidates::local(const RelativePose& pose, const LossModel& start,
   options.loss = start;
   options.loss.outlier_density = outlier_density_;
   options.behind = behind;
+  options.smallest_scale = m_.least_scale;
   options.max_iterations = max_iterations;
   options.step_tolerance = 1e-12;
   options.sigma_tolerance = sigma_tolerance;

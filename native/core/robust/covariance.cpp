@@ -121,7 +121,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
   const double inflated =
-      std::max({efficiency * freedom, variance, kSmallestScale * kSmallestScale});
+      std::max({efficiency * freedom, variance, m.least_scale * m.least_scale});
   Matrix5 errors =
       errors_in_variables(noisy_information(m, residual, cam2_from_cam1, at, inflated));
   if (least_shared_error > 0.0 || result.clustering > kSuspicious) {
@@ -153,6 +153,7 @@ Uncertainty rotation_uncertainty(const Matches& m, const std::vector<unsigned ch
   Uncertainty result;
   // Two components a match, three parameters.
   result.scale = std::sqrt(sum / std::max(2.0 * count - 3.0, 1.0));
+  if (m.least_scale > kSmallestScale) result.scale = std::max(result.scale, m.least_scale);
   const double variance = 2.0 * std::max(result.scale * result.scale, 1e-24);
   result.covariance.setConstant(std::nan(""));
   // As for a pose: noisy copies of a point seem to lie apart, and what is free is known to 60

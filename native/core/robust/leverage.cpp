@@ -25,6 +25,7 @@ std::vector<unsigned char> drop_leverage(const Matches& m, Residual residual,
   RefineOptions refinement;
   refinement.residual = residual;
   refinement.prior = candidates.prior();
+  refinement.smallest_scale = m.least_scale;
   refinement.step_tolerance = 1e-12;
   refinement.sigma_tolerance = 1e-4;
   refinement.behind = Behind::kOutlier;

@@ -13,6 +13,8 @@
 
 #include "core/constants.h"
 #include "core/robust/copies.h"
+#include "core/robust/derivative_noise.h"
+#include "core/robust/grid_noise.h"
 
 namespace epi360 {
 namespace {
@@ -198,6 +200,8 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   const std::size_t num_copies = merge_copies(usable);
   if (input.weights && usable.m.size > 0) normalise_weights(usable);
   const double pixel = usable.m.has_jacobians() ? normalise_jacobians(usable.m) : 1.0;
+  usable.m.least_scale =
+      std::max(grid_noise(usable.m) / noise_per_residual(options.residual), kSmallestScale);
   RobustOptions scaled = options;
   if (options.threshold_in_pixels) {
     scaled.threshold = std::min(pixel * options.threshold, kWidestGate);

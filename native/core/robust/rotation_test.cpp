@@ -134,7 +134,7 @@ void test_displaced(const Matches& m, const std::vector<unsigned char>& inlier,
 
 RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
                            double gate, const NeighbourErrors& errors) {
-  const double sigma = std::max(scale, kSmallestScale);
+  const double sigma = std::max(scale, m.least_scale);
   const std::vector<double> residuals = residuals_without_translation(m, inlier, sigma);
   RotationTest test;
   if (residuals.empty()) return test;

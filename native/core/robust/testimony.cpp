@@ -109,7 +109,7 @@ Matches witnesses(const Matches& m, std::uint64_t seed) {
 Testimony testimony(const Matches& all, Residual residual, const RelativePose& pose, double scale,
                     double gate, double density, const PosePrior& prior, std::uint64_t seed) {
   const Matches m = witnesses(all, seed);
-  const double sigma = std::max(scale, kSmallestScale);
+  const double sigma = std::max(scale, m.least_scale);
   const double tolerance = std::min(gate, kLargestWrongParallax);
   std::vector<double> residuals, margins;
   const std::vector<double> exchanged =
@@ -163,7 +163,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
 double rotation_log_ratio(const Matches& all, const Eigen::Matrix3d& R, double scale, double gate,
                           double wrong, std::uint64_t seed) {
   const Matches m = witnesses(all, seed);
-  const double sigma = std::max(scale, kSmallestScale);
+  const double sigma = std::max(scale, m.least_scale);
   const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = R;
   std::vector<double> residuals;
   const std::vector<double> exchanged =
