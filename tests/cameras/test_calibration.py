@@ -66,6 +66,8 @@ def test_numbers_that_yaml_takes_for_text_are_numbers(written):
             {"model": "Ladybug", "width": 4},
             "'Ladybug' is not supported; supported: .*DoubleS",
         ),
+        ({"model": "OPENCV_FISHEYE"}, "DoubleSphere; write KannalaBrandt for this one"),
+        ({"model": "double sphere"}, "write DoubleSphere for this one"),
         ({"model": "DoubleSphere", "width": 4}, "missing keys: height, fx, fy, cx, cy, xi, alpha"),
         ({"model": ["Pinhole"]}, "is not supported"),
         ({"model": "Pin\nhole"}, "is not supported"),

@@ -4,6 +4,7 @@
 import math
 import os
 
+import numpy as np
 import pytest
 from batch_inputs import columns_of, write_matches
 
@@ -97,6 +98,10 @@ def test_wrong_types_are_named(tmp_path, capsys, name, values, fragment):
     assert fragment in complaint_about(capsys, tmp_path, {**columns_of(2), name: values})
 
 
+def x_before_y(row):
+    return np.reshape(row, (-1, 3)).T.ravel().tolist()
+
+
 def spoilt(name, row, change):
     columns = columns_of(3)
     columns[name][row] = change(columns[name][row])
@@ -110,6 +115,8 @@ def spoilt(name, row, change):
         (spoilt("bearings1", 1, lambda row: row[:-1]), "3 numbers a match, row 1 has 299"),
         (spoilt("bearings1", 2, lambda row: [math.inf, *row[1:]]), "row 2 (a/2.jpg b/ä 2.jpg)"),
         (spoilt("bearings2", 0, lambda row: [*row[:-3], 0, 0, 0]), "match 99 is zero in image 2"),
+        (spoilt("bearings2", 1, lambda row: [9 * x for x in row]), "row 1 have lengths of 9 to 9"),
+        (spoilt("bearings1", 2, x_before_y), "x, y, z of one match after the other"),
         (spoilt("bearings2", 0, lambda row: None), "bearings2 must be a list, row 0 is null"),
         (spoilt("image1", 1, lambda row: None), "image1 must be a name, row 1 is null"),
     ],

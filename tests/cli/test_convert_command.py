@@ -126,8 +126,12 @@ def test_nothing_that_is_there_is_replaced(run, tmp_path):
     write_nerfstudio("transforms.json", scene())
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     refused(run("transforms.json", "transforms.json"), "transforms.json is there already")
-    # Another name, but the points would replace sparse_pc.ply.
-    refused(run("transforms.json", "transforms_2.json"), "sparse_pc.ply is there already")
+    (tmp_path / "two_sparse_pc.ply").write_text("mine")
+    refused(
+        run("transforms.json", "two.json", "--format", "nerfstudio"),
+        "two_sparse_pc.ply is there already",
+    )
+    (tmp_path / "two_sparse_pc.ply").unlink()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes").write_text("mine")
     refused(run("transforms.json", "full"), "full is there already")

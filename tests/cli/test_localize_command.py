@@ -3,6 +3,7 @@
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -95,6 +96,20 @@ def test_a_trajectory_without_times_counts_the_images_and_names_them(
     assert [row.split()[0] for row in rows[1:]] == ["0", "2"]
     names = (tmp_path / "poses_names.txt").read_text(encoding="utf-8").splitlines()
     assert names[1:] == ["0 0.png", "2 1.png"]
+
+
+def test_an_image_that_cannot_be_read_has_its_row(room_run, new_folder, tmp_path, capsys):
+    shutil.copytree(new_folder, tmp_path / "new")
+    (tmp_path / "new" / "bad.png").write_bytes((new_folder / "0.png").read_bytes()[:900])
+    outputs = [tmp_path / "a.csv", tmp_path / "a.json"]
+    words = ["localize", str(room_run[0]), str(tmp_path / "new")]
+    assert cli.main([*words, "--out", str(outputs[0]), "--out", str(outputs[1])]) == 0
+    rows = {row["image"]: row for row in csv.DictReader(outputs[0].open(encoding="utf-8"))}
+    bad = rows["bad.png"]
+    assert bad["status"] == "unreadable_image" and bad["qw"] == bad["probability"] == ""
+    assert "truncated" in bad["warnings"] and len(rows) == 4
+    record = json.loads(outputs[1].read_text(encoding="utf-8"))["images"]
+    assert {each["image"]: each["status"] for each in record}["bad.png"] == "unreadable_image"
 
 
 def test_a_run_goes_on_from_the_results_that_are_kept(room_run, new_folder, tmp_path, capsys):

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import cv2
 import numpy as np
 import pytest
 from command_line import assert_wrong_use
@@ -205,6 +206,81 @@ def test_interrupted_run_writes_what_it_has(tmp_path, interrupt_at):
     assert len(stamps_of(tmp_path / "out")) == 7
     assert len(rows_of(tmp_path / "out")) == 7
     assert log_of(tmp_path / "out")["track"] == "interrupted"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGINT")
+def test_ctrl_c_inside_of_a_frame_waits_for_it(tmp_path, monkeypatch):
+    write_frames(tmp_path / "frames", 10)
+    begin = track_job.Odometry._begun  # a key frame is there, and the frame has no name yet
+
+    def interrupted(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return begin(*arguments)
+
+    monkeypatch.setattr(track_job.Odometry, "_begun", interrupted)
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 130
+    assert log_of(tmp_path / "out")["track"] == "interrupted"
+    model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
+    assert len(model.images) == log_of(tmp_path / "out")["num_key_frames"] > 0
+
+
+def test_frames_of_another_size_have_the_camera_of_their_size(tmp_path):
+    folder, out = tmp_path / "frames", tmp_path / "out"
+    write_frames(folder, 10)
+    height, width = frames()[0].shape[:2]
+    for path in sorted(folder.iterdir())[::2]:
+        picture = cv2.imread(str(path))
+        cv2.imwrite(str(path), cv2.resize(picture, (2 * width, 2 * height)))
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(f"model: Equirectangular\nwidth: {width}\nheight: {height}\n")
+    assert main(["track", str(folder), "--out", str(out), "--camera", str(camera)]) == 0
+    model = read_colmap_model(out / "sparse" / "0")
+    sizes = {name: (each.width, each.height) for name, each in model.cameras.items()}
+    for image in model.images:
+        stored = cv2.imread(str(folder / image.name)).shape
+        assert sizes[image.camera] == (stored[1], stored[0])
+    assert len(set(sizes.values())) == 2
+    # Points are seen where the cameras of both sizes say.
+    seen = model.observations
+    for k, image in enumerate(model.images):
+        rows = seen.images == k
+        points = model.points[seen.points[rows]]
+        rays = points @ image.cam_from_world.rotation.T + image.cam_from_world.translation
+        expected = model.cameras[image.camera].pixels_from_bearings(rays)
+        off = np.linalg.norm(seen.pixels[rows] - expected, axis=1)
+        assert np.median(off) < 0.01 * sizes[image.camera][0]
+    read = read_nerfstudio(out / "transforms.json")
+    assert {(each.width, each.height) for each in read.cameras.values()} == set(sizes.values())
+
+
+def test_masks_of_all_frames_go_to_nerfstudio(tmp_path, capsys):
+    folder, out = tmp_path / "frames", tmp_path / "out"
+    write_frames(folder, 8)
+    white = np.full(frames()[0].shape, 255, np.uint8)
+    for path in sorted(folder.iterdir()):
+        write_picture(tmp_path / "masks" / path.name, white)
+    words = ["track", str(folder), "--out", str(out), "--mask", str(tmp_path / "masks")]
+    assert main(words) == 0
+    document = json.loads((out / "transforms.json").read_text())
+    for frame in document["frames"]:
+        assert (out / frame["mask_path"]).resolve().parent == (tmp_path / "masks").resolve()
+    capsys.readouterr()
+    (tmp_path / "masks" / "000.png").unlink()
+    assert main([*words, "--mask-nadir-deg", "10"]) == 0
+    said = capsys.readouterr()
+    assert "1 of 8 images have no mask in" in said.err and "they are used whole" in said.err
+    assert "transforms.json lacks masks, because some images have none and what --mask" in said.out
+    document = json.loads((out / "transforms.json").read_text())
+    assert not any("mask_path" in frame for frame in document["frames"])
+
+
+def test_frames_that_were_chosen_have_no_gaps(tmp_path, capsys):
+    write_frames(tmp_path / "frames", 9)
+    for number in (5, 6):
+        (tmp_path / "frames" / f"00{number}.png").unlink()
+    (tmp_path / "frames" / "epi360-frames.json").write_text("{}")
+    assert main(["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]) == 0
+    assert "missing" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("count", [0, 7])

@@ -106,6 +106,11 @@ def test_lists_and_single_precision_are_arrays_too():
     assert found.success and found.inlier_threshold_deg == pytest.approx(1.0, abs=1e-12)
 
 
+def test_an_empty_list_has_no_matches():
+    result = estimate_relative_pose([], [])
+    assert result.status == "too_few_matches" and result.num_matches == 0
+
+
 def test_the_input_is_not_changed():
     copies = SCENE.bearings1.copy(), SCENE.bearings2.copy()
     estimate_relative_pose(3.0 * SCENE.bearings1, SCENE.bearings2)

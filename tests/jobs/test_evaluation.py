@@ -208,6 +208,8 @@ def test_a_table_of_frames_must_have_a_time_for_each_image(tmp_path):
     )
     with pytest.raises(ValueError, match=r"1 of 4 images of .*model have no time.*such as 3.jpg"):
         read_trajectory(tmp_path / "model", {f"{k}.jpg": float(k) for k in range(3)})
+    with pytest.raises(ValueError, match=r"no image of .*model has a time.*as 0.jpg, the table x"):
+        read_trajectory(tmp_path / "model", {"x.jpg": 0.0})
 
 
 def of_two_cameras(tmp_path):

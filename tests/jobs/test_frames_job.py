@@ -102,7 +102,7 @@ def test_a_short_video_gives_more_frames_that_are_nearer_to_each_other(video, tm
     few = extract_frames(video, tmp_path / "few", FramesOptions(parallax_deg=3.0))
     run = extract_frames(video, tmp_path / "out", FramesOptions())
     assert len(run.chosen) > 1.5 * len(few.chosen)
-    assert "the camera moved little: frames are" in run.remarks[0]
+    assert "the camera moved little: a frame is taken each" in run.remarks[0]
 
 
 def test_a_stopped_run_goes_on_and_equals_one_that_was_not(video, tmp_path):

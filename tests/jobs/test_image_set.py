@@ -341,6 +341,9 @@ def test_a_folder_of_masks_has_one_for_each_image_or_none(folder):
         add(masks, name)
     with pytest.warns(UserWarning, match="1 of 4 images have no mask in .*, and 1 masks there"):
         images = find_images(folder, mask=masks).images
+    (masks / "unused.png").unlink()
+    with pytest.warns(UserWarning, match="1 of 4 images have no mask in .*; they are used whole"):
+        find_images(folder, mask=masks)
     assert {image.name: image.mask for image in images} == {
         "1.jpg": masks / "1.png",
         "2.jpg": masks / "2.jpg.png",

@@ -5,6 +5,7 @@ import json
 import shutil
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +14,10 @@ import cv2
 import numpy as np
 import pytest
 from mapped_room import CAMERA, room_poses, write_picture
+from PIL import Image
 from real_data import reference_poses
 
-from epi360.cameras import DoubleSphere, KannalaBrandt, Pinhole
+from epi360.cameras import DoubleSphere, Equirectangular, KannalaBrandt, Pinhole
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -35,7 +37,7 @@ from epi360.jobs.folder.image_set import ImageSet, SourceImage, find_images  # n
 from epi360.jobs.mapping import guided_matches  # noqa: E402
 from epi360.jobs.mapping.colmap_mapper import MapperOptions, _distinct, run_mapper  # noqa: E402
 from epi360.jobs.mapping.map_folder import MapOptions, map_images  # noqa: E402
-from epi360.jobs.mapping.mapped_models import MappedModel, write_transforms  # noqa: E402
+from epi360.jobs.mapping.mapped_models import MappedModel, write_transforms_of  # noqa: E402
 from epi360.jobs.matching.match_folder import MatchOptions  # noqa: E402
 
 
@@ -284,7 +286,7 @@ def written_transforms(tmp_path, cameras, masks=None, mask_nadir_deg=0.0):
     posed = tuple(
         PosedImage(image.name, image.camera, Pose(np.eye(3), np.zeros(3))) for image in sources
     )
-    remarks = write_transforms(
+    remarks = write_transforms_of(
         ImageSet(tmp_path / "in", cameras, sources),
         tmp_path,
         (MappedModel(tmp_path, Reconstruction(cameras, posed), 0.5),),
@@ -323,6 +325,30 @@ def test_a_camera_that_colmap_lacks_is_refused_before_the_matching(tmp_path):
     with pytest.raises(ValueError, match="DoubleSphere"):
         map_images(ImageSet(tmp_path, {"c": camera}, (image,)), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_part_of_a_panorama_is_named_and_the_others_are_mapped(tmp_path, room_folder):
+    whole = find_images(room_folder[0])
+    part = Equirectangular(512, 128, vertical_fov_deg=90.0)
+    cut = SourceImage("cut.png", tmp_path / "cut.png", "part")
+    both = replace(whole, images=(*whole.images, cut), cameras={**whole.cameras, "part": part})
+    run = map_images(both, tmp_path / "out")
+    assert "fill the picture up to 2:1" in run.unregistered["cut.png"]
+    assert run.num_images == len(both.images)
+    assert set(run.unregistered) == {"cut.png", "zz_grey.png"}
+    with pytest.raises(ValueError, match="no camera for a part of a panorama"):
+        map_images(replace(both, images=(cut,), cameras={"part": part}), tmp_path / "none")
+
+
+def test_pictures_that_a_tag_turns_are_remarked_on(tmp_path):
+    upright = np.zeros((32, 64, 3), np.uint8)
+    (tmp_path / "in").mkdir()
+    for name, orientation in (("a", 6), ("b", 1)):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(upright).save(tmp_path / "in" / f"{name}.jpg", exif=exif)
+    (remark,), _ = written_transforms(tmp_path, {"a": CAMERA, "b": CAMERA})
+    assert remark.startswith("a.jpg is stored turned (Exif)") and "COLMAP and nerfstudio" in remark
 
 
 @pytest.mark.parametrize("content", ["[1, 2]", "{", "3"])

@@ -27,9 +27,13 @@ def smallest_pixel_deg(cameras: Iterable[Camera]) -> float:
     return math.degrees(1.0 / max(map(pixels_per_radian, cameras)))
 
 
-def resized_camera(camera: Camera, width: int) -> Camera:
-    """Camera of the picture after resizing it to a width; the height follows, rounded."""
-    height = max(1, round(camera.height * width / camera.width))
+def resized_camera(camera: Camera, width: int, height: int | None = None) -> Camera:
+    """Camera of the picture after resizing it to a width; the height follows, rounded, or is given.
+
+    Of a lens with one focal length, or distortion, width and height must change alike, nearly.
+    """
+    if height is None:
+        height = max(1, round(camera.height * width / camera.width))
     scales = {"x": width / camera.width, "y": height / camera.height}
     # Continuous pixels scale without an offset. Panoramas have angles only, which stay.
     scaled = {

@@ -118,7 +118,7 @@ def localize(
     _print(found)
     if not found.results:
         raise ValueError("none of the images could be used")
-    _write(outputs, found.results, files, world, str(model))
+    _write(outputs, found, files, world, str(model))
     if report is not None:
         from epi360.report.localize_page import write_localize_report
 
@@ -211,7 +211,7 @@ def _check_outputs(outputs: Sequence[Path]) -> None:
 
 def _write(
     outputs: Sequence[Path],
-    results: Mapping[str, LocalizationResult],
+    found: LocalizedFiles,
     files: Mapping[str, Path],
     world: LocalizationMap,
     source: str,
@@ -222,13 +222,14 @@ def _write(
     from epi360.report.records import write_json
     from epi360.runs.whole_files import write_file
 
+    results = found.results
     located = any(result.success for result in results.values())
     for path in outputs:
         suffix = path.suffix.lower()
         if suffix == _TABLE:
-            write_file(path, table_of(results))
+            write_file(path, table_of(results, found.reasons))
         elif suffix == _RECORD:
-            write_json(path, record_of(results, source))
+            write_json(path, record_of(results, found.reasons, source))
         elif not located:
             print(f"{path} was not written: no image has a pose")
             continue

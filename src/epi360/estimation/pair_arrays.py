@@ -66,6 +66,8 @@ def native_pair(
 
 def _rows(bearings: ArrayLike, name: str) -> Array:
     array = np.ascontiguousarray(plain_array(bearings))
+    if array.shape == (0,):  # an empty list
+        array = array.reshape(0, 3)
     check_rows_of_three(array, name)
     if _look_like_pixels(array):
         raise ValueError(

@@ -13,7 +13,7 @@ from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.formats import FORMATS, colmap_model_folder
 from epi360.interop.hloc import camera_of_image, read_hloc, write_hloc
 from epi360.interop.match_graph import MatchGraph
-from epi360.interop.nerfstudio import POINTS_FILE, read_nerfstudio, write_nerfstudio
+from epi360.interop.nerfstudio import points_file, read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm, write_opensfm_folder
 from epi360.interop.opensfm_pictures import loses_folders
 from epi360.interop.reconstruction import Reconstruction
@@ -195,7 +195,7 @@ def files_written(path: PathLike, name: str, *besides: PathLike | None) -> list[
     """Return the files that may be written; those of `FOLDERS` are folders."""
     paths = [Path(path)]
     if name == "nerfstudio":
-        paths.append(paths[0].parent / POINTS_FILE)  # written only if there are points
+        paths.append(points_file(path))  # written only if there are points
     if name == "tum":
         paths.append(names_path(path))
     if name == "hloc":

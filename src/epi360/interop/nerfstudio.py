@@ -83,7 +83,7 @@ def write_nerfstudio(
 ) -> None:
     """Write cameras and poses as a ``transforms.json``, and the points as a PLY beside it.
 
-    Files are replaced: ``path`` and, if there are points, ``sparse_pc.ply`` in its folder.
+    Files are replaced: ``path`` and, if there are points, `points_file` in its folder.
     Observations and time stamps are left out. The saved world has z up, by the mean of the cameras'
     y axes (of a cube's faces, that of the panorama), and ``orientation_override`` asks nerfstudio
     to leave it so: it would take the faces up and down for cameras too, and tilt a scene that has
@@ -113,7 +113,7 @@ def write_nerfstudio(
     document["applied_transform"] = saved_from_world.matrix()[:3].tolist()
     saved = moved(reconstruction, saved_from_world)
     if len(saved.points):
-        document["ply_file_path"] = POINTS_FILE
+        document["ply_file_path"] = points_file(path).name
     document["frames"] = [
         {
             "file_path": posixpath.join(images, image.name),
@@ -124,8 +124,19 @@ def write_nerfstudio(
         for image in saved.images
     ]
     if len(saved.points):
-        write_ply_points(path.parent / POINTS_FILE, saved.points, saved.colors)
+        write_ply_points(points_file(path), saved.points, saved.colors)
     write_file(path, json.dumps(document, ensure_ascii=False, indent=1).encode())
+
+
+def points_file(path: PathLike) -> Path:
+    """File of the points beside a ``transforms.json``, ``sparse_pc.ply``.
+
+    Of a NAME.json, of which a folder may hold several, it is ``NAME_sparse_pc.ply``.
+    """
+    path = Path(path)
+    return path.with_name(
+        POINTS_FILE if path.stem == "transforms" else f"{path.stem}_{POINTS_FILE}"
+    )
 
 
 def seen_from(folder: Path, images: PathLike) -> str:

@@ -98,6 +98,11 @@ def read_trajectory(
     if known:
         images, times = _of_timed_folders(images, times)
     unknown = [image.name for image, time in zip(images, times, strict=True) if time is None]
+    if known and len(unknown) == len(images):
+        raise ValueError(
+            f"no image of {path} has a time in the table of frames: it has names such as "
+            f"{images[0].name}, the table {next(iter(known))}"
+        )
     if known and 0 < len(unknown) < len(images):
         raise ValueError(
             f"{len(unknown)} of {len(images)} images of {path} have no time in the table of "

@@ -118,6 +118,11 @@ def model_of_camera(camera: Camera) -> tuple[str, list[float]]:
         parameters = [*(fx, fy)[: lens.num_focal_lengths], cx, cy, *coefficients]
         if camera_of_model(model, plain.width, plain.height, parameters) == plain:
             return model, parameters
+    if isinstance(camera, Equirectangular):
+        raise ValueError(
+            "COLMAP has no camera for a part of a panorama, or one turned about its centre; fill "
+            "the picture up to 2:1 and mask what was added"
+        )
     raise ValueError(
         f"COLMAP has no model equal to {_what_it_lacks(camera)}; it has whole panoramas "
         "(Equirectangular), Pinhole, UnifiedCamera with xi=0, KannalaBrandt and ExtendedUnified: "
@@ -136,8 +141,6 @@ def _plain(camera: Camera) -> Camera:
 
 def _what_it_lacks(camera: Camera) -> str:
     name = type(camera).__name__
-    if isinstance(camera, Equirectangular):
-        return f"{name} of a part of the sphere or turned about it"
     return f"{name} with xi={camera.xi:g}" if isinstance(camera, UnifiedCamera) else name
 
 

@@ -5,6 +5,7 @@ A camera of a rig has ``cam_from_rig`` as well.
 """
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,6 +28,16 @@ MODELS: dict[str, type[Camera]] = {
     )
 }  # fmt: skip
 
+# What COLMAP, OpenCV, ROS, Kalibr and others call them, in small letters without spaces and dashes.
+_OTHER_NAMES = {
+    "Equirectangular": "spherical panorama 360 equirect",
+    "Pinhole": "opencv simplepinhole perspective plumbbob brown radial radtan",
+    "KannalaBrandt": "kannalabrandt4 opencvfisheye fisheye equidistant equi kb kb4",
+    "UnifiedCamera": "unified ucm mei omni",
+    "ExtendedUnified": "eucm",
+    "DoubleSphere": "ds",
+}
+
 POSE_KEYS = ({"rotation", "translation"}, {"quaternion_wxyz", "translation"})
 
 
@@ -43,6 +54,13 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
     if unknown:
         raise ValueError(f"unknown keys beside 'cameras': {', '.join(unknown)}")
     return fields.each(document["cameras"], _camera)
+
+
+def _models_like(name: str) -> str:
+    """Our name of a model that others call so, or the names of all."""
+    plain = re.sub(r"[\s_-]", "", name.lower())
+    ours = [each for each in MODELS if plain in (each.lower(), *_OTHER_NAMES[each].split())]
+    return ", ".join(MODELS) + (f"; write {ours[0]} for this one" if ours else "")
 
 
 def camera_record(camera: Camera) -> dict[str, Any]:
@@ -83,7 +101,7 @@ def _cam_from_rig(entry: Mapping[str, Any]) -> Pose | None:
 def _camera(entry: Mapping[str, Any]) -> Camera:
     name = entry.get("model")
     if not isinstance(name, str) or name not in MODELS:
-        raise fields.unsupported(f"model {fields.shortened(name)}", ", ".join(MODELS))
+        raise fields.unsupported(f"model {fields.shortened(name)}", _models_like(str(name)))
     parameters = {field.name: field for field in dataclasses.fields(MODELS[name])}
     values = {key: value for key, value in entry.items() if key not in ("model", "cam_from_rig")}
     unknown = [str(key) for key in values if key not in parameters]

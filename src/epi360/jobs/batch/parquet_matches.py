@@ -27,6 +27,7 @@ from epi360.runs import storage
 Array = NDArray[np.float64]
 
 _NAMES = ("image1", "image2")
+_UNIT_TOLERANCE = 0.01  # of the length of a bearing; 32-bit numbers, and some rounding
 # Pages are read one after the other: without this a row group is read as a whole.
 _STREAMING = {"pre_buffer": False, "buffer_size": 1 << 22}
 
@@ -120,12 +121,29 @@ class ParquetMatches:
         pairs = PairMatches(first_row, image1, image2, *views)
         check_rows(self._path, pairs)
         if not self._cameras:
+            for name, view in zip(self._columns, views, strict=True):
+                self._check_bearings(name, view, first_row)
             return pairs
         return replace(
             pairs,
             bearings1=[self._bearings(*each) for each in zip(image1, views[0], strict=True)],
             bearings2=[self._bearings(*each) for each in zip(image2, views[1], strict=True)],
         )
+
+    def _check_bearings(self, name: str, view: Sequence[Array], first_row: int) -> None:
+        """Raise for what is no list of rays: pixels, or all x before all y and z."""
+        for row, bearings in enumerate(view, start=first_row):
+            rays = bearings[np.isfinite(bearings).all(axis=1)]
+            lengths = np.linalg.norm(rays, axis=1)
+            is_unit = np.abs(lengths - 1.0) < _UNIT_TOLERANCE
+            of_plane = rays[:, 2] == 1.0  # rays of a pinhole camera that were not normalised
+            if not len(rays) or max(is_unit.mean(), of_plane.mean()) > 0.5:
+                continue
+            raise ValueError(
+                f"{self._path}: {name} must hold unit vectors, x, y, z of one match after the "
+                f"other; those of row {row} have lengths of {lengths.min():.3g} to "
+                f"{lengths.max():.3g}. Pixels go into pixels1 and pixels2, with a camera"
+            )
 
     def _bearings(self, image: str, pixels: Array) -> Array:
         return bearings_of(pixels, named_camera(image, None, self._cameras), image, self._source)

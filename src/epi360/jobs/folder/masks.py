@@ -69,7 +69,7 @@ class MaskSource:
     def check_used(self, masks: list[Path | None]) -> None:
         """Raise ``ValueError`` where a folder of masks was given and no image has one.
 
-        Where some have none, and some masks belong to no image, a warning says so.
+        Where some have none, a warning says so.
         """
         if self._masks is None:
             return
@@ -77,10 +77,11 @@ class MaskSource:
         if not any(masks):
             raise ValueError(f"mask folder {self._path} has no mask for any of the images; {named}")
         num_without, num_left = masks.count(None), len({*self._masks.values()} - {*masks})
-        if num_without and num_left:
+        if num_without:
+            left = f", and {num_left} masks there belong to no image; {named}" if num_left else ""
             warnings.warn(
-                f"{num_without} of {len(masks)} images have no mask in {self._path}, and "
-                f"{num_left} masks there belong to no image; {named}",
+                f"{num_without} of {len(masks)} images have no mask in {self._path}"
+                f"{left or '; they are used whole'}",
                 stacklevel=2,
             )
 

@@ -54,6 +54,10 @@ class FrameSource(Protocol):
         """Names of all frames in order, None if a video must be read to know them."""
 
     @property
+    def is_selection(self) -> bool:
+        """Whether frames between these were left out on purpose, as `epi360 frames` does."""
+
+    @property
     def ending(self) -> str | None:
         """After a loop: a sentence if the source ended earlier than it should."""
 
@@ -144,6 +148,7 @@ class _VideoFrames:
         return max(0, math.ceil((end_s - (self._start_s or 0.0)) * info.frame_rate))
 
     names = None
+    is_selection = False
 
     @property
     def ending(self) -> str | None:
@@ -203,6 +208,10 @@ class _FolderFrames:
     @property
     def names(self) -> list[str] | None:
         return list(self._files)
+
+    @property
+    def is_selection(self) -> bool:
+        return (self.path / FRAMES_RECORD).is_file()
 
     def camera(self) -> Equirectangular:
         for name, path in self._files.items():

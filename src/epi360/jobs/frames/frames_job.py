@@ -265,7 +265,7 @@ def _by_parallax(
             "one frame was chosen; --parallax-deg or --every give more"
         ]
     if parallax_deg != levels[0]:
-        return chosen, [f"the camera moved little: frames are {parallax_deg:g} degrees apart"]
+        return chosen, [f"the camera moved little: a frame is taken each {parallax_deg:g} deg"]
     return chosen, []
 
 

@@ -16,6 +16,7 @@ from epi360.cameras import Camera
 from epi360.extras import package_version
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
 from epi360.jobs.localization.localization_result import LocalizationResult
+from epi360.jobs.records.match_store import UNREADABLE
 from epi360.poses import Pose
 
 COLUMNS = (
@@ -27,8 +28,11 @@ CONVENTION = "x_cam = R x_world + t, x right, y down, z forward; lengths in the 
 _NEW = "localized"  # folder in the model of an image whose name is there already
 
 
-def table_of(results: Mapping[str, LocalizationResult]) -> bytes:
-    """CSV with a row an image; what is not determined is empty."""
+def table_of(results: Mapping[str, LocalizationResult], reasons: Mapping[str, str]) -> bytes:
+    """CSV with a row an image; what is not determined is empty.
+
+    Images that could not be used have their reason in the column of warnings.
+    """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -44,16 +48,27 @@ def table_of(results: Mapping[str, LocalizationResult]) -> bytes:
         warnings = "; ".join(result.warnings)
         same = "" if np.isnan(result.same_share) else f"{result.same_share:.3f}"
         writer.writerow([name, result.status, *counts, *cells, shown, seconds, warnings, same])
+    for name, reason in reasons.items():
+        row = {"image": name, "status": UNREADABLE, "warnings": reason}
+        writer.writerow([row.get(column, "") for column in COLUMNS])
     return text.getvalue().encode("utf-8")
 
 
-def record_of(results: Mapping[str, LocalizationResult], source: str) -> dict[str, Any]:
+def record_of(
+    results: Mapping[str, LocalizationResult], reasons: Mapping[str, str], source: str
+) -> dict[str, Any]:
     """Everything for programs, in plain values; NaN is None."""
     return {
         "epi360_version": package_version(),
         "convention": CONVENTION,
         "map": source,
-        "images": [{"image": name, **_record(result)} for name, result in results.items()],
+        "images": [
+            *({"image": name, **_record(result)} for name, result in results.items()),
+            *(
+                {"image": name, "status": UNREADABLE, "warnings": [reason]}
+                for name, reason in reasons.items()
+            ),
+        ],
     }
 
 

@@ -25,6 +25,7 @@ from epi360.interop.nerfstudio import POINTS_FILE
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.panoramas import read_panorama
+from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.colmap_mapper import (
     STAGE,
     Mapper,
@@ -37,7 +38,12 @@ from epi360.jobs.mapping.guided_matches import with_guided
 from epi360.jobs.mapping.lone_branches import Branch, lone_branches
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
-from epi360.jobs.mapping.mapped_models import TRANSFORMS, MappedModel, read_models, write_transforms
+from epi360.jobs.mapping.mapped_models import (
+    TRANSFORMS,
+    MappedModel,
+    read_models,
+    write_transforms_of,
+)
 from epi360.jobs.mapping.sequence_start import (
     BY_PAIRS,
     BY_TRACKS,
@@ -158,9 +164,8 @@ def map_images(
         If pycolmap is missing.
     """
     options = options or MapOptions()
-    extra_library("pycolmap", extra="colmap", purpose="maps")  # before hours of matching
-    for camera in images.cameras.values():
-        colmap_camera(camera)  # COLMAP has no double sphere
+    extra_library("pycolmap", extra="colmap", purpose="maps")
+    images, lacking = _that_colmap_takes(images)  # before hours of matching
     output = Path(output)
     record = _read_record(output)
     given = None if initial is None else _poses_of(images, initial)
@@ -213,15 +218,15 @@ def map_images(
     record["track"] = None if tracked is None else tracked.summary()
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
-    remarks = write_transforms(images, output, models, options.match.mask_nadir_deg)
+    remarks = write_transforms_of(images, output, models, options.match.mask_nadir_deg)
     # A folder that only looked like a sequence is mapped without a word, as it always was.
     was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     tracking = {"tracking": tracked.seconds} if tracked is not None and poses else {}
     return MapRun(
         matched,
         models,
-        _reasons(images, matched, models, record["unconfirmed"]),
-        len(images.images),
+        {**lacking, **_reasons(images, matched, models, record["unconfirmed"])},
+        len(images.images) + len(lacking),
         {**tracking, "matching": matching_s, "mapping": record["seconds"]},
         remarks,
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
@@ -229,6 +234,29 @@ def map_images(
         was_mapped,
         _branches(graph, models),
     )
+
+
+def _that_colmap_takes(images: ImageSet) -> tuple[ImageSet, dict[str, str]]:
+    """The images whose cameras COLMAP has, and why the others are not mapped.
+
+    ``ValueError`` if it has none of them, or lacks one lens of a rig.
+    """
+    reasons = {}
+    for name, camera in images.cameras.items():
+        try:
+            colmap_camera(camera)
+        except ValueError as error:
+            if images.cam_from_rig:
+                raise
+            reasons[name] = str(error)
+    if len(reasons) == len(images.cameras):
+        raise ValueError(next(iter(reasons.values())))
+    kept = tuple(image for image in images.images if image.camera not in reasons)
+    cameras = {name: each for name, each in images.cameras.items() if name not in reasons}
+    left_out = {
+        image.name: reasons[image.camera] for image in images.images if image.camera in reasons
+    }
+    return replace(images, images=kept, cameras=cameras), left_out
 
 
 def _first_pairs(
@@ -464,6 +492,18 @@ def _reasons(
         elif not statuses["ok"]:
             counts = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
             reasons[name] = f"no accepted pair ({counts or 'none tried'})"
+        elif name not in _joined_to(model_of, matched):
+            reasons[name] = f"no accepted pair joins it to the images of {MODELS}/0"
         else:
             reasons[name] = "has accepted pairs, but COLMAP's mapper could not place it"
     return reasons
+
+
+def _joined_to(model_of: Mapping[str, int], matched: MatchRun) -> set[str]:
+    """Images that accepted pairs join to those of the first model; all where there is none."""
+    accepted = [(each.image1, each.image2) for each in matched.verdicts if each.accepted]
+    group_of = groups_by(accepted)
+    mapped = {
+        group_of[name] for name, number in model_of.items() if not number and name in group_of
+    }
+    return {name for name, group in group_of.items() if not mapped or group in mapped}

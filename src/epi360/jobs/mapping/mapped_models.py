@@ -12,9 +12,9 @@ import numpy as np
 from epi360.cameras import Camera, KannalaBrandt
 from epi360.interop.colmap_model import read_colmap_model
 from epi360.interop.match_graph import MatchGraph
-from epi360.interop.nerfstudio import seen_from, write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.folder.posed_pictures import remark_on_turned, write_transforms
 
 TRANSFORMS = "transforms.json"
 
@@ -63,32 +63,18 @@ def with_given_cameras(model: Reconstruction, cameras: Mapping[str, Camera]) -> 
     return replace(model, cameras=restored, images=images, cam_from_rig=rig)
 
 
-def write_transforms(
+def write_transforms_of(
     images: ImageSet, output: Path, models: tuple[MappedModel, ...], mask_nadir_deg: float
 ) -> tuple[str, ...]:
-    """Write ``transforms.json`` of the first model; sentences about what it has no place for.
-
-    Paths in the file are relative to its folder. It takes masks of all images or of none.
-    """
+    """Write ``transforms.json`` of the first model; sentences about what others will miss in it."""
     if not models:
         return ()
     model = models[0].reconstruction
-    posed = {image.name for image in model.images}
-    files = {image.name: image.mask for image in images.images if image.name in posed}
-    masks = {name: seen_from(output, file) for name, file in files.items() if file is not None}
-    every_mask = masks if len(masks) == len(posed) else None
-    folder = seen_from(output, images.folder)
+    masks = {image.name: image.mask for image in images.images}
+    turned = remark_on_turned([image.name for image in model.images], images.folder)
     try:
-        write_nerfstudio(output / TRANSFORMS, model, images=folder, masks=every_mask)
+        lacks = write_transforms(output / TRANSFORMS, model, images.folder, masks, mask_nadir_deg)
+        lacks = lacks and f"{lacks}; the faces that --cubemap cuts have all masks"
     except ValueError as error:
-        return (f"{TRANSFORMS} was not written: {error}; that of --cubemap has one camera model",)
-    missing = []
-    if masks and every_mask is None:
-        missing.append("masks, because some images have none")
-    if mask_nadir_deg > 0:
-        missing.append("what --mask-nadir-deg masks")
-    if not missing:
-        return ()
-    return (
-        f"{TRANSFORMS} lacks {' and '.join(missing)}; the faces that --cubemap cuts have all masks",
-    )
+        lacks = f"{TRANSFORMS} was not written: {error}; that of --cubemap has one camera model"
+    return tuple(filter(None, (lacks, turned)))

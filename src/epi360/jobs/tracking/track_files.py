@@ -9,18 +9,20 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from epi360.cameras import Camera
+from epi360.cameras.resizing import resized_camera
 from epi360.interop import (
     Observations,
     PosedImage,
     Reconstruction,
     write_colmap_model,
-    write_nerfstudio,
     write_tum_trajectory,
 )
-from epi360.interop.nerfstudio import seen_from
 from epi360.interop.ply import write_ply_points
 from epi360.interop.upright_world import mean_down, moved, upright_from_world
+from epi360.jobs.folder.posed_pictures import remark_on_turned, write_transforms
 from epi360.odometry.frame_result import FrameResult, MapPoints
 from epi360.odometry.key_frames import KeyFrame
 from epi360.poses import Pose
@@ -117,11 +119,25 @@ def key_frame_model(
     names: Sequence[str] | Mapping[int, str],
     key_frames: Sequence[KeyFrame],
     points: MapPoints,
+    sizes: Mapping[int, tuple[int, int]] | None = None,
 ) -> Reconstruction:
-    """Key frames, points and who sees what, as a reconstruction."""
-    images = tuple(PosedImage(names[each.index], "1", each.cam_from_world) for each in key_frames)
-    seen = Observations(points.point_index, points.key_frame_index, points.pixels)
-    return Reconstruction({"1": camera}, images, points.positions, points.colors, seen)
+    """Key frames, points and who sees what, as a reconstruction.
+
+    Those frames whose pictures have another size than the camera, which ``sizes`` has by their
+    numbers, get the camera of their size.
+    """
+    given = camera.width, camera.height
+    of_frame = [(sizes or {}).get(each.index, given) for each in key_frames]
+    ids = {size: str(k) for k, size in enumerate(dict.fromkeys((given, *of_frame)), start=1)}
+    cameras = {ids[size]: resized_camera(camera, *size) for size in {*of_frame}}
+    images = tuple(
+        PosedImage(names[each.index], ids[size], each.cam_from_world)
+        for each, size in zip(key_frames, of_frame, strict=True)
+    )
+    scales = np.array(of_frame).reshape(-1, 2) / given
+    pixels = points.pixels * scales[points.key_frame_index]
+    seen = Observations(points.point_index, points.key_frame_index, pixels)
+    return Reconstruction(cameras, images, points.positions, points.colors, seen)
 
 
 @dataclass
@@ -144,9 +160,24 @@ class Written:
             self.remarks.append(f"{name} was not written: {error}")
 
 
-def write_model(output: Path, model: Reconstruction, images: Path, written: Written) -> None:
+def write_model(
+    output: Path,
+    model: Reconstruction,
+    images: Path,
+    masks: Mapping[str, Path | None],
+    mask_nadir_deg: float,
+    written: Written,
+) -> None:
     """Write the COLMAP model, ``transforms.json`` and the points of the key frames."""
+
+    def transforms() -> None:
+        lacks = write_transforms(output / TRANSFORMS, model, images, masks, mask_nadir_deg)
+        if lacks:
+            written.remarks.append(f"{lacks}; faces that epi360 cubemap cuts may have all masks")
+
     written.attempt(POINTS, lambda: write_ply_points(output / POINTS, model.points, model.colors))
     written.attempt(MODEL, lambda: write_colmap_model(output / MODEL, model))
-    folder = seen_from(output, images)
-    written.attempt(TRANSFORMS, lambda: write_nerfstudio(output / TRANSFORMS, model, images=folder))
+    written.attempt(TRANSFORMS, transforms)
+    turned = remark_on_turned([image.name for image in model.images], images)
+    if turned:
+        written.remarks.append(turned)

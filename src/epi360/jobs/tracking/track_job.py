@@ -34,6 +34,7 @@ from epi360.jobs.tracking.refine_map import refine_with_colmap
 from epi360.odometry import Odometry, OdometryOptions
 from epi360.odometry.frame_result import FrameResult
 from epi360.progress import Progress, no_progress
+from epi360.runs.interrupts import interrupted_later
 from epi360.runs.made_from import first_difference, read_record, write_record
 from epi360.runs.whole_files import write_file
 
@@ -203,13 +204,13 @@ def _check_source(output: Path, record: Mapping[str, Any], made_from: Mapping[st
 def _check_masks(masks: MaskSource, source: FrameSource, camera: Camera) -> None:
     """Raise where a mask has another size than its frame, or no frame has one."""
     found = [masks.mask_of(name) for name in source.names or ()]
-    if source.names is not None:
-        masks.check_used(found)
     used = dict.fromkeys(masks.files() if source.names is None else found)
     for mask in used:
         wrong = "" if mask is None else masks.wrong_size(mask, (camera.width, camera.height))
         if wrong:
             raise ValueError(f"each frame of {source.path} {wrong}")
+    if source.names is not None:
+        masks.check_used(found)
 
 
 class _Run:
@@ -241,6 +242,7 @@ class _Run:
             seed=options.seed,
         )
         self._names: list[str] = []
+        self._sizes: dict[int, tuple[int, int]] = {}  # of pictures with another one than the camera
         self._messages: list[str] = []
         self._status = ""  # of the frame before
         self._numbered: re.Match[str] | None = None  # the name of the frame before
@@ -258,7 +260,8 @@ class _Run:
         progress(STAGE, 0, max(total, 1))
         try:
             for frame in self._source:
-                result = self._add(frame)
+                with interrupted_later():
+                    result = self._add(frame)
                 table.add(frame.name, result)
                 done = len(self._names)
                 progress(STAGE, done, max(total, done))
@@ -350,8 +353,12 @@ class _Run:
                 image, frame.timestamp_s, mask=self._mask_of(frame.name)
             )
         self._seconds += time.perf_counter() - begun
-        self._name_gap(frame.name, result.index)
+        if not self._source.is_selection:
+            self._name_gap(frame.name, result.index)
         self._names.append(frame.name)
+        size = None if image is None else (image.shape[1], image.shape[0])
+        if size is not None and size != (self._camera.width, self._camera.height):
+            self._sizes[result.index] = size
         is_new = result.status in ("tracked", "lost") or result.status != self._status
         if result.message and is_new:
             self._messages.append(f"{result.message} ({frame.name})")
@@ -407,7 +414,9 @@ class _Run:
 
     def _write_map(self, written: files.Written, progress: Progress) -> None:
         key_frames = self.odometry.key_frames()
-        model = files.key_frame_model(self._camera, self._names, key_frames, self.odometry.points())
+        model = files.key_frame_model(
+            self._camera, self._names, key_frames, self.odometry.points(), self._sizes
+        )
         model = moved(model, files.upright_world(self.odometry.results()))
         images = self._source.path
         if is_video(images) or images.is_file():
@@ -416,7 +425,9 @@ class _Run:
             written.attempt(
                 files.IMAGES, lambda: _write_pictures(self._source, wanted, images, progress)
             )
-        files.write_model(self._output, model, images, written)
+        masks = {image.name: self._masks.mask_of(image.name) for image in model.images}
+        nadir_deg = self._options.mask_nadir_deg
+        files.write_model(self._output, model, images, masks, nadir_deg, written)
 
 
 def _write_pictures(
