@@ -179,6 +179,19 @@ def test_masked_pixels_have_no_matches(pair):
     assert_pose(result, pair.cam2_from_cam1)
 
 
+def test_transparent_pixels_have_no_matches(pair, result):
+    pictures = []
+    for image in (pair.image1, pair.image2):
+        alpha = np.full(image.shape[:2], 255, np.uint8)
+        alpha[170:] = 0
+        pictures.append(np.dstack([image, alpha]))
+    found = relative_pose_of_images(*pictures)
+    assert_pose(found, pair.cam2_from_cam1)
+    assert result.keypoints1[:, 1].max() > 175.0
+    for keypoints in (found.keypoints1, found.keypoints2):
+        assert keypoints[:, 1].max() < 170.0
+
+
 def test_the_nadir_cap_is_ignored_in_both_images(pair, result):
     capped = relative_pose_of_images(pair.image1, pair.image2, mask_nadir_deg=60)
     limit = WIDTH / 2 * (180 - 60) / 180

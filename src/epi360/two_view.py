@@ -27,14 +27,7 @@ from epi360.estimation.options import check_threshold
 from epi360.estimation.seen_through import without_what_is_seen_through
 from epi360.estimation.sky_motion import with_ground_motion
 from epi360.estimation.verdict import noise_in_pixels
-from epi360.features import (
-    Features,
-    ImageSource,
-    extract_features,
-    match_features,
-    read_image,
-    read_mask,
-)
+from epi360.features import Features, ImageSource, extract_features, match_features
 from epi360.features.detection import (
     CONTRAST_THRESHOLD,
     FAINT_CONTRAST_THRESHOLD,
@@ -42,6 +35,7 @@ from epi360.features.detection import (
     check_options,
 )
 from epi360.features.image_cameras import find_camera
+from epi360.features.images import read_masked_image
 from epi360.features.warped_patches import Panorama
 from epi360.places.repeated_place import with_rival_pose
 from epi360.places.same_place import can_be_compared, look_around
@@ -251,9 +245,8 @@ class _View:
         name: str,
         mask_name: str,
     ) -> _View:
-        picture = read_image(image, name=name)
+        picture, usable = read_masked_image(image, mask, name=name, mask_name=mask_name)
         camera = find_camera(image, picture, camera, name)
-        usable = None if mask is None else read_mask(mask, picture.shape[:2], name=mask_name)
         return cls(picture, camera, usable, mask_nadir_deg)
 
     def panorama(self) -> Panorama:

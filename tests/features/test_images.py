@@ -18,6 +18,8 @@ from epi360.features.images import (
     nadir_mask,
     read_image,
     read_mask,
+    read_masked_image,
+    read_transparent_image,
     require_panorama,
 )
 from epi360_scenes.room import demo_pair
@@ -96,6 +98,30 @@ def test_transparent_pixels_of_a_file_are_blended_with_black(tmp_path):
     expected = [[200, 100, 50], [40, 20, 10], [0, 0, 0]]
     np.testing.assert_array_equal(read_image(path), [expected, expected])
     np.testing.assert_array_equal(read_image(rgba), [expected, expected])
+
+
+def test_transparent_pixels_and_their_edges_are_not_used(tmp_path):
+    rgba = np.full((64, 800, 4), (200, 100, 50, 255), dtype=np.uint8)
+    rgba[40:, :, 3] = 0
+    rgba[39, :, 3] = 254
+    path = write(tmp_path / "a.png", encode(cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), ".png"))
+    mask = np.zeros((64, 800), bool)
+    mask[:, 400:] = True
+    for source in (path, rgba):
+        picture, usable = read_masked_image(source)
+        np.testing.assert_array_equal(picture, read_image(source))
+        assert usable[:37].all() and not usable[37:].any()
+        masked = read_masked_image(source, mask)[1]
+        assert masked[:37, 400:].all() and not masked[37:].any() and not masked[:, :400].any()
+        _, transparent = read_transparent_image(source)
+        np.testing.assert_array_equal(transparent, rgba[:, :, 3] < 255)
+
+
+@pytest.mark.parametrize("alpha", [255, 0])
+def test_one_transparency_of_all_pixels_says_nothing(alpha):
+    rgba = np.full((64, 80, 4), (200, 100, 50, alpha), dtype=np.uint8)
+    assert read_masked_image(rgba)[1] is None and read_transparent_image(rgba)[1] is None
+    assert read_masked_image(rgba[:, :, :3])[1] is None
 
 
 @pytest.mark.parametrize(("orientation", "quarter_turns"), [(1, 0), (6, -1), (3, 2), (8, 1)])

@@ -33,6 +33,25 @@ def test_masks_are_cut_like_the_panoramas(tmp_path):
     assert read_picture(out / "masks" / "b_up.jpg.png").all()
 
 
+def test_what_is_transparent_is_masked(tmp_path):
+    folder, source = two_panoramas(tmp_path, ("a.png", "b.png"))
+    opaque = cv2.imread(str(folder / "a.png"))
+    alpha = np.full((128, 256), 255, np.uint8)
+    alpha[104:] = 0  # 56 degrees below the horizon
+    cv2.imwrite(str(folder / "a.png"), np.dstack([opaque, alpha]))
+    mask = np.full((128, 256), 255, np.uint8)
+    mask[:10] = 0
+    write_png(tmp_path / "mask.png", mask)
+    out = tmp_path / "out"
+    export_cubemap(folder, source, out, masks={"a.png": tmp_path / "mask.png"})
+    down, up = (read_picture(out / "masks" / f"a_{face}.jpg.png") for face in ("down", "up"))
+    assert not down[32, 32].any() and down[1, 1].all()
+    assert not up[32, 32].any() and up[1, 1].all()
+    assert read_picture(out / "masks" / "b_down.jpg.png").all()
+    export_cubemap(folder, source, tmp_path / "no_mask")
+    assert not read_picture(tmp_path / "no_mask" / "masks" / "a_down.jpg.png")[32, 32].any()
+
+
 def test_every_face_has_a_mask_that_nerfstudio_is_told_of_or_none_has(tmp_path):
     folder, source = two_panoramas(tmp_path, ("sub/ä.png", "b.png"))
     write_png(tmp_path / "mask.png", np.full((128, 256), 255, np.uint8))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Frames of a folder and of a video come the same way."""
 
+import cv2
 import numpy as np
 import pytest
 from rendered_views import write_png
@@ -21,8 +22,8 @@ def folder(tmp_path):
 def test_a_folder_gives_its_images_in_natural_order_without_times(folder):
     source = open_frames(folder)
     frames = list(source)
-    assert [name for name, _, _ in frames] == [f"{index}.png" for index in range(11)]
-    assert {time for _, time, _ in frames} == {None}
+    assert [frame.name for frame in frames] == [f"{index}.png" for index in range(11)]
+    assert {(frame.timestamp_s, frame.usable) for frame in frames} == {(None, None)}
     np.testing.assert_array_equal(frames[10].image, noise_frames(11)[10])
     assert source.num_frames == 11 and source.ending is None
     assert source.camera() == Equirectangular(256, 128)
@@ -33,13 +34,22 @@ def test_the_table_of_frames_gives_the_times_and_names_what_is_missing(folder):
     (folder / "frames.csv").write_text(rows)
     (folder / "1.png").write_bytes(b"no picture")
     frames = list(open_frames(folder))
-    assert [(name, time) for name, time, _ in frames[:4]] == [
+    assert [(frame.name, frame.timestamp_s) for frame in frames[:4]] == [
         ("0.png", 0.5), ("gone.png", 0.6), ("1.png", 0.75), ("2.png", None),
     ]  # fmt: skip
     assert isinstance(frames[1].image, FileNotFoundError)
     assert "is not a JPEG" in str(frames[2].image)
     assert len(frames) == 12
     assert [f.name for f in open_frames(folder, start_s=0.6, end_s=0.8)] == ["gone.png", "1.png"]
+
+
+def test_frames_say_which_pixels_are_transparent(folder):
+    opaque = np.full((128, 256, 1), 255, np.uint8)
+    opaque[100:] = 0
+    rgba = np.dstack([noise_frames(1)[0], opaque])
+    cv2.imwrite(str(folder / "0.png"), rgba)
+    usable = next(iter(open_frames(folder))).usable
+    assert usable is not None and usable[:96].all() and not usable[99:].any()
 
 
 @pytest.mark.parametrize("cell", ["", "nan", "inf"])

@@ -115,10 +115,10 @@ def test_a_picture_that_is_gone_costs_only_the_check(tmp_path, monkeypatch):
     write_views(tmp_path / "a")
     expected = match_images(find_images(tmp_path / "a"), tmp_path / "first", ALL)
 
-    def lost(path):
+    def lost(path, mask):
         raise OSError("gone")
 
-    monkeypatch.setattr(panoramas, "read_image", lost)
+    monkeypatch.setattr(panoramas, "read_masked_image", lost)
     run = match_images(find_images(tmp_path / "a"), tmp_path / "second", ALL)
     assert [v.accepted for v in run.verdicts] == [v.accepted for v in expected.verdicts]
 

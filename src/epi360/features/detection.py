@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from epi360 import _core
 from epi360.cameras import Camera
 from epi360.features.image_cameras import find_camera
-from epi360.features.images import ImageSource, read_image, read_mask, shrunk, usable_at
+from epi360.features.images import ImageSource, read_masked_image, shrunk, usable_at
 from epi360.features.views import View, search_views
 
 Array = NDArray[np.float64]
@@ -158,15 +158,13 @@ def find_keypoints(
         raise ValueError(f"max_features must be at least 1, got {max_features}")
     if not 0.0 < contrast_threshold < 1.0:
         raise ValueError(f"contrast_threshold must be in (0, 1), got {contrast_threshold}")
-    picture = read_image(image)
+    picture, usable = read_masked_image(image, mask)
     camera = find_camera(image, picture, camera, "image")
-    height, width = picture.shape[:2]
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
     grey, stretch = shrunk(grey, max_width)
     views = search_views(grey, camera)
     parts = [_searched(view, contrast_threshold, stretch) for view in views]
     found = _merged(parts, camera, stretch[0])
-    usable = None if mask is None else read_mask(mask, (height, width))
     order = np.argsort(-found.strengths, kind="stable")
     kept = order[usable_rows(found.pixels, camera, usable, mask_nadir_deg)[order]]
     return found.chosen(kept[:max_features])

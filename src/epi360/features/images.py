@@ -20,6 +20,8 @@ _LARGEST_OF_12_BITS = 4095
 # along its first and last rows, in grey values. Of 800 panoramas, real and rendered ones, some of
 # them cut, none has both; of 120 rendered photographs 90 have.
 _LEAST_GAP, _LEAST_BESIDE, _LEAST_CHANGE, _FEWEST_ROWS = 5.0, 0.5, 10.0, 64
+_OPAQUE = 255  # from this value of the alpha channel on
+_EDGES_PER_WIDTH = 400  # of a picture: so wide are the edges of what is transparent
 _NUM_BESIDE = 8  # columns at either end, some of which may be a border
 
 
@@ -50,16 +52,60 @@ def read_image(
     Notes
     -----
     The orientation tag (EXIF) of a file is applied, but for WebP with transparency. Transparent
-    pixels are blended with black. 16 bits become 8 by value / 257, rounded.
+    pixels are blended with black; `read_masked_image` says which they are. 16 bits become 8 by
+    value / 257, rounded.
     """
+    return _read(source, max_pixels, name)[0]
+
+
+def read_masked_image(
+    source: ImageSource,
+    mask: ImageSource | None = None,
+    *,
+    name: str = "image",
+    mask_name: str = "mask",
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """Picture as `read_image` gives it, and the pixels (H, W) of it to use, None for all.
+
+    They are those of the mask, as of `read_mask`, that are not transparent, nor at the edge of
+    what is. Transparency of all pixels says nothing. The errors are those of both functions.
+    """
+    picture, alpha = _read(source, MAX_PIXELS, name)
+    usable = None if alpha is None else _away_from_edges(alpha)
+    if mask is None:
+        return picture, usable
+    given = read_mask(mask, picture.shape[:2], name=mask_name)
+    return picture, given if usable is None else given & usable
+
+
+def read_transparent_image(
+    source: ImageSource, *, name: str = "image"
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
+    """Picture as `read_image` gives it, and its transparent pixels (H, W), None if none or all."""
+    picture, alpha = _read(source, MAX_PIXELS, name)
+    return picture, None if alpha is None else alpha < _OPAQUE
+
+
+def _read(
+    source: ImageSource, max_pixels: int, name: str
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """Picture, and its alpha channel where that tells pixels apart."""
     if isinstance(source, np.ma.MaskedArray):
         raise ValueError(f"{name} must be a plain array; give what is hidden as a mask of its own")
     if not isinstance(source, str | os.PathLike):
         return _rgb_from_array(np.asarray(source), name)
     path = Path(source)
-    image = _rgb_from_array(decode_image_file(path, max_pixels, name), f"{name} {path}")
+    image, alpha = _rgb_from_array(decode_image_file(path, max_pixels, name), f"{name} {path}")
     cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image)
-    return image
+    return image, alpha
+
+
+def _away_from_edges(alpha: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Opaque pixels, but for those beside others: black that is blended in makes corners there."""
+    opaque = (alpha >= _OPAQUE).astype(np.uint8)
+    margin = max(2, alpha.shape[1] // _EDGES_PER_WIDTH)
+    window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
+    return np.asarray(cv2.erode(opaque, window) > 0)
 
 
 def read_mask(
@@ -227,7 +273,10 @@ def _is_disc_on_black(half: NDArray[np.uint8]) -> bool:
     return bool(0.78 < disc_radius < 1.15 and np.hypot(*centre) < 0.12 and fits.mean() > 0.7)
 
 
-def _rgb_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
+def _rgb_from_array(
+    array: NDArray[Any], name: str
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+    """Three channels of 8 bits, and the fourth where it tells pixels apart."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
@@ -236,14 +285,15 @@ def _rgb_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:
         )
     pixels = np.ascontiguousarray(_uint8_from_array(array, name))
     if pixels.shape[2] == 1:
-        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB), dtype=np.uint8), None
     if pixels.shape[2] == 3:
-        return pixels
-    alpha = pixels[:, :, 3]
-    rgb = cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB)
-    if alpha.min() < 255:
-        cv2.multiply(rgb, cv2.merge([alpha] * 3), dst=rgb, scale=1 / 255)
-    return np.asarray(rgb, dtype=np.uint8)
+        return pixels, None
+    alpha = np.ascontiguousarray(pixels[:, :, 3])
+    rgb = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
+    if alpha.min() == _OPAQUE:
+        return rgb, None
+    cv2.multiply(rgb, cv2.merge([alpha] * 3), dst=rgb, scale=1 / 255)
+    return rgb, alpha if alpha.max() == _OPAQUE else None
 
 
 def _uint8_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:

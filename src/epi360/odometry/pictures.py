@@ -59,5 +59,13 @@ class PictureWatch:
 def mask_for(camera: Camera, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mask in the size of a camera's pictures."""
     size = (camera.width, camera.height)
+    if mask.shape == size[::-1]:
+        return mask
     resized = cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(resized > 0)
+
+
+def joint_mask(camera: Camera, *masks: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+    """What all masks leave, in the size of a camera's pictures; None where there is none."""
+    given = [mask_for(camera, mask) for mask in masks if mask is not None]
+    return np.logical_and.reduce(given) if given else None

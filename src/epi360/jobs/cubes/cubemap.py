@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.features.image_headers import read_image_header
-from epi360.features.images import nadir_mask, read_image, read_mask
+from epi360.features.image_headers import may_be_transparent, read_image_header
+from epi360.features.images import nadir_mask, read_mask, read_transparent_image
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.nerfstudio import write_nerfstudio
@@ -83,8 +83,8 @@ def export_cubemap(
     (nerfstudio). Both are in the world of ``reconstruction``, turned so that the mean of its
     cameras' y axes is down: y in COLMAP's model, -z in nerfstudio's file. With ``keep_world``, or
     if the cameras do not agree on a vertical, the model keeps the world. ``cubemap.json`` says how
-    it was turned (``upright_from_world``). Where something is masked or a camera
-    does not see all around, there is a mask for every face, which ``transforms.json`` names: for
+    it was turned (``upright_from_world``). Where something is masked or transparent, or a
+    camera does not see all around, every face has a mask, which ``transforms.json`` names: for
     ``images/NAME.jpg`` it is ``masks/NAME.jpg.png``, COLMAP's name, and the same again as
     ``masks/NAME.png``, where nerfstudio's reader of COLMAP models looks. ``masks`` are those of the
     images by name, white = use; ``mask_nadir_deg`` around straight down is masked as well. A
@@ -110,6 +110,9 @@ def export_cubemap(
     if not cube.images:
         raise ValueError("there is no posed image to cut into faces")
     masked = mask_nadir_deg > 0 or any((masks or {}).values()) or not _see_all(reconstruction)
+    masked = masked or any(
+        may_be_transparent(folder / image.name) for image in reconstruction.images
+    )
     cutter = _Cutter(folder, output, options, dict(masks or {}), mask_nadir_deg, masked)
     names = face_image_names([image.name for image in reconstruction.images], options)
     cutter.prepare(reconstruction, names)
@@ -290,13 +293,13 @@ class _Cutter:
         pool: ThreadPoolExecutor,
     ) -> None:
         """Write the faces of one panorama, and their masks where something is masked."""
-        image = read_image(self.folder / panorama, name="image")
+        image, hidden = read_transparent_image(self.folder / panorama)
         if image.shape[:2] != (camera.height, camera.width):
             raise ValueError(
                 f"image {panorama} is {image.shape[1]}x{image.shape[0]} but its camera is "
                 f"{camera.width}x{camera.height}"
             )
-        masks = self._masks_of_faces(panorama, camera, samplers) if self.masked else {}
+        masks = self._masks_of_faces(panorama, camera, samplers, hidden) if self.masked else {}
 
         def write(face: FaceName) -> None:
             picture = samplers[face].picture(image)
@@ -313,15 +316,20 @@ class _Cutter:
         list(pool.map(write, faces))
 
     def _masks_of_faces(
-        self, panorama: str, camera: Camera, samplers: Mapping[FaceName, FaceSampler]
+        self,
+        panorama: str,
+        camera: Camera,
+        samplers: Mapping[FaceName, FaceSampler],
+        hidden: NDArray[np.bool_] | None,
     ) -> dict[FaceName, _FaceMask]:
         """Masks and their files; one mask of all panoramas is cut once: 8 s if 11008 wide."""
         file = self.masks.get(panorama)
-        if self._face_masks is None or self._face_masks[:2] != (camera, file):
+        if hidden is not None:
             mask = self._mask(panorama, camera)
-            cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
-            files = {face: (cut[face], encode_picture(cut[face], ".png")) for face in cut}
-            self._face_masks = camera, file, files
+            return _cut_masks(samplers, ~hidden if mask is None else mask & ~hidden)
+        if self._face_masks is None or self._face_masks[:2] != (camera, file):
+            cut = _cut_masks(samplers, self._mask(panorama, camera))
+            self._face_masks = camera, file, cut
         return self._face_masks[2]
 
     def _mask(self, panorama: str, camera: Camera) -> NDArray[np.bool_] | None:
@@ -341,6 +349,13 @@ class _Cutter:
         names = f"{face}.png", str(PurePosixPath(face).with_suffix(".png"))
         first, second = (inside(self.output / "masks", name) for name in names)
         return first, second
+
+
+def _cut_masks(
+    samplers: Mapping[FaceName, FaceSampler], mask: NDArray[np.bool_] | None
+) -> dict[FaceName, _FaceMask]:
+    cut = {face: sampler.mask(mask) for face, sampler in samplers.items()}
+    return {face: (cut[face], encode_picture(cut[face], ".png")) for face in cut}
 
 
 def _check_size(what: str, path: Path, camera: Camera) -> None:

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.features import read_image, require_panorama
+from epi360.features import require_panorama
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, SiftKeypoints, find_keypoints
 from epi360.features.image_cameras import gpano_of
+from epi360.features.images import read_masked_image
 from epi360.jobs.folder.image_set import SourceImage
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
 from epi360.runs.file_digests import FileDigests
@@ -20,7 +21,7 @@ from epi360.runs.remote_path import AnyPath
 from epi360.runs.whole_files import write_file
 
 # Raise it when the same image and options give other key points than before.
-EXTRACTION_VERSION = 4
+EXTRACTION_VERSION = 5
 _TYPES = {
     "pixels": np.float32,
     "sizes": np.float32,
@@ -81,13 +82,13 @@ class FeatureCache:
     def extract(self, key: str, image: SourceImage, camera: Camera) -> SiftKeypoints:
         """Find the key points of an image, strongest first, and keep them; as `load` gives them."""
         try:
-            picture = read_image(image.path)
+            picture, usable = read_masked_image(image.path, image.mask)
             if camera == Equirectangular(camera.width, camera.height):
                 require_panorama(picture, is_stated=gpano_of(image.path) is not None)
             found = find_keypoints(
                 picture,
                 camera,
-                image.mask,
+                usable,
                 **asdict(self.options),
                 contrast_threshold=FAINT_CONTRAST_THRESHOLD,
             )

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from epi360.cameras import Camera
-from epi360.features import read_image, read_mask
+from epi360.features.images import read_masked_image
 from epi360.features.warped_patches import Panorama
 from epi360.jobs.folder.image_set import SourceImage
 
@@ -14,6 +14,5 @@ def read_panorama(image: SourceImage, camera: Camera, mask_nadir_deg: float) -> 
 
     ``OSError`` or ``ValueError`` where the picture or the mask cannot be read.
     """
-    picture = read_image(image.path)
-    mask = None if image.mask is None else read_mask(image.mask, picture.shape[:2])
-    return Panorama.seen_by(camera, picture, mask, mask_nadir_deg)
+    picture, usable = read_masked_image(image.path, image.mask)
+    return Panorama.seen_by(camera, picture, usable, mask_nadir_deg)

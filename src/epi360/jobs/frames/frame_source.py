@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Equirectangular
 from epi360.cameras.gpano import panorama_camera
 from epi360.features.image_cameras import gpano_of
-from epi360.features.images import read_image
+from epi360.features.images import read_image, read_masked_image
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
 from epi360.interop.video import Video, is_video, open_video
 from epi360.jobs.folder.folder_files import files_below
@@ -30,11 +30,15 @@ _LARGEST_TABLE = 2**28  # bytes: of millions of frames
 
 
 class SourceFrame(NamedTuple):
-    """A frame: its name, its time where that is known, and its RGB picture or why there is none."""
+    """A frame: its name, its time where that is known, its RGB picture or why there is none.
+
+    ``usable`` (H, W) are the pixels that are not transparent, None where all are.
+    """
 
     name: str
     timestamp_s: float | None
     image: NDArray[np.uint8] | Exception
+    usable: NDArray[np.bool_] | None = None
 
 
 class FrameSource(Protocol):
@@ -197,7 +201,7 @@ class _FolderFrames:
         for name, path in self._files.items():
             time = self._times.get(name)
             try:
-                yield SourceFrame(name, time, read_image(path))
+                yield SourceFrame(name, time, *read_masked_image(path))
             except (OSError, ValueError) as error:
                 yield SourceFrame(name, time, error)
 

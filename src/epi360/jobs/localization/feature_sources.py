@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.features import Features, ImageSource, read_mask
+from epi360.features import Features, ImageSource
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, find_keypoints, usable_rows
 from epi360.interop.colmap_database import read_descriptors
 from epi360.interop.colmap_pairs import ColmapPairs
@@ -31,6 +31,7 @@ from epi360.runs.inside import inside
 from epi360.runs.made_from import read_record
 
 Picture = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 GIVE_IMAGES = "give the folder of its images (--images)"
 _REMEDY = "run epi360 map with this --output again"
 
@@ -63,7 +64,7 @@ class FeatureSource(Protocol):
         self,
         picture: Picture,
         camera: Camera,
-        mask: ImageSource | None,
+        usable: Mask | None,
         nadir_deg: float,
         path: str | None = None,
     ) -> Features:
@@ -85,11 +86,11 @@ class _Extracting:
         self,
         picture: Picture,
         camera: Camera,
-        mask: ImageSource | None,
+        usable: Mask | None,
         nadir_deg: float,
         path: str | None = None,
     ) -> Features:
-        return _extracted(picture, camera, mask, self.settings, nadir_deg)
+        return _extracted(picture, camera, usable, self.settings, nadir_deg)
 
 
 @dataclass(frozen=True)
@@ -178,14 +179,13 @@ class HlocFile:
         self,
         picture: Picture,
         camera: Camera,
-        mask: ImageSource | None,
+        usable: Mask | None,
         nadir_deg: float,
         path: str | None = None,
     ) -> Features:
         """Features of a new image, by the end of its path."""
         if path is None:
             raise ValueError(f"{self.path} has features by the names of files, got an array")
-        usable = None if mask is None else read_mask(mask, picture.shape[:2])
         with opened(self.path) as file:
             found = self._read(file, self._name_in(file, Path(path).as_posix()))
         return found.chosen(usable_rows(found.keypoints, camera, usable, nadir_deg))

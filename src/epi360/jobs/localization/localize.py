@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.estimation import AbsolutePoseResult
 from epi360.estimation.absolute_result import no_pose
-from epi360.features import Features, ImageSource, read_image, read_mask
+from epi360.features import Features, ImageSource
 from epi360.features.image_cameras import find_camera
+from epi360.features.images import read_masked_image
 from epi360.jobs.localization.localization_result import LocalizationOptions, LocalizationResult
 from epi360.jobs.localization.map_matches import MapMatches, SecondLook, joined, look_again
 from epi360.jobs.localization.map_search import FIRST_VIEWS, Found, MapSearch
@@ -85,11 +86,10 @@ def localize_image(
     """
     begun = time.perf_counter()
     _check(world, without, options)
-    picture = read_image(image)
+    picture, usable = read_masked_image(image, mask)
     camera = _camera_of(image, picture, camera, world)
     path = os.fspath(image) if isinstance(image, str | os.PathLike) else None
-    features = world.source.of_new(picture, camera, mask, options.mask_nadir_deg, path)
-    usable = None if mask is None else read_mask(mask, picture.shape[:2])
+    features = world.source.of_new(picture, camera, usable, options.mask_nadir_deg, path)
     found = localize_features(features, camera, world, frozenset(without), options, usable)
     return dataclasses.replace(found, seconds=time.perf_counter() - begun)
 

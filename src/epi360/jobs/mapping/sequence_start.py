@@ -16,7 +16,7 @@ from epi360.cameras import Camera
 from epi360.cameras.calibration import own
 from epi360.cameras.calibration.own import camera_record
 from epi360.extras import package_version
-from epi360.features.images import nadir_mask, read_image, read_mask
+from epi360.features.images import nadir_mask, read_mask, read_masked_image
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.masks import MaskSource
 from epi360.jobs.frames.frame_source import SourceFrame, open_frames
@@ -26,6 +26,7 @@ from epi360.jobs.pairs.pair_selection import NUMBERED
 from epi360.jobs.records.match_store import DIGESTS
 from epi360.odometry import Odometry
 from epi360.odometry.options import OdometryOptions
+from epi360.odometry.pictures import joint_mask
 from epi360.poses import Pose
 from epi360.progress import Progress, no_progress
 from epi360.runs.file_digests import FileDigests
@@ -184,7 +185,7 @@ class _Frames:
     def _pictures(self) -> Iterable[SourceFrame]:
         for image in self._images.images:
             try:
-                yield SourceFrame(image.name, None, read_image(image.path))
+                yield SourceFrame(image.name, None, *read_masked_image(image.path))
             except (OSError, ValueError) as error:
                 yield SourceFrame(image.name, None, error)
 
@@ -227,7 +228,7 @@ def _added(odometry: Odometry, frame: SourceFrame, frames: _Frames) -> int:
     if isinstance(frame.image, Exception):
         return odometry.skip_frame(str(frame.image), frame.timestamp_s).num_tracked
     try:
-        mask = frames.mask_of(frame.name)
+        mask = joint_mask(frames.camera, frames.mask_of(frame.name), frame.usable)
     except (OSError, ValueError) as error:
         return odometry.skip_frame(str(error), frame.timestamp_s).num_tracked
     return odometry.add_frame(frame.image, frame.timestamp_s, mask=mask).num_tracked

@@ -33,6 +33,7 @@ from epi360.jobs.tracking import track_files as files
 from epi360.jobs.tracking.refine_map import refine_with_colmap
 from epi360.odometry import Odometry, OdometryOptions
 from epi360.odometry.frame_result import FrameResult
+from epi360.odometry.pictures import joint_mask
 from epi360.progress import Progress, no_progress
 from epi360.runs.interrupts import interrupted_later
 from epi360.runs.made_from import first_difference, read_record, write_record
@@ -349,9 +350,8 @@ class _Run:
             result = self.odometry.skip_frame(f"cannot be read: {reason}", frame.timestamp_s)
         else:
             image = frame.image
-            result = self.odometry.add_frame(
-                image, frame.timestamp_s, mask=self._mask_of(frame.name)
-            )
+            mask = joint_mask(self._camera, self._mask_of(frame.name), frame.usable)
+            result = self.odometry.add_frame(image, frame.timestamp_s, mask=mask)
         self._seconds += time.perf_counter() - begun
         if not self._source.is_selection:
             self._name_gap(frame.name, result.index)
