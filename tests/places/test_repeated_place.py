@@ -54,7 +54,8 @@ class Rival:
     ("own", "rival", "is_doubted"),
     [
         (OwnEvidence(6.0, 3.0), {}, True),
-        (OwnEvidence(6.0, 3.0), {"share": 0.1}, True),
+        (OwnEvidence(6.0, 3.0), {"share": 0.3}, True),
+        (OwnEvidence(6.0, 3.0), {"share": 0.2}, False),  # four times as many agree with the pose
         (OwnEvidence(3.0, 3.0), {"share": 0.3}, False),  # it looks like another place
         (OwnEvidence(6.0, 1.0), {"share": 0.3}, False),
         (OwnEvidence(6.0, 3.0, is_known=False), {"share": 0.3}, False),

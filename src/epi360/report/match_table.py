@@ -147,7 +147,8 @@ def describe_noise(judged: JudgedPairs) -> list[str]:
         return []
     return [
         f"{count:,} of {counted(len(accepted), 'accepted pair')} {'has' if count == 1 else 'have'} "
-        f"more noise than key points have: {NOISE_QUESTION} Their warnings say how much."
+        "more noise than SIFT's key points have (their warnings say how much). Learned ones may be "
+        f"as coarse; if yours are not, {NOISE_QUESTION}"
     ]
 
 

@@ -14,7 +14,13 @@ from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
 from epi360.places.own_evidence import OwnEvidence, grow_both
-from epi360.places.repeated_place import MANY_OTHERS, are_many, is_another, looks_right
+from epi360.places.repeated_place import (
+    MANY_OTHERS,
+    are_many,
+    competes,
+    is_another,
+    looks_right,
+)
 from epi360.places.shared_points import PosedPair
 
 _PRIOR = "rival"
@@ -34,9 +40,11 @@ def find_rivals(
         rivals, many = {}, set()
         for pair, other in results:
             verdict, keys = pair.verified.verdict, pair.verified.keys
-            if not other.verdict.accepted or not is_another(
-                verdict.cam2_from_cam1, other.verdict.cam2_from_cam1
-            ):
+            if not other.verdict.accepted:
+                continue
+            if not competes(other.verdict.num_inliers, verdict.num_inliers):
+                continue
+            if not is_another(verdict.cam2_from_cam1, other.verdict.cam2_from_cam1):
                 continue
             rivals[keys] = settled.posed(other)
             if are_many(other.verdict.num_inliers, verdict.num_inliers):
