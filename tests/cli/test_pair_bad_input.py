@@ -120,7 +120,7 @@ def test_an_unusable_image_is_refused_in_either_place(run, name, fragments):
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [
-        (["--mask", "small_mask.png"], ["mask1", "512x256", "256x128"]),
+        (["--mask", "small_mask.png"], ["--mask must", "512x256", "256x128"]),
         (["--mask2", "small_mask.png"], ["mask2", "512x256", "256x128"]),
         (["--mask1", "missing.png"], ["mask1 missing.png does not exist"]),
         (["--mask1", "text.jpg"], ["mask1 text.jpg is not"]),

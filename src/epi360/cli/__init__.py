@@ -125,9 +125,12 @@ def _one_line(error: Exception) -> str:
 def _as_typed(text: str, words: Sequence[str]) -> str:
     """Error message that names the options of the command, where it names parameters of Python."""
     options = _options_of(words)
+    given = {word.partition("=")[0] for word in words}
 
     def option(name: str) -> str | None:
         typed = f"--{name.replace('_', '-')}"
+        if typed not in given and typed[:-1] in given & options:  # --mask is mask1 and mask2
+            return typed[:-1]
         return typed if typed in options else None
 
     name, must, rest = text.partition(" must ")
