@@ -6,8 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -18,14 +17,12 @@ import numpy as np
 from epi360.cameras.upright import is_full_panorama
 from epi360.extras import extra_library
 from epi360.features.warped_patches import Panorama, remembered
-from epi360.interop.colmap_cameras import colmap_camera
 from epi360.interop.colmap_database import CONFIG_OF_STATUS, write_colmap_database
 from epi360.interop.match_graph import MatchGraph
 from epi360.interop.nerfstudio import POINTS_FILE
 from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.panoramas import read_panorama
-from epi360.jobs.graph.graph_check import groups_by
 from epi360.jobs.mapping.colmap_mapper import (
     STAGE,
     Mapper,
@@ -39,6 +36,7 @@ from epi360.jobs.mapping.lone_branches import Branch, lone_branches
 from epi360.jobs.mapping.map_attempts import RULES, Attempt, map_by_attempts
 from epi360.jobs.mapping.map_pairs import without_doubtful
 from epi360.jobs.mapping.mapped_models import (
+    MODELS,
     TRANSFORMS,
     MappedModel,
     read_models,
@@ -52,6 +50,7 @@ from epi360.jobs.mapping.sequence_start import (
     may_be_sequence,
     track_sequence,
 )
+from epi360.jobs.mapping.unmapped_images import that_colmap_takes, why_unmapped
 from epi360.jobs.matching.agreed_cameras import said_of_cameras
 from epi360.jobs.matching.match_folder import (
     MatchOptions,
@@ -67,7 +66,7 @@ from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
-DATABASE, MODELS, RECORD = "database.db", "sparse", "mapping.json"
+DATABASE, RECORD = "database.db", "mapping.json"
 TRACKED_POSES = "the poses of the odometry"
 
 
@@ -165,7 +164,7 @@ def map_images(
     """
     options = options or MapOptions()
     extra_library("pycolmap", extra="colmap", purpose="maps")
-    images, lacking = _that_colmap_takes(images)  # before hours of matching
+    images, lacking = that_colmap_takes(images)  # before hours of matching
     output = Path(output)
     record = _read_record(output)
     given = None if initial is None else _poses_of(images, initial)
@@ -180,37 +179,11 @@ def map_images(
         num_threads=options.match.num_threads,
         progress=progress,
     )
-    as_given, tracked, by_tracks = images, None, False
-    if given is None and _is_tried_as_sequence(images, options, video):
-        open_match_output(output, options.match, restart=restart)
-        tracked = track(images)
-        by_tracks = tracked.lens is not None
-        if tracked.lens is not None:
-            own = {images.images[0].camera: tracked.lens}  # a sequence has one camera
-            images = replace(images, cameras={**images.cameras, **own})
-            tracked = track(images, keep_cameras=True, record=BY_TRACKS)
-    start = time.perf_counter()
-    matched = match_images(
-        images,
-        output,
-        replace(options.match, keep_panoramas=True),  # of a part of one COLMAP has no camera
-        first_pairs=_first_pairs(images, options.match, tracked),
-        restart=restart,
-        progress=progress,
-    )
-    if matched.agreed:
-        images = replace(images, cameras=dict(matched.cameras))
-        if tracked is not None and tracked.cam_from_world:
-            tracked = track(images, keep_cameras=True, record=BY_PAIRS)
-    if images.cameras != as_given.cameras:
-        matched = replace(
-            matched,
-            agreed=said_of_cameras(as_given.cameras, images.cameras),
-            with_agreed="tracked" if by_tracks else "matched",
-        )
+    is_sequence = given is None and _is_tried_as_sequence(images, options, video)
+    found = _match(images, output, options.match, track if is_sequence else None, restart, progress)
+    images, matched, tracked = found.images, found.run, found.tracked
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
-    matching_s = time.perf_counter() - start
     poses = given or ({} if tracked is None else tracked.cam_from_world)
     work = _Work(images, graph, matched, colors, output, options, progress)
     how = "the given poses" if given else TRACKED_POSES
@@ -225,9 +198,9 @@ def map_images(
     return MapRun(
         matched,
         models,
-        {**lacking, **_reasons(images, matched, models, record["unconfirmed"])},
+        {**lacking, **why_unmapped(images, matched, models, record["unconfirmed"])},
         len(images.images) + len(lacking),
-        {**tracking, "matching": matching_s, "mapping": record["seconds"]},
+        {**tracking, "matching": found.seconds, "mapping": record["seconds"]},
         remarks,
         tuple(Attempt(**attempt) for attempt in record["attempts"]),
         record["track"] if was_asked or poses else None,
@@ -236,27 +209,55 @@ def map_images(
     )
 
 
-def _that_colmap_takes(images: ImageSet) -> tuple[ImageSet, dict[str, str]]:
-    """The images whose cameras COLMAP has, and why the others are not mapped.
+@dataclass(frozen=True, eq=False)
+class _Matched:
+    """Images with the cameras that they turned out to have, and their pairs."""
 
-    ``ValueError`` if it has none of them, or lacks one lens of a rig.
+    images: ImageSet
+    run: MatchRun
+    tracked: SequenceStart | None  # None if they were not followed
+    seconds: float  # of the matching
+
+
+def _match(
+    images: ImageSet,
+    output: Path,
+    options: MatchOptions,
+    track: Callable[..., SequenceStart] | None,
+    restart: bool,
+    progress: Progress,
+) -> _Matched:
+    """Match images; those of a sequence, for which there is ``track``, along their way.
+
+    Where tracks or pairs say that cameras are others, the way is found once more by these.
     """
-    reasons = {}
-    for name, camera in images.cameras.items():
-        try:
-            colmap_camera(camera)
-        except ValueError as error:
-            if images.cam_from_rig:
-                raise
-            reasons[name] = str(error)
-    if len(reasons) == len(images.cameras):
-        raise ValueError(next(iter(reasons.values())))
-    kept = tuple(image for image in images.images if image.camera not in reasons)
-    cameras = {name: each for name, each in images.cameras.items() if name not in reasons}
-    left_out = {
-        image.name: reasons[image.camera] for image in images.images if image.camera in reasons
-    }
-    return replace(images, images=kept, cameras=cameras), left_out
+    given, tracked, by_tracks = images.cameras, None, False
+    if track is not None:
+        open_match_output(output, options, restart=restart)
+        tracked = track(images)
+        by_tracks = tracked.lens is not None
+        if tracked.lens is not None:
+            own = {images.images[0].camera: tracked.lens}  # a sequence has one camera
+            images = replace(images, cameras={**images.cameras, **own})
+            tracked = track(images, keep_cameras=True, record=BY_TRACKS)
+    start = time.perf_counter()
+    run = match_images(
+        images,
+        output,
+        replace(options, keep_panoramas=True),  # of a part of one COLMAP has no camera
+        first_pairs=_first_pairs(images, options, tracked),
+        restart=restart,
+        progress=progress,
+    )
+    if run.agreed:
+        images = replace(images, cameras=dict(run.cameras))
+        if track is not None and tracked is not None and tracked.cam_from_world:
+            tracked = track(images, keep_cameras=True, record=BY_PAIRS)
+    seconds = time.perf_counter() - start
+    if images.cameras != given:
+        agreed = said_of_cameras(given, images.cameras)
+        run = replace(run, agreed=agreed, with_agreed="tracked" if by_tracks else "matched")
+    return _Matched(images, run, tracked, seconds)
 
 
 def _first_pairs(
@@ -460,50 +461,3 @@ def _panoramas(images: ImageSet, mask_nadir_deg: float) -> Callable[[str], Panor
             return None
 
     return panorama_of
-
-
-def _reasons(
-    images: ImageSet,
-    matched: MatchRun,
-    models: tuple[MappedModel, ...],
-    unconfirmed: Collection[str],
-) -> dict[str, str]:
-    """Why each image without a pose in the first model has none."""
-    model_of = {
-        image.name: number
-        for number, model in reversed(list(enumerate(models)))
-        for image in model.reconstruction.images
-    }
-    tried: dict[str, Counter[str]] = {image.name: Counter() for image in images.images}
-    for pair in matched.verdicts:
-        for name in (pair.image1, pair.image2):
-            tried[name]["ok" if pair.accepted else pair.rejection] += 1
-    reasons = {}
-    for name, statuses in tried.items():
-        number = model_of.get(name)
-        if number == 0:
-            continue
-        if name in matched.unreadable:
-            reasons[name] = matched.unreadable[name]
-        elif number is None and name in unconfirmed:
-            reasons[name] = "too few points and pairs confirm the place that was found"
-        elif number is not None:
-            reasons[name] = f"is in {MODELS}/{number}, which does not connect to {MODELS}/0"
-        elif not statuses["ok"]:
-            counts = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
-            reasons[name] = f"no accepted pair ({counts or 'none tried'})"
-        elif name not in _joined_to(model_of, matched):
-            reasons[name] = f"no accepted pair joins it to the images of {MODELS}/0"
-        else:
-            reasons[name] = "has accepted pairs, but COLMAP's mapper could not place it"
-    return reasons
-
-
-def _joined_to(model_of: Mapping[str, int], matched: MatchRun) -> set[str]:
-    """Images that accepted pairs join to those of the first model; all where there is none."""
-    accepted = [(each.image1, each.image2) for each in matched.verdicts if each.accepted]
-    group_of = groups_by(accepted)
-    mapped = {
-        group_of[name] for name, number in model_of.items() if not number and name in group_of
-    }
-    return {name for name, group in group_of.items() if not mapped or group in mapped}

@@ -16,7 +16,7 @@ from epi360.interop.reconstruction import Reconstruction
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.folder.posed_pictures import remark_on_turned, write_transforms
 
-TRANSFORMS = "transforms.json"
+MODELS, TRANSFORMS = "sparse", "transforms.json"
 
 
 @dataclass(frozen=True, eq=False)
