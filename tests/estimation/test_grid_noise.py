@@ -7,7 +7,7 @@ from noisy_problems import random_directions
 
 from epi360 import _core, estimate_relative_pose
 from epi360.cameras import Equirectangular, Pinhole
-from epi360.estimation.grid_noise_reference import grid_noise
+from epi360.estimation.grid_noise_reference import grid_noise, least_noise
 from epi360.poses import Pose, translation_error_deg
 
 internals = _core.internals
@@ -108,12 +108,71 @@ def test_a_step_of_two_cells_is_found_as_with_other_noise(cells):
     assert right >= 4
 
 
-def test_a_camera_that_stands_still_has_only_turned():
-    pixels, _, _ = small_step(3, 0.1)
-    view = bearings(rounded(pixels))[0]
-    result = estimate_relative_pose(view, view)
+def test_a_step_that_no_cell_tells_is_a_rotation_with_the_noise_of_rounding():
+    pixels1, pixels2, _ = small_step(3, 1e-4)
+    views = bearings(rounded(pixels1), rounded(pixels2))
+    result = estimate_relative_pose(*views)
     assert result.status == "pure_rotation"
-    assert result.noise_deg == pytest.approx(360.0 / 2048 / np.sqrt(12.0), rel=0.02)
+    assert result.noise_deg > 0.2 * 360.0 / 2048
+    same = estimate_relative_pose(views[0], views[0])  # a picture that stands still is exact
+    assert same.status == "pure_rotation" and same.noise_deg < 1e-9
+
+
+def lattice(num, low, high):
+    steps = np.linspace(low, high, num)
+    return np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+
+
+BOARD = np.stack(np.meshgrid(0.1 * np.arange(9), 0.1 * np.arange(6), [1.0]), -1).reshape(-1, 3)
+EXACT = {
+    "lattice": lattice(6, -2.0, 2.0) + [0.0, 0.0, 6.0],
+    "room": lattice(4, -2.0, 2.0),  # around the camera
+    "boards": np.vstack([BOARD, BOARD + [0.05, 0.03, 0.7]]) - [0.4, 0.25, 0.0],
+    "cube": lattice(2, -1.0, 1.0) + [0.0, 0.0, 4.0],
+}
+
+
+@pytest.mark.parametrize("step", [(0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.3, 0.11, 0.2)])
+@pytest.mark.parametrize("name", EXACT)
+@pytest.mark.parametrize("share_wrong", [0.0, 0.2])
+def test_exact_scenes_whose_points_share_rows_stay_exact(name, step, share_wrong):
+    points = EXACT[name]
+    rng = np.random.default_rng(0)
+    views = [points / np.linalg.norm(points, axis=1, keepdims=True)]
+    moved = points + step
+    views.append(moved / np.linalg.norm(moved, axis=1, keepdims=True))
+    wrong = rng.permutation(len(points))[: int(share_wrong * len(points))]
+    views[1][wrong] = random_directions(1, len(wrong))
+    result = estimate_relative_pose(*views)
+    if name == "cube" and share_wrong:
+        return  # seven matches say little
+    assert result.status == "ok" and result.noise_deg < 1e-6
+    truth = Pose(np.eye(3), np.array(step) / np.linalg.norm(step))
+    assert translation_error_deg(result.cam2_from_cam1, truth) < 1e-5
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.05])
+def test_disparities_between_pixels_are_better_than_pixels(noise_px):
+    """A rectified stereo pair: rows are whole pixels, and columns sixteenths in view 2."""
+    rng = np.random.default_rng(1)
+    left = rounded(rng.uniform(0.0, 1.0, (1500, 2)) * [1000.0, 750.0])
+    disparity = 0.04 * 600.0 / rng.uniform(2.0, 10.0, 1500) + noise_px * rng.normal(size=1500)
+    right = left - np.stack([np.round(16.0 * disparity) / 16.0, np.zeros(1500)], axis=1)
+    result = estimate_relative_pose(*bearings(left, right, camera=PHOTOGRAPH))
+    truth = Pose(np.eye(3), np.array([-1.0, 0.0, 0.0]))
+    assert result.status == "ok"
+    assert translation_error_deg(result.cam2_from_cam1, truth) < 0.1
+
+
+@pytest.mark.parametrize("cells", [1.0, 16.0])
+@pytest.mark.parametrize("seed", range(4))
+def test_the_twin_doubts_what_the_core_has_doubted(seed, cells):
+    """An answer that the core gives is one that its twin does not doubt."""
+    pixels1, pixels2, _ = small_step(seed, 3.6 * cells * 2.0 * np.pi / 2048)
+    views = bearings(rounded(pixels1, cells), rounded(pixels2, cells))
+    result = estimate_relative_pose(*views)
+    if result.status == "ok":
+        assert least_noise(*views, result) == 0.0
 
 
 def test_exact_bearings_stay_exact():

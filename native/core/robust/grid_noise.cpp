@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "core/robust/derivative_noise.h"
+
 namespace epi360 {
 namespace {
 
@@ -22,6 +24,10 @@ constexpr double kSmallest = 0.02;  // share of the gaps that may be smaller tha
 // as those of a picture with 4.6 times as many rows; that rows near the horizon have more points
 // makes it 3.5 times. The cells of the largest picture are the smallest.
 constexpr double kPyramid = 3.5;
+constexpr double kLargestCell = 0.06;  // radians: 10 pixels of 1024
+// An answer is doubted if its noise is less than this share of that of rounding, and matches that
+// are no inliers, and off by two cells at most, are at least so many of its inliers.
+constexpr double kLessNoise = 0.7, kNearlyRight = 0.1, kNearCells = 2.0;
 constexpr double kOneGrid = 0.3;  // of the distance that rows of one grid have by their number
 
 // The rows of a grid that so many points hit, each row alike, if that many rows are hit: birthdays.
@@ -134,7 +140,25 @@ double grid_noise(const Matches& m) {
   const double first = Bearings{m.x1, m.y1, m.z1, m.size}.cell();
   if (!(first > 0.0)) return 0.0;
   const double second = Bearings{m.x2, m.y2, m.z2, m.size}.cell();
-  return std::min(first, second) / std::sqrt(12.0);
+  const double cell = std::min(first, second);
+  return cell < kLargestCell ? cell / std::sqrt(12.0) : 0.0;
+}
+
+double least_scale_of_grid(const Matches& m, Residual residual, const RobustResult& answer) {
+  const double rounding = grid_noise(m);
+  const bool is_rotation = answer.verdict.status == Status::kPureRotation;
+  const double per_residual = is_rotation ? 1.0 : noise_per_residual(residual);
+  if (!(rounding > 0.0) || !(answer.scale * per_residual < kLessNoise * rounding)) return 0.0;
+  const double near = kNearCells * std::sqrt(12.0) * rounding / per_residual;
+  double inliers = 0.0, nearly = 0.0;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (answer.inlier[i]) {
+      inliers += m.weight[i];
+    } else if (std::abs(answer.residuals[i]) < near) {
+      nearly += m.weight[i];
+    }
+  }
+  return nearly > kNearlyRight * inliers ? rounding / noise_per_residual(residual) : 0.0;
 }
 
 }  // namespace epi360

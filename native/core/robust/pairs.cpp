@@ -13,7 +13,6 @@
 
 #include "core/constants.h"
 #include "core/robust/copies.h"
-#include "core/robust/derivative_noise.h"
 #include "core/robust/grid_noise.h"
 
 namespace epi360 {
@@ -200,8 +199,6 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   const std::size_t num_copies = merge_copies(usable);
   if (input.weights && usable.m.size > 0) normalise_weights(usable);
   const double pixel = usable.m.has_jacobians() ? normalise_jacobians(usable.m) : 1.0;
-  usable.m.least_scale =
-      std::max(grid_noise(usable.m) / noise_per_residual(options.residual), kSmallestScale);
   RobustOptions scaled = options;
   if (options.threshold_in_pixels) {
     scaled.threshold = std::min(pixel * options.threshold, kWidestGate);
@@ -219,6 +216,11 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
   RobustResult& r = out.robust;
   const RowCounts rows{input.n, num_copies};
   r = estimate_relative_pose(usable.m, scaled, priors, input.seed, rows);
+  const double least = least_scale_of_grid(usable.m, options.residual, r);
+  if (least > 0.0) {
+    usable.m.least_scale = least;
+    r = estimate_relative_pose(usable.m, scaled, priors, input.seed, rows);
+  }
   r.inlier = spread_out<unsigned char>(r.inlier, usable.match_of_row, 0);
   r.residuals = spread_out<double>(r.residuals, usable.match_of_row, std::nan(""));
   return out;
