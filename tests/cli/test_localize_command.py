@@ -109,7 +109,10 @@ def test_an_image_that_cannot_be_read_has_its_row(room_run, new_folder, tmp_path
     assert bad["status"] == "unreadable_image" and bad["qw"] == bad["probability"] == ""
     assert "truncated" in bad["warnings"] and len(rows) == 4
     record = json.loads(outputs[1].read_text(encoding="utf-8"))["images"]
-    assert {each["image"]: each["status"] for each in record}["bad.png"] == "unreadable_image"
+    assert all(each.keys() == record[0].keys() for each in record)
+    (unread,) = [each for each in record if each["image"] == "bad.png"]
+    assert (unread["status"], unread["success"]) == ("unreadable_image", False)
+    assert unread["cam_from_world"] is unread["probability"] is None
 
 
 def test_a_run_goes_on_from_the_results_that_are_kept(room_run, new_folder, tmp_path, capsys):

@@ -224,6 +224,25 @@ def test_ctrl_c_inside_of_a_frame_waits_for_it(tmp_path, monkeypatch):
     assert len(model.images) == log_of(tmp_path / "out")["num_key_frames"] > 0
 
 
+@pytest.mark.parametrize("name", ["write_trajectory", "write_frames", "key_frame_model"])
+def test_ctrl_c_while_files_are_written_writes_them_all(tmp_path, monkeypatch, name):
+    write_frames(tmp_path / "frames", 8)
+    write, pressed = getattr(track_files, name), []
+
+    def interrupted(*arguments):
+        if not pressed and (tmp_path / "out" / "track.json").is_file():
+            pressed.append(True)
+            raise KeyboardInterrupt
+        return write(*arguments)
+
+    monkeypatch.setattr(track_files, name, interrupted)
+    out = tmp_path / "out"
+    assert main(["track", str(tmp_path / "frames"), "--out", str(out)]) == 130
+    assert pressed and log_of(out)["track"] == "interrupted"
+    assert len(stamps_of(out)) == len(rows_of(out)) == 8
+    assert len(read_nerfstudio(out / "transforms.json").images) == log_of(out)["num_key_frames"]
+
+
 def test_frames_of_another_size_have_the_camera_of_their_size(tmp_path):
     folder, out = tmp_path / "frames", tmp_path / "out"
     write_frames(folder, 10)
@@ -234,6 +253,11 @@ def test_frames_of_another_size_have_the_camera_of_their_size(tmp_path):
     camera = tmp_path / "camera.yaml"
     camera.write_text(f"model: Equirectangular\nwidth: {width}\nheight: {height}\n")
     assert main(["track", str(folder), "--out", str(out), "--camera", str(camera)]) == 0
+    for path in sorted(folder.iterdir()):
+        write_picture(tmp_path / "masks" / path.name, np.full((height, width, 3), 255, np.uint8))
+    masked = ["--mask", str(tmp_path / "masks"), "--out", str(tmp_path / "masked")]
+    assert main(["track", str(folder), "--camera", str(camera), *masked]) == 0
+    assert "mask_path" not in (tmp_path / "masked" / "transforms.json").read_text()
     model = read_colmap_model(out / "sparse" / "0")
     sizes = {name: (each.width, each.height) for name, each in model.cameras.items()}
     for image in model.images:

@@ -33,6 +33,16 @@ def test_masks_are_cut_like_the_panoramas(tmp_path):
     assert read_picture(out / "masks" / "b_up.jpg.png").all()
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tif", ".webp", ".bmp"])
+def test_opaque_pictures_have_no_masks(tmp_path, suffix):
+    folder, _ = two_panoramas(tmp_path, ("a.png",))
+    opaque = np.dstack([cv2.imread(str(folder / "a.png")), np.full((128, 256), 255, np.uint8)])
+    picture = opaque if suffix == ".png" else opaque[:, :, :3]
+    cv2.imwrite(str(folder / f"b{suffix}"), picture)
+    export_cubemap(folder, plain_reconstruction([f"b{suffix}"]), tmp_path / "out")
+    assert not (tmp_path / "out" / "masks").exists()
+
+
 def test_what_is_transparent_is_masked(tmp_path):
     folder, source = two_panoramas(tmp_path, ("a.png", "b.png"))
     opaque = cv2.imread(str(folder / "a.png"))

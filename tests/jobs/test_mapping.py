@@ -336,6 +336,11 @@ def test_a_part_of_a_panorama_is_named_and_the_others_are_mapped(tmp_path, room_
     assert "fill the picture up to 2:1" in run.unregistered["cut.png"]
     assert run.num_images == len(both.images)
     assert set(run.unregistered) == {"cut.png", "zz_grey.png"}
+    names = [image.name for image in whole.images if image.name != "zz_grey.png"]
+    listed = tmp_path / "pairs.txt"
+    listed.write_text("".join(f"{name}\tcut.png\n{names[0]}\t{name}\n" for name in names[1:]))
+    options = MapOptions(match=MatchOptions(pairs=listed))
+    assert "cut.png" in map_images(both, tmp_path / "listed", options).unregistered
     with pytest.raises(ValueError, match="no camera for a part of a panorama"):
         map_images(replace(both, images=(cut,), cameras={"part": part}), tmp_path / "none")
 
@@ -343,11 +348,11 @@ def test_a_part_of_a_panorama_is_named_and_the_others_are_mapped(tmp_path, room_
 def test_pictures_that_a_tag_turns_are_remarked_on(tmp_path):
     upright = np.zeros((32, 64, 3), np.uint8)
     (tmp_path / "in").mkdir()
-    for name, orientation in (("a", 6), ("b", 1)):
+    for name, orientation in (("a", 6), ("b", 1), ("c", 0), ("d", 9)):
         exif = Image.Exif()
         exif[0x0112] = orientation
         Image.fromarray(upright).save(tmp_path / "in" / f"{name}.jpg", exif=exif)
-    (remark,), _ = written_transforms(tmp_path, {"a": CAMERA, "b": CAMERA})
+    (remark,), _ = written_transforms(tmp_path, dict.fromkeys("abcd", CAMERA))
     assert remark.startswith("a.jpg is stored turned (Exif)") and "COLMAP and nerfstudio" in remark
 
 

@@ -65,14 +65,6 @@ def read_image_header(path: str | os.PathLike[str]) -> ImageHeader:
         return parse_image_header(file)
 
 
-def may_be_transparent(path: str | os.PathLike[str]) -> bool:
-    """Whether pixels of a file may be transparent, as far as its header tells."""
-    try:
-        return read_image_header(path).may_have_alpha
-    except (OSError, ValueError):
-        return False
-
-
 def parse_image_header(file: IO[bytes]) -> ImageHeader:
     """Header of a file that is open at its start; ``OSError`` if it cannot be read."""
     start = file.read(8)

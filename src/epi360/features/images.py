@@ -20,7 +20,7 @@ _LARGEST_OF_12_BITS = 4095
 # along its first and last rows, in grey values. Of 800 panoramas, real and rendered ones, some of
 # them cut, none has both; of 120 rendered photographs 90 have.
 _LEAST_GAP, _LEAST_BESIDE, _LEAST_CHANGE, _FEWEST_ROWS = 5.0, 0.5, 10.0, 64
-_OPAQUE = 255  # from this value of the alpha channel on
+_OPAQUE = 128  # from this value of the alpha channel on
 _EDGES_PER_WIDTH = 400  # of a picture: so wide are the edges of what is transparent
 _NUM_BESIDE = 8  # columns at either end, some of which may be a border
 
@@ -67,8 +67,9 @@ def read_masked_image(
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
     """Picture as `read_image` gives it, and the pixels (H, W) of it to use, None for all.
 
-    They are those of the mask, as of `read_mask`, that are not transparent, nor at the edge of
-    what is. Transparency of all pixels says nothing. The errors are those of both functions.
+    They are those of the mask, as of `read_mask`, that are not transparent by half and more, nor at
+    the edge of what is. Transparency of all pixels says nothing. The errors are those of both
+    functions.
     """
     picture, alpha = _read(source, MAX_PIXELS, name)
     usable = None if alpha is None else _away_from_edges(alpha)
@@ -81,7 +82,10 @@ def read_masked_image(
 def read_transparent_image(
     source: ImageSource, *, name: str = "image"
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_] | None]:
-    """Picture as `read_image` gives it, and its transparent pixels (H, W), None if none or all."""
+    """Picture as `read_image` gives it, and its pixels (H, W) that are transparent.
+
+    They are so by half and more; None instead if there are none, or all are.
+    """
     picture, alpha = _read(source, MAX_PIXELS, name)
     return picture, None if alpha is None else alpha < _OPAQUE
 
@@ -290,10 +294,10 @@ def _rgb_from_array(
         return pixels, None
     alpha = np.ascontiguousarray(pixels[:, :, 3])
     rgb = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
-    if alpha.min() == _OPAQUE:
+    if alpha.min() == 255:
         return rgb, None
     cv2.multiply(rgb, cv2.merge([alpha] * 3), dst=rgb, scale=1 / 255)
-    return rgb, alpha if alpha.max() == _OPAQUE else None
+    return rgb, alpha if alpha.min() < _OPAQUE <= alpha.max() else None
 
 
 def _uint8_from_array(array: NDArray[Any], name: str) -> NDArray[np.uint8]:

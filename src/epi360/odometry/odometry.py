@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from epi360.cameras import Camera
 from epi360.cameras.resizing import resized_camera, smallest_pixel_deg
 from epi360.estimation.absolute_pose_fit import AbsolutePoseFit
-from epi360.features import ImageSource, read_image, read_mask
+from epi360.features import ImageSource, read_mask
 from epi360.features.frame_tracker import FrameTracker
 from epi360.features.image_cameras import check_camera
-from epi360.features.images import usable_at
+from epi360.features.images import read_masked_image, usable_at
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -30,7 +30,7 @@ from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
-from epi360.odometry.pictures import PictureWatch, mask_for
+from epi360.odometry.pictures import PictureWatch, joint_mask, mask_for
 from epi360.odometry.recognition import Recognition
 from epi360.odometry.results import joined, no_points, trajectory_of, updated_results
 from epi360.odometry.segment import Segment
@@ -87,6 +87,7 @@ class Odometry:
         seed: int = 0,
     ) -> None:
         check_camera(camera, "camera")
+        self._camera = camera
         self._options = options or OdometryOptions()
         self._seed = seed
         self._gravity = GravityPrior.given(gravity, gravity_sigma_deg)
@@ -143,7 +144,8 @@ class Odometry:
         FileNotFoundError
             If it does not exist.
         """
-        picture = read_image(image)
+        picture, opaque = read_masked_image(image)
+        mask = joint_mask(self._camera, mask, opaque)
         frame = self._next_frame(timestamp_s)
         fitted, misfit = self._watch.fitted(picture)
         if fitted is None:

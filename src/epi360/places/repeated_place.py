@@ -8,6 +8,7 @@ their own, hardly anything around it looks as it says.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,9 @@ from epi360.cameras import Camera
 from epi360.estimation.angle_search import Estimate
 from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.estimation.result import ImagePairResult
+from epi360.features.shared_surfaces import SharedSurfaces
 from epi360.features.warped_patches import Panorama
+from epi360.places.corridor import repeats_itself
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, poses_agree
@@ -38,8 +41,9 @@ MANY_OTHERS = (
     "move, or the place repeat itself"
 )
 _MANY = 1.0 / 3.0  # of the inliers
-# Of corridors, the right pose has 0.39 times the matches of a wrong one at least. A furnished room
-# that looks much the same when it is turned by half has a second pose of 0.14 to 0.17 of them.
+# A furnished room that looks much the same when it is turned by half has a second pose with 0.14 to
+# 0.17 times the matches of the right one. Of corridors, a wrong one may have six times as many as
+# the right one.
 _COMPETING = 0.25
 
 
@@ -54,9 +58,17 @@ def looks_right(own: OwnEvidence) -> bool:
     return own.is_known and own.over_others > over_others and own.over_copies > over_copies
 
 
-def competes(num_others: int, num_inliers: int) -> bool:
-    """Whether so many other matches agree on another pose that it may be the right one."""
-    return num_others >= _COMPETING * num_inliers
+def competes(
+    num_others: int,
+    num_inliers: int,
+    views: tuple[SharedSurfaces, SharedSurfaces],
+    panoramas: Sequence[Panorama],
+) -> bool:
+    """Whether another pose that looks right may be the right one.
+
+    Enough matches agree with it, or what it shows is a corridor, where few may.
+    """
+    return num_others >= _COMPETING * num_inliers or repeats_itself(views, panoramas)
 
 
 def are_many(num_others: int, num_inliers: int) -> bool:
@@ -83,9 +95,7 @@ def with_rival_pose(
         for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)
     ]
     other = estimate(*(np.where(left[:, None], each, np.nan) for each in bearings))
-    if not other.success or not competes(other.num_inliers, result.num_inliers):
-        return result
-    if not is_another(result.cam2_from_cam1, other.cam2_from_cam1):
+    if not other.success or not is_another(result.cam2_from_cam1, other.cam2_from_cam1):
         return result
     rows = np.flatnonzero(other.inlier_mask)
     pair = PosedPair.of(
@@ -95,8 +105,10 @@ def with_rival_pose(
         bearings,
         noise_deg=other.noise_deg,
     )
-    if not looks_right(OwnEvidence.of(pair, grow_both(pair, panoramas, num_threads=2))):
-        if not are_many(other.num_inliers, result.num_inliers):
+    views = grow_both(pair, panoramas, num_threads=2)
+    counts = other.num_inliers, result.num_inliers
+    if not (looks_right(OwnEvidence.of(pair, views)) and competes(*counts, views, panoramas)):
+        if not are_many(*counts):
             return result
         return replace(result, warnings=(*result.warnings, MANY_OTHERS))
     return replace(

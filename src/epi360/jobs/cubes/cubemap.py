@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.features.image_headers import may_be_transparent, read_image_header
+from epi360.features.image_headers import read_image_header
 from epi360.features.images import nadir_mask, read_mask, read_transparent_image
 from epi360.features.picture_writing import encode_picture
 from epi360.interop.colmap_model import write_colmap_model
@@ -110,9 +110,7 @@ def export_cubemap(
     if not cube.images:
         raise ValueError("there is no posed image to cut into faces")
     masked = mask_nadir_deg > 0 or any((masks or {}).values()) or not _see_all(reconstruction)
-    masked = masked or any(
-        may_be_transparent(folder / image.name) for image in reconstruction.images
-    )
+    masked = masked or any(_is_transparent(folder / image.name) for image in reconstruction.images)
     cutter = _Cutter(folder, output, options, dict(masks or {}), mask_nadir_deg, masked)
     names = face_image_names([image.name for image in reconstruction.images], options)
     cutter.prepare(reconstruction, names)
@@ -349,6 +347,16 @@ class _Cutter:
         names = f"{face}.png", str(PurePosixPath(face).with_suffix(".png"))
         first, second = (inside(self.output / "masks", name) for name in names)
         return first, second
+
+
+def _is_transparent(path: Path) -> bool:
+    """Whether some pixels are transparent; a picture whose header leaves that open is decoded."""
+    try:
+        if not read_image_header(path).may_have_alpha:
+            return False
+        return read_transparent_image(path)[1] is not None
+    except (OSError, ValueError):  # who cuts it says so
+        return False
 
 
 def _cut_masks(

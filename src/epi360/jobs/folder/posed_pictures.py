@@ -10,6 +10,8 @@ from epi360.features.image_headers import read_image_header
 from epi360.interop.nerfstudio import seen_from, write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
 
+_TURNED = range(2, 9)  # or mirrored; other numbers mean nothing
+
 
 def write_transforms(
     path: Path,
@@ -59,6 +61,6 @@ def remark_on_turned(names: Iterable[str], folder: Path) -> str:
 
 def _is_turned(path: Path) -> bool:
     try:
-        return read_image_header(path).orientation != 1
+        return read_image_header(path).orientation in _TURNED
     except (OSError, ValueError):
         return False

@@ -57,18 +57,17 @@ def table_of(results: Mapping[str, LocalizationResult], reasons: Mapping[str, st
 def record_of(
     results: Mapping[str, LocalizationResult], reasons: Mapping[str, str], source: str
 ) -> dict[str, Any]:
-    """Everything for programs, in plain values; NaN is None."""
+    """Everything for programs, in plain values; NaN is None, and what unreadable images lack."""
+    records = {name: _record(result) for name, result in results.items()}
+    nothing = dict.fromkeys(next(iter(records.values()), {}))
+    for name, reason in reasons.items():
+        said = {"status": UNREADABLE, "success": False, "warnings": [reason]}
+        records[name] = {**nothing, **said}
     return {
         "epi360_version": package_version(),
         "convention": CONVENTION,
         "map": source,
-        "images": [
-            *({"image": name, **_record(result)} for name, result in results.items()),
-            *(
-                {"image": name, "status": UNREADABLE, "warnings": [reason]}
-                for name, reason in reasons.items()
-            ),
-        ],
+        "images": [{"image": name, **record} for name, record in records.items()],
     }
 
 

@@ -35,7 +35,7 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 STAGE = "tracking frames"
 # By the given camera, and by the lens that the tracks, or pairs of images, agree on.
 TRACKED, BY_TRACKS, BY_PAIRS = "tracked.json", "tracked-again.json", "tracked-by-pairs.json"
-RULES = 2  # of what counts as a sequence: other rules, other poses
+RULES = 3  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
 _FEWEST_FOLLOWED = 40

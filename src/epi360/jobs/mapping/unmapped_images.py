@@ -34,7 +34,8 @@ def that_colmap_takes(images: ImageSet) -> tuple[ImageSet, dict[str, str]]:
     left_out = {
         image.name: reasons[image.camera] for image in images.images if image.camera in reasons
     }
-    return replace(images, images=kept, cameras=cameras), left_out
+    skipped = (*images.skipped, *left_out.items())
+    return replace(images, images=kept, cameras=cameras, skipped=skipped), left_out
 
 
 def why_unmapped(
@@ -53,7 +54,7 @@ def why_unmapped(
     for pair in matched.verdicts:
         for name in (pair.image1, pair.image2):
             tried[name]["ok" if pair.accepted else pair.rejection] += 1
-    reasons = {}
+    reasons, joined = {}, _joined_to(model_of, matched)
     for name, statuses in tried.items():
         number = model_of.get(name)
         if number == 0:
@@ -67,7 +68,7 @@ def why_unmapped(
         elif not statuses["ok"]:
             counts = ", ".join(f"{count} {status}" for status, count in statuses.most_common())
             reasons[name] = f"no accepted pair ({counts or 'none tried'})"
-        elif name not in _joined_to(model_of, matched):
+        elif name not in joined:
             reasons[name] = f"no accepted pair joins it to the images of {MODELS}/0"
         else:
             reasons[name] = "has accepted pairs, but COLMAP's mapper could not place it"

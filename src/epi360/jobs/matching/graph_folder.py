@@ -15,7 +15,7 @@ from epi360.cameras import Camera
 from epi360.cameras.resizing import resized_camera, smallest_pixel_deg
 from epi360.epipolar.residuals import pose_residuals
 from epi360.estimation.image_matches import MAX_NOISE_PX
-from epi360.features import read_image
+from epi360.features.images import read_masked_image
 from epi360.features.warped_patches import Panorama, remembered
 from epi360.interop.match_graph import MatchGraph, TwoViewGeometry
 from epi360.jobs.graph.graph_check import DOUBTED_DIRECTION_DEG, DOUBTED_ROTATION_DEG
@@ -234,7 +234,7 @@ class GraphFolder:
     def _read_panorama(self, index: int) -> Panorama:
         """What an image shows all around; its picture may have another size than its camera."""
         path, camera = self._picture(index), self._cameras[index]
-        picture = read_image(path)
+        picture, usable = read_masked_image(path)
         height, width = picture.shape[:2]
         resized = resized_camera(camera, width)
         if abs(resized.height - height) > _ROUNDING_PX:
@@ -242,7 +242,7 @@ class GraphFolder:
                 f"{path} must have the shape of its camera, {camera.width}x{camera.height}; it is "
                 f"{width}x{height}"
             )
-        return Panorama.seen_by(resized, picture)
+        return Panorama.seen_by(resized, picture, usable)
 
     def _picture(self, index: int) -> Path:
         """Path of a picture that is there."""

@@ -253,6 +253,7 @@ def _chosen(
             options.overlap or OVERLAP,
             options.neighbors or NEIGHBORS,
             more,
+            dict(images.skipped),
         )
         num_seen = len(finished)
         finished, num_there = _verified(pairs, job)

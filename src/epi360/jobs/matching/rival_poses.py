@@ -42,12 +42,11 @@ def find_rivals(
             verdict, keys = pair.verified.verdict, pair.verified.keys
             if not other.verdict.accepted:
                 continue
-            if not competes(other.verdict.num_inliers, verdict.num_inliers):
-                continue
             if not is_another(verdict.cam2_from_cam1, other.verdict.cam2_from_cam1):
                 continue
-            rivals[keys] = settled.posed(other)
-            if are_many(other.verdict.num_inliers, verdict.num_inliers):
+            counts = other.verdict.num_inliers, verdict.num_inliers
+            rivals[keys] = settled.posed(other), counts
+            if are_many(*counts):
                 many.add(keys)
         look = partial(_looks_right, places, rivals)
         for keys, is_right in on_threads(look, list(rivals), settled.folder.num_threads):
@@ -59,13 +58,16 @@ def find_rivals(
     return found
 
 
-def _looks_right(places: Places, rivals: Mapping[Keys, PosedPair], keys: Keys) -> bool:
-    pair = rivals[keys]
+def _looks_right(
+    places: Places, rivals: Mapping[Keys, tuple[PosedPair, tuple[int, int]]], keys: Keys
+) -> bool:
+    pair, counts = rivals[keys]
     try:
         panoramas = [places.known.panorama_of(image) for image in pair.images]
     except PictureGoneError:
         return False
-    return looks_right(OwnEvidence.of(pair, grow_both(pair, panoramas)))
+    views = grow_both(pair, panoramas)
+    return looks_right(OwnEvidence.of(pair, views)) and competes(*counts, views, panoramas)
 
 
 def _refused(place: PlaceVerdict) -> PlaceVerdict:

@@ -57,6 +57,7 @@ def select_pairs(
     overlap: int,
     neighbors: int = NEIGHBORS,
     more: Mapping[str, MorePairs] | None = None,
+    unusable: Collection[str] = (),
 ) -> tuple[str, list[Pair]]:
     """Pairs to match, and in words how they were chosen.
 
@@ -69,17 +70,19 @@ def select_pairs(
     their order, across sub-folders; of a rig, it is each camera's images by frame, and images of
     different cameras at most one frame apart.
 
+    Pairs of a file with an image that is ``unusable`` are left out.
+
     Raises
     ------
     ValueError
-        If the pairs file names an image that is not there, or cannot be read.
+        If the pairs file names an image that is not there, or cannot be read, or no pair is left.
     """
     why = ""
     if pairs == "auto":
         pairs, neighbors, why = _automatic(images, neighbors)
     ways = ways_of(pairs)
     if not ways:
-        return f"from {pairs}", _listed(images, Path(pairs))
+        return f"from {pairs}", _listed(images, Path(pairs), unusable)
     if ways == ("exhaustive",):
         return "exhaustive", list(combinations(range(len(images)), 2))
     said, chosen = [], dict[Pair, None]()
@@ -277,10 +280,13 @@ def _pairs_of_moments(
                 yield first, second
 
 
-def _listed(images: Sequence[SourceImage], path: Path) -> list[Pair]:
+def _listed(images: Sequence[SourceImage], path: Path, unusable: Collection[str]) -> list[Pair]:
     index = {image.name: place for place, image in enumerate(images)}
     chosen = []
-    for pair in read_pairs_file(path, names=index.keys(), both_orders=True):
+    names = [*index, *unusable]
+    for pair in read_pairs_file(path, names=names, both_orders=True):
+        if not set(pair).isdisjoint(unusable):
+            continue  # whoever chose the images has said why
         for name in pair:
             if name not in index:
                 raise ValueError(
@@ -288,4 +294,6 @@ def _listed(images: Sequence[SourceImage], path: Path) -> list[Pair]:
                     f"names are paths below the image folder, such as {images[0].name}"
                 )
         chosen.append((index[pair[0]], index[pair[1]]))
+    if not chosen:
+        raise ValueError(f"{path} has no pair of two images that can be used")
     return chosen

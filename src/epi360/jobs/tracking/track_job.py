@@ -153,12 +153,13 @@ def track_frames(
         if agreed is not None:
             run = run.by_another(agreed)
             run.track(progress)
+        whole = run
+        return run.finish(progress)
     except KeyboardInterrupt:
         found = whole.finish(progress, interrupted=True)
         if interrupted is not None:
             interrupted(found)
         raise
-    return run.finish(progress)
 
 
 def _prepare(output: Path, made_from: Mapping[str, str], camera: str | None) -> None:
@@ -300,8 +301,11 @@ class _Run:
         """Adjust the map once more, and write all files."""
         written = files.Written()
         if not interrupted:
-            self.odometry.finish()
-        if self._options.refine and self.odometry.key_frames():
+            with interrupted_later():
+                self.odometry.finish()
+        if self._options.refine and interrupted:
+            written.remarks.append("the map was not refined: the run was interrupted")
+        elif self._options.refine and self.odometry.key_frames():
             try:
                 self._messages.append(refine_with_colmap(self.odometry, self._camera))
             except ValueError as error:
@@ -425,7 +429,12 @@ class _Run:
             written.attempt(
                 files.IMAGES, lambda: _write_pictures(self._source, wanted, images, progress)
             )
-        masks = {image.name: self._masks.mask_of(image.name) for image in model.images}
+        # Masks have the size of the camera: those of other pictures would not fit.
+        masks = {
+            self._names[each.index]: self._masks.mask_of(self._names[each.index])
+            for each in key_frames
+            if each.index not in self._sizes
+        }
         nadir_deg = self._options.mask_nadir_deg
         files.write_model(self._output, model, images, masks, nadir_deg, written)
 
