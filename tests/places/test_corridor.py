@@ -82,27 +82,49 @@ def test_pictures_of_rooms_are_not_searched(monkeypatch):
     assert not repeats_itself((ROOM, CORRIDOR), NO_PICTURES)
 
 
-def among_doors(over_copies):
-    return OwnEvidence(over_copies, over_copies).among_equal_doors()
+# The median numbers of right poses and of wrong ones in corridors, of `corridor_evidence.py`.
+RIGHT = np.array([-1.34, 5.63, 6.73, -1.80, -3.11, -4.20, -3.73])
+WRONG = np.array([-1.33, 3.00, 6.85, -1.83, -3.17, -4.09, -3.44])
+
+
+def among_doors(odds):
+    return OwnEvidence(8.0, 8.0).among_equal_doors(odds)
+
+
+def test_doors_that_are_seen_from_one_direction_may_be_others():
+    """Cells that both views show from very different directions speak for a pose, holes do not."""
+    assert corridor._FITTED.of(RIGHT) > 1.5 and corridor._FITTED.of(WRONG) < -1.5
+    odds = []
+    for turned in np.linspace(2.0, 8.0, 20):
+        odds.append(corridor._FITTED.of(np.array([*RIGHT[:1], turned, *RIGHT[2:]])))
+    assert (np.diff(odds) >= 0).all() and odds[0] < 0 < odds[-1]
+    more_differs = RIGHT + [0, 0, 0, 0, 0, 0, 1.0]
+    assert corridor._FITTED.of(more_differs) < corridor._FITTED.of(RIGHT) - 1.0
+
+
+def test_nothing_is_known_beyond_the_limits():
+    fitted = corridor._FITTED
+    assert fitted.of(fitted.most + 5.0) == fitted.of(fitted.most)
+    assert fitted.of(fitted.least - 5.0) == fitted.of(fitted.least)
 
 
 def test_what_would_do_in_a_room_is_not_enough_among_equal_doors():
     in_a_room = OwnEvidence(8.0, 8.0)
     assert same_place(in_a_room).here > 0.99
-    assert same_place(among_doors(8.0)).here < 0.7
-    assert same_place(among_doors(8.0)).copy > 0.3
-    assert same_place(among_doors(14.0)).here > 0.9
+    assert same_place(among_doors(0.0)).here == pytest.approx(0.5, abs=0.01)
+    assert same_place(among_doors(1.0)).here < 0.75
+    assert same_place(among_doors(3.0)).here > 0.94
 
 
 def test_more_evidence_is_never_worth_less():
-    told = [same_place(among_doors(over)).here for over in np.linspace(-10, 25, 50)]
+    told = [same_place(among_doors(odds)).here for odds in np.linspace(-10, 15, 50)]
     assert (np.diff(told) >= 0).all()
 
 
 def test_a_corridor_is_not_the_open():
     long = OwnEvidence(8.0, 8.0, in_the_open=True)
-    assert not long.among_equal_doors().in_the_open
-    in_folder = limited_in_folder(among_doors(4.0), folder_in_the_open=True)
+    assert not long.among_equal_doors(2.0).in_the_open
+    in_folder = limited_in_folder(among_doors(-4.0), folder_in_the_open=True)
     assert -1 < in_folder.over_copies < 0
 
 
@@ -112,10 +134,10 @@ def test_weights_of_homes_do_not_undo_it():
 
 
 def test_a_doubt_says_that_the_place_repeats():
-    own = among_doors(11.0)
+    own = among_doors(2.0)
     place = same_place(own)
     assert doubts(own, place) == (EQUAL_DOORS,)
-    sure = among_doors(30.0)
+    sure = among_doors(9.0)
     assert doubts(sure, same_place(sure)) == ()
 
 
@@ -153,6 +175,7 @@ def test_a_skirting_is_no_floor():
 def test_with_a_floor_a_pair_is_weighed_as_elsewhere(monkeypatch, has_floor):
     monkeypatch.setattr(corridor, "repeats_itself", lambda *_: True)
     monkeypatch.setattr(corridor.OwnEvidence, "of", lambda *_: OwnEvidence(8.0, 8.0))
+    monkeypatch.setattr(corridor, "shown_by", lambda *_: WRONG)
     views = (with_a_floor(CORRIDOR, 300 * has_floor),) * 2
     own = shown_by_itself(None, views, NO_PICTURES)
-    assert own == (OwnEvidence(8.0, 8.0) if has_floor else among_doors(8.0))
+    assert own == (OwnEvidence(8.0, 8.0) if has_floor else among_doors(corridor._FITTED.of(WRONG)))

@@ -5,20 +5,33 @@ A pose that puts one door upon the next looks right around all doors, and is nea
 the right one. Two things tell such a place: what both views show is much longer than wide, and
 much of a panorama matches other parts of the same panorama. But a floor that has a texture and
 looks the same in both views tells one door from the next.
+
+There, right poses are told from others by logistic regression on the seven numbers of
+`own_evidence.shown_by`. `benchmarks/corridor_evidence.py` fits it to rendered corridors, and writes
+``corridor_evidence.json``. Most is told by how many cells both views show from directions that are
+more than 45 degrees apart: doors that are taken for others are seen from nearly one direction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.features.self_likeness import share_like_itself
 from epi360.features.shared_surfaces import SharedSurfaces, grid
 from epi360.features.warped_patches import Panorama
-from epi360.places.own_evidence import OwnEvidence
+from epi360.places.own_evidence import OwnEvidence, shown_by
 from epi360.places.shared_points import PosedPair
 
+Array = NDArray[np.float64]
+
+ODDS = "corridor_evidence.json"  # beside this file
 # Of right pairs of `zind_tour`, and of photographed home 304, none is beyond all three.
 _LONG, _WIDE, _LIKE_ITSELF = 2.0, 2.0, 0.22
 _MOST = (5, 95)  # percentiles of what was found
@@ -31,6 +44,35 @@ _AXES_RAD = np.radians(np.arange(0.0, 180.0, 10.0))
 _ACROSS = np.stack([np.cos(_AXES_RAD), np.sin(_AXES_RAD)])  # (2, 18)
 
 
+@dataclass(frozen=True, eq=False)
+class Odds:
+    """How much the seven numbers speak for a pose in a corridor.
+
+    ``least`` and ``most`` (7,) limit the numbers, for nothing is known beyond what pairs have
+    shown. ``odds`` (8,) are the log-odds of a pose whose numbers are ``centre`` (7,), and what a
+    ``spread`` (7,) more of each adds.
+    """
+
+    least: Array
+    most: Array
+    centre: Array
+    spread: Array
+    odds: Array
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> Odds:
+        """Take values of the file."""
+        return cls(**{each.name: np.array(record[each.name]) for each in fields(cls)})
+
+    def of(self, shown: Array) -> float:
+        """Log-odds of a pose that shows these numbers (7,)."""
+        scaled = (np.clip(shown, self.least, self.most) - self.centre) / self.spread
+        return float(self.odds[0] + scaled @ self.odds[1:])
+
+
+_FITTED = Odds.of_record(json.loads(files(__package__).joinpath(ODDS).read_text("utf-8")))
+
+
 def shown_by_itself(
     pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces], panoramas: Sequence[Panorama]
 ) -> OwnEvidence:
@@ -38,7 +80,7 @@ def shown_by_itself(
     own = OwnEvidence.of(pair, views)
     if not own.is_known or show_a_floor(views) or not repeats_itself(views, panoramas):
         return own
-    return own.among_equal_doors()
+    return own.among_equal_doors(_FITTED.of(shown_by(pair, views)))
 
 
 def show_a_floor(views: Sequence[SharedSurfaces]) -> bool:

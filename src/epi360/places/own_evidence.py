@@ -59,9 +59,7 @@ _TURNED_DEG, _MUCH_TURNED_DEG = 20.0, 45.0
 # floor alone in common 0.02 and less.
 _MOSTLY_ON_FLOOR, _LEAST_ABOVE, _FEWEST_ABOVE = 0.85, 0.04, 50
 _HORIZON = np.sin(np.radians(5.0))
-# In corridors with equal doors: where the ratio over a copy is 8 and less, 111 of 210 poses were
-# right, where it is more 71 of 76, where it is over 12 44 of 45.
-_AMONG_DOORS_SLOPE, _AMONG_DOORS_EVEN, _NO_MORE = 0.6, 7.8, -0.5
+_LEAST_AMONG_DOORS = -0.5  # log-odds in a corridor
 _NUM_NEXT = 6  # cells around each that say what is nearest there
 
 
@@ -118,13 +116,9 @@ class OwnEvidence:
         over_others, over_copies = self.as_in_homes
         return replace(self, over_others=over_others, over_copies=over_copies)
 
-    def among_equal_doors(self) -> OwnEvidence:
-        """The same, where the copies are equal doors along a corridor.
-
-        A pose that puts a door upon the next one has much that speaks for it, as if it were right.
-        How much more a right one has was measured (`benchmarks/corridors.py`).
-        """
-        over_copies = max(_AMONG_DOORS_SLOPE * (self.over_copies - _AMONG_DOORS_EVEN), _NO_MORE)
+    def among_equal_doors(self, odds: float) -> OwnEvidence:
+        """The same in a corridor, whose copies are equal doors; ``odds`` are those of the pose."""
+        over_copies = max(odds, _LEAST_AMONG_DOORS)
         return replace(self, over_copies=over_copies, repeats=True, in_the_open=False)
 
 

@@ -38,7 +38,7 @@ _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
 # kinds together.
 _MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
-_AMONG_EQUAL_DOORS = 0.4  # of copies, in corridors (`benchmarks/corridors.py`)
+_AMONG_EQUAL_DOORS = 0.5  # of copies, whose share in corridors is in the ratio over them
 _ON_ONE_WALL = (0.5, 0.5)  # so do papered walls, and right pairs are rarely on one alone
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
