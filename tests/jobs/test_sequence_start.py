@@ -144,6 +144,20 @@ def test_a_folder_whose_points_cannot_be_followed_is_no_sequence(tmp_path):
     assert tracked.reason == "points cannot be followed from image to image"
 
 
+def test_past_a_gap_frames_are_not_followed(tmp_path):
+    """What comes then may be the next room, which looks alike."""
+    write_frames(tmp_path / "rgb", 5)
+    for number, image in enumerate(elsewhere()[:5], start=5):
+        write_png(tmp_path / "rgb" / f"{number:03d}.png", image)
+    images = find_images(tmp_path / "rgb")
+    for _ in range(2):  # the second time from the record
+        tracked = track_sequence(images, tmp_path)
+        assert not tracked.cam_from_world and tracked.past_gap == "005.png"
+        assert tracked.reason == "frames seem to be missing before 005.png"
+    run = map_images(images, tmp_path / "out", options())
+    assert any("missing before 005.png" in remark for remark in run.remarks)
+
+
 def test_a_camera_that_stands_still_gives_no_poses_to_start_from(tmp_path):
     write_frames(tmp_path / "rgb", 6, same=True)
     told = []

@@ -43,6 +43,9 @@ class FrameResult:
         trajectory.
     message : str
         Sentence for a person, empty when there is nothing to say.
+    follows_gap : bool
+        Far fewer points could be followed than from frame to frame before, as where frames are
+        missing. Where a place repeats itself, the map may go on in another part of it.
     """
 
     index: int
@@ -54,6 +57,7 @@ class FrameResult:
     is_keyframe: bool = False
     message: str = ""
     loop_frame: int | None = None
+    follows_gap: bool = False
 
 
 @dataclass(frozen=True, eq=False)

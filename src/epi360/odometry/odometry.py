@@ -25,6 +25,7 @@ from epi360.odometry.frame_result import (
     MapPoints,
     Trajectory,
 )
+from epi360.odometry.gaps import Gaps
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
@@ -36,6 +37,10 @@ from epi360.odometry.results import joined, no_points, trajectory_of, updated_re
 from epi360.odometry.segment import Segment
 from epi360.poses import Pose
 
+_GAP = (
+    "frames seem to be missing before it, for {num_tracked} points could be followed in place of "
+    "some {usual}; where a place repeats itself, the map may go on in another part of it"
+)
 _TRIES = 4  # frames in a row that are looked for in the map; afterwards one of so many is
 
 
@@ -113,6 +118,7 @@ class Odometry:
         self._is_lost, self._num_lost = False, 0
         self._clock = FrameClock()
         self._motion = Motion()
+        self._gaps = Gaps()
 
     def add_frame(
         self,
@@ -171,6 +177,10 @@ class Odometry:
         self._motion.look(tracks)
         num_tracked = int(np.count_nonzero(~tracked.is_new[seen]))
         frame = replace(frame, num_tracked=num_tracked)
+        usual = self._gaps.usual_before(num_tracked) if before >= 0 else None
+        if usual is not None:
+            said = joined(frame.message, _GAP.format(num_tracked=num_tracked, usual=usual))
+            frame = replace(frame, follows_gap=True, message=said)
         return self._kept(self._place(tracks, frame, fitted, gray))
 
     def skip_frame(self, reason: str, timestamp_s: float | None = None) -> FrameResult:

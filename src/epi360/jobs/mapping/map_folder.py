@@ -66,6 +66,11 @@ from epi360.progress import Progress, no_progress
 from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
+_PAST_GAP = (
+    "Frames seem to be missing before {name}: where a place repeats itself, as a corridor with "
+    "equal doors does, what comes then may be placed wrongly. The frames were not followed, but "
+    "matched as other images are."
+)
 DATABASE, RECORD = "database.db", "mapping.json"
 TRACKED_POSES = "the poses of the odometry"
 
@@ -192,6 +197,8 @@ def map_images(
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
     remarks = write_transforms_of(images, output, models, options.match.mask_nadir_deg)
+    if tracked is not None and tracked.past_gap and models:
+        remarks = (*remarks, _PAST_GAP.format(name=tracked.past_gap))
     # A folder that only looked like a sequence is mapped without a word, as it always was.
     was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     tracking = {"tracking": tracked.seconds} if tracked is not None and poses else {}

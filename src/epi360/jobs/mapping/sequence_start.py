@@ -25,6 +25,7 @@ from epi360.jobs.matching.tracked_lens import agreed_camera
 from epi360.jobs.pairs.pair_selection import NUMBERED
 from epi360.jobs.records.match_store import DIGESTS
 from epi360.odometry import Odometry
+from epi360.odometry.frame_result import FrameResult
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.pictures import joint_mask
 from epi360.poses import Pose
@@ -35,7 +36,7 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 STAGE = "tracking frames"
 # By the given camera, and by the lens that the tracks, or pairs of images, agree on.
 TRACKED, BY_TRACKS, BY_PAIRS = "tracked.json", "tracked-again.json", "tracked-by-pairs.json"
-RULES = 3  # of what counts as a sequence: other rules, other poses
+RULES = 4  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
 _FEWEST_FOLLOWED = 40
@@ -49,8 +50,9 @@ class SequenceStart:
     """What the odometry says of the images of a sequence.
 
     ``depth`` is the median distance of the landmarks around an image, in the unit of the poses.
-    ``reason`` says why there are no poses to start from; it is empty if there are. ``lens`` is
-    another one on which the tracks agree.
+    ``reason`` says why there are no poses to start from; it is empty if there are. ``past_gap`` is
+    the frame before which others are missing, if that is why. ``lens`` is another one on which the
+    tracks agree.
     """
 
     cam_from_world: dict[str, Pose] = field(default_factory=dict)
@@ -59,6 +61,7 @@ class SequenceStart:
     num_tracked: int = 0
     seconds: float = 0.0
     reason: str = ""
+    past_gap: str = ""
     lens: Camera | None = None
 
     def summary(self) -> dict[str, Any]:
@@ -69,6 +72,7 @@ class SequenceStart:
             "num_images": len(self.cam_from_world),
             "seconds": self.seconds,
             "reason": self.reason,
+            "past_gap": self.past_gap,
         }
 
 
@@ -134,6 +138,7 @@ def _from_record(record: dict[str, Any]) -> SequenceStart:
         record["num_tracked"],
         record["seconds"],
         record["reason"],
+        record["past_gap"],
         None if record["lens"] is None else own.read(record["lens"])["camera"],
     )
 
@@ -208,13 +213,19 @@ def _track(
     for frame in frames:
         names.append(frame.name)
         result = _added(odometry, frame, frames)
-        num_jumps += len(names) > 1 and result < _FEWEST_FOLLOWED
+        num_jumps += len(names) > 1 and result.num_tracked < _FEWEST_FOLLOWED
         progress(STAGE, len(names), max(frames.num_frames, len(names)))
-        if num_jumps > most_jumps:
+        reason = ""
+        if result.follows_gap:  # what comes then may be another part of a place that repeats itself
+            reason = f"frames seem to be missing before {frame.name}"
+        elif num_jumps > most_jumps:
+            reason = "points cannot be followed from image to image"
+        if reason:
             given_up = SequenceStart(
                 num_frames=len(names),
                 seconds=time.perf_counter() - begun,
-                reason="points cannot be followed from image to image",
+                reason=reason,
+                past_gap=frame.name if result.follows_gap else "",
             )
             return given_up, None
     if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
@@ -223,15 +234,15 @@ def _track(
     return _start_from(odometry, names, images, time.perf_counter() - begun), odometry
 
 
-def _added(odometry: Odometry, frame: SourceFrame, frames: _Frames) -> int:
-    """Follow one more frame; how many of its points come from the frame before."""
+def _added(odometry: Odometry, frame: SourceFrame, frames: _Frames) -> FrameResult:
+    """Follow one more frame."""
     if isinstance(frame.image, Exception):
-        return odometry.skip_frame(str(frame.image), frame.timestamp_s).num_tracked
+        return odometry.skip_frame(str(frame.image), frame.timestamp_s)
     try:
         mask = joint_mask(frames.camera, frames.mask_of(frame.name), frame.usable)
     except (OSError, ValueError) as error:
-        return odometry.skip_frame(str(error), frame.timestamp_s).num_tracked
-    return odometry.add_frame(frame.image, frame.timestamp_s, mask=mask).num_tracked
+        return odometry.skip_frame(str(error), frame.timestamp_s)
+    return odometry.add_frame(frame.image, frame.timestamp_s, mask=mask)
 
 
 def _start_from(
