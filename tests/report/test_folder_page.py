@@ -165,8 +165,8 @@ def test_the_summary_counts_accepted_pairs_whose_cameras_may_be_wrong(make_run):
     ):
         changed = dataclasses.replace(run, verdicts=tuple(verdicts))
         line += (
-            " than key points have: do the cameras belong to these images, in this order? Their "
-            "warnings say how much."
+            " than SIFT's key points have (their warnings say how much). Learned ones may be as "
+            "coarse; if yours are not, do the cameras belong to these images, in this order?"
         )
         assert line in describe_match(changed) and line in summary_sentences(changed)
     quiet = dataclasses.replace(run, verdicts=(noisy[0], *run.verdicts[1:]))
