@@ -11,32 +11,23 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
-import re
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import _one_thread  # noqa: F401 - before NumPy
 import numpy as np
+from _panorama_pairs import PanoramaView, posed, rounded, write_fit
 from _summary import text_table
 from corridors import RIGHT_DEG, Walk, rendered_walk
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from epi360 import estimate_relative_pose
-from epi360.cameras import Equirectangular
-from epi360.cameras.resizing import smallest_pixel_deg
-from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
-from epi360.features import Features, extract_features, match_features, read_image
-from epi360.features.warped_patches import Panorama
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.places import corridor
 from epi360.places.own_evidence import SHOWN, OwnEvidence, grow_both, shown_by
-from epi360.places.shared_points import PosedPair
 from epi360.poses import poses_agree
-from epi360.runs.whole_files import write_file
 
 Array = NDArray[np.float64]
 
@@ -72,14 +63,10 @@ def main() -> int:
             "shown": list(SHOWN),
             "num_right": int(right.sum()),
             "num_wrong": int((~right).sum()),
-            **{name: _rounded(values) for name, values in fitted(right, numbers).items()},
+            **{name: rounded(values) for name, values in fitted(right, numbers).items()},
         }
         path = Path(corridor.__file__).with_name(corridor.ODDS)
-        text = re.sub(
-            r"\[[^][]*\]", lambda found: " ".join(found[0].split()), json.dumps(record, indent=1)
-        )
-        write_file(path, f"{text}\n".encode())
-        print(f"Written: {path}")
+        write_fit(path, record)
     return 0
 
 
@@ -129,64 +116,28 @@ def _kept(out: Path, seed: int, *, photos: bool) -> Array:
 
 def _shown(walk: Walk) -> Array:
     """Rows (P, 8) of accepted poses where the place repeats: whether it is right, its numbers."""
-    names = list(walk.poses)
-    images = [read_image(walk.folder / name) for name in names]
-    camera = Equirectangular.for_image(images[0].shape[1], images[0].shape[0])
-    found = on_threads(
-        lambda k: extract_features(images[k], camera), range(len(names)), num_cores()
-    )
-    features = [each for _, each in sorted(found, key=lambda item: item[0])]
-    panoramas = [Panorama.of(image) for image in images]
+    view_of = dict(on_threads(partial(PanoramaView.of, walk.folder), list(walk.poses), num_cores()))
 
-    def row_of(pair: tuple[int, int]) -> list[float]:
-        posed = _posed(pair, features, camera)
-        if posed is None:
+    def row_of(names: tuple[str, str]) -> list[float]:
+        both = [view_of[name] for name in names]
+        pair = posed(both, gravity1=DOWN, gravity2=DOWN)
+        if pair is None:
             return []
-        both = [panoramas[index] for index in pair]
-        views = grow_both(posed, both)
+        panoramas = [view.panorama for view in both]
+        views = grow_both(pair, panoramas)
         has_floor = corridor.show_a_floor(views)
-        if not OwnEvidence.of(posed, views).is_known or has_floor:
+        if not OwnEvidence.of(pair, views).is_known or has_floor:
             return []
-        if not corridor.repeats_itself(views, both):
+        if not corridor.repeats_itself(views, panoramas):
             return []
-        first, second = (walk.poses[names[index]] for index in pair)
-        is_right = poses_agree(posed.cam2_from_cam1, second.inverse() @ first, RIGHT_DEG, RIGHT_DEG)
-        return [float(is_right), *shown_by(posed, views)]
+        first, second = (walk.poses[name] for name in names)
+        is_right = poses_agree(pair.cam2_from_cam1, second.inverse() @ first, RIGHT_DEG, RIGHT_DEG)
+        return [float(is_right), *shown_by(pair, views)]
 
-    pairs = list(itertools.combinations(range(len(names)), 2))
+    pairs = list(itertools.combinations(walk.poses, 2))
     row_of_pair = dict(on_threads(row_of, pairs, num_cores()))
     rows = [row_of_pair[pair] for pair in pairs if row_of_pair[pair]]
     return np.array(rows).reshape(-1, 1 + len(SHOWN))
-
-
-def _posed(
-    pair: tuple[int, int], features: list[Features], camera: Equirectangular
-) -> PosedPair | None:
-    """An accepted pose of two upright panoramas, by their matches alone."""
-    one, other = (features[index] for index in pair)
-    matches = match_features(one, other)
-    bearings = [
-        camera.bearings_from_pixels(each.keypoints[rows])
-        for each, rows in zip((one, other), matches.T, strict=True)
-    ]
-    result = estimate_relative_pose(
-        *bearings,
-        gravity1=DOWN,
-        gravity2=DOWN,
-        max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg([camera]),
-        options=IMAGE_OPTIONS,
-    )
-    if not result.success:
-        return None
-    rows = np.flatnonzero(result.inlier_mask)
-    return PosedPair.of(
-        pair, result.cam2_from_cam1, np.column_stack([rows, rows]), bearings,
-        noise_deg=result.noise_deg,
-    )  # fmt: skip
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import re
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +27,7 @@ import _one_thread  # noqa: F401 - before NumPy
 import numpy as np
 from _homes import rendered_homes
 from _linked_tours import LinkedTour, linked_tours
+from _panorama_pairs import PanoramaView, posed, rounded, write_fit
 from _summary import text_table
 from _trust_records import RIGHT_DEG, WRONG_DEG, errors_of
 from numpy.typing import NDArray
@@ -35,17 +35,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import rankdata
 
-from epi360 import estimate_relative_pose
-from epi360.cameras import Equirectangular
-from epi360.cameras.resizing import smallest_pixel_deg
-from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
-from epi360.features import Features, extract_features, match_features, read_image
-from epi360.features.warped_patches import Panorama
 from epi360.jobs.threads import num_cores, on_threads
 from epi360.places import own_evidence
 from epi360.places.one_surface import on_floor
 from epi360.places.own_evidence import SHOWN, Weights, grow_both, terms
-from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360_scenes.tours import Tour
@@ -100,8 +93,7 @@ def main() -> int:
     print(text_table(_rows(shown)))
     if options.write:
         path = Path(own_evidence.__file__).with_name(own_evidence.WEIGHTS)
-        write_file(path, _as_json(_record(shown, options)).encode())
-        print(f"Written: {path}")
+        write_fit(path, _record(shown, options))
     return 0
 
 
@@ -171,11 +163,11 @@ def _shown_in(
     seed: int,
 ) -> list[tuple[str, Array]]:
     """Cases and numbers of the pairs whose matches determine a right or wrong pose."""
-    views = dict(on_threads(partial(_View.of, folder), names_of_panoramas, num_cores()))
+    views = dict(on_threads(partial(PanoramaView.of, folder), names_of_panoramas, num_cores()))
 
     def look(names: tuple[str, str]) -> tuple[str, Array] | None:
         both = [views[name] for name in names]
-        pair = _posed(both, seed)
+        pair = posed(both, seed=seed)
         case = None if pair is None else case_of(names, pair.cam2_from_cam1)
         if pair is None or case is None:
             return None
@@ -191,41 +183,6 @@ def _shown_in(
 
 def _names(tour: Tour) -> list[str]:
     return [one.name for one in tour.panoramas]
-
-
-class _View(NamedTuple):
-    """A panorama with its features."""
-
-    camera: Equirectangular
-    features: Features
-    panorama: Panorama
-
-    @classmethod
-    def of(cls, folder: Path, name: str) -> _View:
-        """Read a picture."""
-        picture = read_image(folder / name)
-        camera = Equirectangular(picture.shape[1], picture.shape[0])
-        return cls(camera, extract_features(picture, camera), Panorama.of(picture))
-
-
-def _posed(views: Sequence[_View], seed: int) -> PosedPair | None:
-    """The pose of two panoramas by their matches alone; None if these do not determine one."""
-    matches = match_features(*(view.features for view in views))
-    bearings = [
-        view.camera.bearings_from_pixels(view.features.keypoints[rows])
-        for view, rows in zip(views, matches.T, strict=True)
-    ]
-    noise_deg = MAX_NOISE_PX * smallest_pixel_deg((views[0].camera, views[1].camera))
-    result = estimate_relative_pose(
-        *bearings, max_noise_deg=noise_deg, options=IMAGE_OPTIONS, seed=seed
-    )
-    if not result.success:
-        return None
-    (rows,) = np.nonzero(result.inlier_mask)
-    matches = np.column_stack([rows, rows])
-    return PosedPair.of(
-        (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
-    )
 
 
 def _case(tour: Tour, names: tuple[str, str], pose: Pose) -> str | None:
@@ -344,17 +301,7 @@ def _record(shown: Sequence[Shown], options: argparse.Namespace) -> dict[str, An
 
 
 def _values(weights: Weights) -> dict[str, list[float]]:
-    return {name: _rounded(values) for name, values in vars(weights).items()}
-
-
-def _as_json(record: dict[str, Any]) -> str:
-    """JSON with each list of numbers on one line."""
-    text = json.dumps(record, indent=1)
-    return re.sub(r"\[[^][]*\]", lambda found: " ".join(found[0].split()), text) + "\n"
-
-
-def _rounded(values: Array) -> list[float]:
-    return [round(float(value), 4) for value in values]
+    return {name: rounded(values) for name, values in vars(weights).items()}
 
 
 if __name__ == "__main__":

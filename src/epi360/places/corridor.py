@@ -15,10 +15,9 @@ more than 45 degrees apart: doors that are taken for others are seen from nearly
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from epi360.features.self_likeness import share_like_itself
 from epi360.features.shared_surfaces import SharedSurfaces, grid
 from epi360.features.warped_patches import Panorama
-from epi360.places.own_evidence import OwnEvidence, shown_by
+from epi360.places.own_evidence import OwnEvidence, Scaling, shown_by
 from epi360.places.shared_points import PosedPair
 
 Array = NDArray[np.float64]
@@ -45,29 +44,18 @@ _ACROSS = np.stack([np.cos(_AXES_RAD), np.sin(_AXES_RAD)])  # (2, 18)
 
 
 @dataclass(frozen=True, eq=False)
-class Odds:
+class Odds(Scaling):
     """How much the seven numbers speak for a pose in a corridor.
 
-    ``least`` and ``most`` (7,) limit the numbers, for nothing is known beyond what pairs have
-    shown. ``odds`` (8,) are the log-odds of a pose whose numbers are ``centre`` (7,), and what a
+    ``odds`` (8,) are the log-odds of a pose whose numbers are ``centre`` (7,), and what a
     ``spread`` (7,) more of each adds.
     """
 
-    least: Array
-    most: Array
-    centre: Array
-    spread: Array
     odds: Array
-
-    @classmethod
-    def of_record(cls, record: Mapping[str, Any]) -> Odds:
-        """Take values of the file."""
-        return cls(**{each.name: np.array(record[each.name]) for each in fields(cls)})
 
     def of(self, shown: Array) -> float:
         """Log-odds of a pose that shows these numbers (7,)."""
-        scaled = (np.clip(shown, self.least, self.most) - self.centre) / self.spread
-        return float(self.odds[0] + scaled @ self.odds[1:])
+        return float(self.odds[0] + self.scaled(shown) @ self.odds[1:])
 
 
 _FITTED = Odds.of_record(json.loads(files(__package__).joinpath(ODDS).read_text("utf-8")))

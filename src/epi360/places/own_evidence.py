@@ -20,7 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,30 +123,38 @@ class OwnEvidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
-    """How much the seven numbers speak for right pairs, as quadratic functions of them.
+class Scaling:
+    """How the seven numbers are scaled for a regression.
 
-    ``least`` and ``most`` (7,) limit the numbers, for nothing is known beyond what pairs have
-    shown. `terms` of what is then in units of ``spread`` (7,) from ``centre`` (7,) are weighed by
-    ``over_others`` and ``over_copies`` (36,).
+    ``least`` and ``most`` (7,) limit them, for nothing is known beyond what pairs have shown. What
+    is then is taken in units of ``spread`` (7,) from ``centre`` (7,).
     """
 
     least: Array
     most: Array
     centre: Array
     spread: Array
-    over_others: Array
-    over_copies: Array
 
     @classmethod
-    def of_record(cls, record: Mapping[str, Any]) -> Weights:
+    def of_record(cls, record: Mapping[str, Any]) -> Self:
         """Take values of the file."""
         return cls(**{each.name: np.array(record[each.name]) for each in fields(cls)})
 
     def scaled(self, shown: Array) -> Array:
-        """What is shown (..., 7), limited and in units that terms are made of."""
+        """What is shown (..., 7), limited and in these units."""
         scaled: Array = (np.clip(shown, self.least, self.most) - self.centre) / self.spread
         return scaled
+
+
+@dataclass(frozen=True, eq=False)
+class Weights(Scaling):
+    """How much the seven numbers speak for right pairs, as quadratic functions of them.
+
+    `terms` of them, scaled, are weighed by ``over_others`` and ``over_copies`` (36,).
+    """
+
+    over_others: Array
+    over_copies: Array
 
     def ratios(self, shown: Array) -> tuple[float, float]:
         """Log-likelihood ratios of right pairs over those of other rooms, and over copies."""

@@ -57,7 +57,7 @@ def read(document: Mapping[str, Any]) -> dict[str, Camera]:
 
 
 def _models_like(name: str) -> str:
-    """Our name of a model that others call so, or the names of all."""
+    """Names of our models, and which of them others call so."""
     plain = re.sub(r"[\s_-]", "", name.lower())
     ours = [each for each in MODELS if plain in (each.lower(), *_OTHER_NAMES[each].split())]
     return ", ".join(MODELS) + (f"; write {ours[0]} for this one" if ours else "")
