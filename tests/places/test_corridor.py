@@ -16,6 +16,8 @@ from epi360.places.corridor import (
 )
 from epi360.places.own_evidence import OwnEvidence
 from epi360.places.same_place import EQUAL_DOORS, doubts, limited_in_folder, same_place
+from epi360.places.shared_points import PosedPair
+from epi360.poses import Pose
 
 NO_PICTURES = (None, None)
 
@@ -148,7 +150,8 @@ def with_a_floor(view, num_cells, normal=(0.0, 1.0, 0.0)):
     kept[np.flatnonzero(view.found)[:400]] = True
     depths = np.where(kept, view.depths, 0).astype(np.float32)
     normals = np.tile(np.float32([1.0, 0.0, 0.0]), (NUM_CELLS, 1))
-    depths[order[:num_cells]], normals[order[:num_cells]] = 1.5, normal
+    below = order[:num_cells]
+    depths[below], normals[below] = 1.5 / grid().directions[below, 1], normal
     return replace(view, depths=depths, normals=normals)
 
 
@@ -171,11 +174,49 @@ def test_a_skirting_is_no_floor():
     assert not show_a_floor([with_a_floor(CORRIDOR, 200, (0.0, 0.6, 0.8))] * 2)
 
 
-@pytest.mark.parametrize("has_floor", [False, True])
-def test_with_a_floor_a_pair_is_weighed_as_elsewhere(monkeypatch, has_floor):
+def test_what_is_at_no_one_depth_is_no_floor():
+    """Doors that lie upon others give points below the horizon, far away and at any distance."""
+    view = with_a_floor(CORRIDOR, 300)
+    is_floor = view.normals[:, 1] == 1.0
+    factors = np.where(is_floor, np.resize([0.8, 1.0, 1.3, 1.7], NUM_CELLS), 1.0)
+    assert not show_a_floor([replace(view, depths=np.float32(factors * view.depths))] * 2)
+
+
+def pair_over_a_floor(depth):
+    """A pair along a corridor whose points below the horizon are at so many times its floor."""
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, -1.0]))
+    angles = np.linspace(0.3, 2.8, 40)
+    points = np.column_stack([0.8 * np.cos(angles), np.full(40, 1.5), 0.5 + np.sin(angles)])
+    points *= depth
+    bearings = [points, points + pose.translation]
+    bearings = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in bearings]
+    return PosedPair.of((0, 1), pose, np.tile(np.arange(40)[:, None], 2), bearings)
+
+
+@pytest.mark.parametrize(
+    ("num_cells", "depth", "expected"),
+    [
+        (0, 1.0, among_doors(corridor._FITTED.of(WRONG))),
+        (300, 1.0, OwnEvidence(8.0, 8.0)),  # as elsewhere
+        (300, 0.6, OwnEvidence(8.0, 8.0)),  # things that stand on the floor
+        (300, 2.0, among_doors(-np.inf)),  # the matches cannot be right
+    ],
+)
+def test_with_a_floor_a_pair_is_weighed_by_it(monkeypatch, num_cells, depth, expected):
     monkeypatch.setattr(corridor, "repeats_itself", lambda *_: True)
     monkeypatch.setattr(corridor.OwnEvidence, "of", lambda *_: OwnEvidence(8.0, 8.0))
     monkeypatch.setattr(corridor, "shown_by", lambda *_: WRONG)
-    views = (with_a_floor(CORRIDOR, 300 * has_floor),) * 2
-    own = shown_by_itself(None, views, NO_PICTURES)
-    assert own == (OwnEvidence(8.0, 8.0) if has_floor else among_doors(corridor._FITTED.of(WRONG)))
+    views = (with_a_floor(CORRIDOR, num_cells),) * 2
+    own = shown_by_itself(pair_over_a_floor(depth), views, NO_PICTURES)
+    assert own == expected
+    assert (same_place(own).here < 0.5) == (expected.over_copies < 0)
+
+
+def test_a_place_that_is_known_to_repeat_is_weighed_so(monkeypatch):
+    monkeypatch.setattr(corridor, "repeats_itself", lambda *_: False)
+    monkeypatch.setattr(corridor.OwnEvidence, "of", lambda *_: OwnEvidence(8.0, 8.0))
+    monkeypatch.setattr(corridor, "shown_by", lambda *_: WRONG)
+    views = (with_a_floor(CORRIDOR, 0),) * 2
+    assert shown_by_itself(None, views, NO_PICTURES) == OwnEvidence(8.0, 8.0)
+    known = shown_by_itself(None, views, NO_PICTURES, is_corridor=True)
+    assert known == among_doors(corridor._FITTED.of(WRONG))

@@ -26,7 +26,7 @@ from epi360.features.self_likeness import share_like_itself
 from epi360.features.shared_surfaces import SharedSurfaces, grid
 from epi360.features.warped_patches import Panorama
 from epi360.places.own_evidence import OwnEvidence, Scaling, shown_by
-from epi360.places.shared_points import PosedPair
+from epi360.places.shared_points import PosedPair, cloud_of
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,13 @@ _FEWEST_CELLS = 30
 # number, and share of all. Wrong poses have 75 and 0.07 at most, right ones on plain floors, too.
 _BELOW, _LEVEL = np.sin(np.radians(15.0)), 0.8
 _FEWEST_ON_FLOOR, _LEAST_ON_FLOOR = 80, 0.1
+# Median deviation from the floor, as a share of its distance: 0.015 and less of right poses (99 %
+# of 482); 0.17 and more of skirtings and doors that lie upon others, which are at no distance.
+_FLAT, _NUM_FITS = 0.1, 5
+# Of what lies 5 degrees below the horizon and lower, the share that is so much deeper than the
+# floor. Of 463 pairs of rendered corridors with a floor, of whose matches 70 % and more are right,
+# none has 0.3; of six with less than half of them right, four.
+_BELOW_HORIZON, _DEEPER, _MOST_BELOW, _FEWEST_LOW = np.sin(np.radians(5.0)), 1.3, 0.3, 8
 _AXES_RAD = np.radians(np.arange(0.0, 180.0, 10.0))
 _ACROSS = np.stack([np.cos(_AXES_RAD), np.sin(_AXES_RAD)])  # (2, 18)
 
@@ -62,24 +69,74 @@ _FITTED = Odds.of_record(json.loads(files(__package__).joinpath(ODDS).read_text(
 
 
 def shown_by_itself(
-    pair: PosedPair, views: tuple[SharedSurfaces, SharedSurfaces], panoramas: Sequence[Panorama]
+    pair: PosedPair,
+    views: tuple[SharedSurfaces, SharedSurfaces],
+    panoramas: Sequence[Panorama],
+    *,
+    is_corridor: bool = False,
 ) -> OwnEvidence:
-    """Weigh what has grown from both sides of a pair, in a corridor as it must be weighed there."""
+    """Weigh what has grown from both sides of a pair, in a corridor as it must be weighed there.
+
+    ``is_corridor`` says that it is one, whatever these two views show of it.
+    """
     own = OwnEvidence.of(pair, views)
-    if not own.is_known or show_a_floor(views) or not repeats_itself(views, panoramas):
+    if not own.is_known or not (is_corridor or repeats_itself(views, panoramas)):
         return own
-    return own.among_equal_doors(_FITTED.of(shown_by(pair, views)))
+    if not show_a_floor(views):
+        return own.among_equal_doors(_FITTED.of(shown_by(pair, views)))
+    lies_below = max(_share_below_floor(pair, side, view) for side, view in enumerate(views))
+    return own.among_equal_doors(-np.inf) if lies_below > _MOST_BELOW else own
 
 
 def show_a_floor(views: Sequence[SharedSurfaces]) -> bool:
-    """Whether much of what was found in both views is a floor, which has no doors."""
-    is_below = grid().directions[:, 1] > _BELOW
+    """Whether much of what was found in both views is one flat floor, which has no doors."""
     for view in views:
-        on_floor = view.found & is_below & (np.abs(view.normals[:, 1]) > _LEVEL)
         least = max(_FEWEST_ON_FLOOR, _LEAST_ON_FLOOR * np.count_nonzero(view.found))
-        if np.count_nonzero(on_floor) < least:
+        if np.count_nonzero(_on_floor(view)) < least:
+            return False
+        off, _ = _floor_of(view)
+        if off > _FLAT:
             return False
     return True
+
+
+def _on_floor(view: SharedSurfaces) -> NDArray[np.bool_]:
+    """Cells below the horizon that were found to be level."""
+    on_floor: NDArray[np.bool_] = (
+        view.found & (grid().directions[:, 1] > _BELOW) & (np.abs(view.normals[:, 1]) > _LEVEL)
+    )
+    return on_floor
+
+
+def _floor_of(view: SharedSurfaces) -> tuple[float, Array]:
+    """Plane (3,) of the floor, points x of which have plane @ x = 1, and how flat it is.
+
+    That is the median deviation of its cells, as a share of the distance. The camera may be tilted.
+    """
+    cells = _on_floor(view)
+    points = view.depths[cells, None] * grid().directions[cells].astype(np.float64)
+    plane = np.array([0.0, 1.0 / np.median(points[:, 1]), 0.0])
+    for _ in range(_NUM_FITS):  # what lies elsewhere, and so far off, counts less and less
+        off = np.abs(points @ plane - 1.0)
+        weights = 1.0 / (1.0 + np.square(off / max(_FLAT, float(np.median(off)))))
+        plane = np.linalg.lstsq(weights[:, None] * points, weights, rcond=None)[0]
+    return float(np.median(np.abs(points @ plane - 1.0))), np.asarray(plane, np.float64)
+
+
+def _share_below_floor(pair: PosedPair, side: int, view: SharedSurfaces) -> float:
+    """Share of the inliers below the horizon whose points lie below the floor that was found.
+
+    The pose may be right and its matches wrong: those of doors that lie on one epipolar curve put
+    them far behind walls and floor.
+    """
+    _, plane = _floor_of(view)
+    points = cloud_of(pair, side, 0.0).points
+    depths = points @ plane  # 1 on the floor, 0 at the height of the camera
+    distances = np.linalg.norm(plane) * np.linalg.norm(points, axis=1)
+    low = depths > _BELOW_HORIZON * distances
+    if np.count_nonzero(low) < _FEWEST_LOW:
+        return 0.0
+    return float(np.mean(depths[low] > _DEEPER))
 
 
 def repeats_itself(views: Sequence[SharedSurfaces], panoramas: Sequence[Panorama]) -> bool:

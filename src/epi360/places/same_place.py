@@ -30,7 +30,7 @@ from epi360.places.shared_points import PosedPair
 Cameras = tuple[Camera, Camera]
 Panoramas = tuple[Panorama, Panorama]
 
-_SURE = 0.95  # of poses without a warning
+SURE = 0.95  # of poses without a warning
 # What is thought of a pose that the matches alone determine, before the pictures are compared: so
 # many are those of another place, or of a thing that moves, and so many of the others of a copy.
 _INDOORS, _IN_THE_OPEN = (0.1, 0.02), (0.05, 0.0006)
@@ -69,8 +69,9 @@ EQUAL_DOORS = (
 @lru_cache(maxsize=4096)
 def can_be_compared(camera: Camera) -> bool:
     """Whether a camera sees enough of what is around it, and finely enough."""
-    pixels_around = 2 * math.pi * pixels_per_radian(camera)
-    return pixels_around >= _FEWEST_PIXELS - _ROUNDING and share_seen(camera) >= _LEAST_SEEN
+    if share_seen(camera) < _LEAST_SEEN:
+        return False
+    return 2 * math.pi * pixels_per_radian(camera) >= _FEWEST_PIXELS - _ROUNDING
 
 
 def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas) -> ImagePairResult:
@@ -103,8 +104,8 @@ def doubts(own: OwnEvidence, place: SamePlace) -> tuple[str, ...]:
     if own.on_one_wall:
         return (ONE_WALL,)
     if own.repeats:
-        return (EQUAL_DOORS,) if place.here < _SURE else ()
-    return (DOUBT,) if LEAST_PROBABILITY <= place.here < _SURE else ()
+        return (EQUAL_DOORS,) if place.here < SURE else ()
+    return (DOUBT,) if LEAST_PROBABILITY <= place.here < SURE else ()
 
 
 def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePlace:
