@@ -337,3 +337,19 @@ def test_frames_keep_their_distance_in_the_unit_of_their_key_frame():
     np.testing.assert_allclose(offset(), shift, atol=1e-12)
     segment.grow(np.full(last + 1, 3.0))
     np.testing.assert_allclose(offset(), 3.0 * shift, atol=1e-12)
+
+
+def test_the_mask_of_a_frame_is_checked_as_any_mask(tmp_path):
+    odometry = Odometry(CAMERA)
+    with pytest.raises(ValueError, match="mask must have the size of its image, 512x256, got 3x3"):
+        odometry.add_frame(frames()[0], mask=np.ones((3, 3), bool))
+    with pytest.raises(FileNotFoundError, match="nothing.png does not exist"):
+        odometry.add_frame(frames()[0], mask=tmp_path / "nothing.png")
+    half = np.zeros((256, 512), np.uint8)
+    half[:, :256] = 255
+    for image in frames()[:4]:
+        odometry.add_frame(image, mask=half)
+    columns = odometry.points().pixels[:, 0]
+    assert len(columns) and columns.max() < 257
+    odometry.add_frame(frames()[4], mask=np.zeros((256, 512), bool))  # nothing is left of it
+    assert odometry.results()[-1].status == "lost"

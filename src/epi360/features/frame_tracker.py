@@ -214,6 +214,18 @@ class FrameTracker:
         self._previous = now
         return self._frame(before, now)
 
+    def begin_anew(self, ids: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Give all points of the last frame new identities; returns those of ``ids``.
+
+        Where a frame shows another place than the one before, they are not the same points.
+        """
+        rows = np.searchsorted(self._points.ids, ids)
+        count = len(self._points.ids)
+        fresh = np.arange(self._next_id, self._next_id + count)
+        self._next_id += count
+        self._points = replace(self._points, ids=fresh)
+        return np.asarray(fresh[rows])
+
     def _frame(self, before: _Seen | None, now: _Seen) -> TrackedFrame:
         points = self._points
         change = np.nan if before is None else np.median(np.abs(now.samples - before.samples))

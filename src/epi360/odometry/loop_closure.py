@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from epi360.odometry import relocalization
 from epi360.odometry.pose_graph import diagonal_information
-from epi360.odometry.relocalization import MappedView, PlaceOptions, locate
+from epi360.odometry.relocalization import MappedView, PlaceOptions, Relocalization, locate
 from epi360.odometry.similarity import Similarity
 from epi360.poses import rotation_error_deg
 
@@ -64,6 +64,8 @@ class LoopClosure:
         Cells of 48 of the sphere of view that hold an inlier, the lowest number.
     status : str
         "ok" or why no loop is closed.
+    new_in_map : Relocalization or None
+        The new key frame as the points of the old one place it. None if refused.
     """
 
     old: int
@@ -73,6 +75,7 @@ class LoopClosure:
     num_inliers: int
     num_cells: int
     status: Status
+    new_in_map: Relocalization | None = None
 
     @property
     def success(self) -> bool:
@@ -127,12 +130,16 @@ def close_loop(
         return replace(refused, status="drift_too_large")
     least = place.threshold_rad / 4.0
     information = diagonal_information(least, least * range_, max(sigma, 1e-3))
-    return replace(refused, new_from_old=new_from_old, information=information, status="ok")
+    return replace(
+        refused,
+        new_from_old=new_from_old,
+        information=information,
+        status="ok",
+        new_in_map=forth,
+    )
 
 
-def _distance_ratios(
-    new: MappedView, old: MappedView, found: relocalization.Relocalization
-) -> Array:
+def _distance_ratios(new: MappedView, old: MappedView, found: Relocalization) -> Array:
     """Logarithms of new units in one old unit, one a point that both parts of the map have."""
     rows = found.matches[found.pose.inlier_mask]
     points_new, points_old = new.points[rows[:, 1]], old.points[rows[:, 0]]

@@ -14,6 +14,7 @@ from epi360.features.binary_features import BinaryFeatures, extract_binary_featu
 from epi360.odometry.frame_result import FrameTracks
 from epi360.odometry.key_frames import Ids, SparseMap
 from epi360.odometry.loop_closure import LoopClosure, LoopOptions, close_loop
+from epi360.odometry.mapping import Noise
 from epi360.odometry.places import PlaceIndex
 from epi360.odometry.pose_graph import (
     PoseGraphEdge,
@@ -21,8 +22,15 @@ from epi360.odometry.pose_graph import (
     move_points,
     optimize_pose_graph,
 )
-from epi360.odometry.relocalization import MappedView, PlaceOptions, map_view, relocalize
+from epi360.odometry.relocalization import (
+    MappedView,
+    PlaceOptions,
+    Relocalization,
+    map_view,
+    relocalize,
+)
 from epi360.odometry.similarity import Similarity
+from epi360.odometry.surroundings import SharedView, Surroundings
 from epi360.poses import Pose, angles_of_units
 
 Array = NDArray[np.float64]
@@ -50,6 +58,7 @@ class Recognition:
         self._place = replace(place, threshold_rad=threshold_rad)
         self._index = PlaceIndex()
         self._features: dict[int, BinaryFeatures] = {}
+        self._surroundings = Surroundings(camera, mask)
         self._loops: list[PoseGraphEdge] = []
         self._rest_until = 0
 
@@ -57,16 +66,57 @@ class Recognition:
         """Features of a picture."""
         return extract_binary_features(gray, self._camera, self._mask, max_features=_NUM_FEATURES)
 
-    def add(self, number: int, features: BinaryFeatures) -> None:
-        """Remember what a key frame looks like."""
+    def add(
+        self, number: int, features: BinaryFeatures, gray: NDArray[np.uint8] | None = None
+    ) -> None:
+        """Remember what a key frame looks like: its features, and the picture around them."""
         self._features[number] = features
         self._index.add(number, features.descriptors)
+        if gray is not None:
+            self._surroundings.add(number, gray)
 
-    def find(self, sparse_map: SparseMap, gray: NDArray[np.uint8]) -> tuple[Pose, int] | None:
-        """Pose of a picture in the map and the key frame that shows the same place, or None."""
+    def find(
+        self, sparse_map: SparseMap, gray: NDArray[np.uint8], *, in_doubt: bool = False
+    ) -> tuple[Pose, int] | None:
+        """Pose of a picture in the map and the key frame that shows the same place, or None.
+
+        ``in_doubt`` its surroundings must make the place sure.
+        """
         features = self.features(gray)
         found = relocalize(features, self._candidates(sparse_map, features), options=self._place)
-        return (found.pose.cam_from_world, found.key_frame) if found.success else None
+        if not found.success:
+            return None
+        if self._is_elsewhere(sparse_map, found, features, gray, in_doubt=in_doubt):
+            return None
+        return found.pose.cam_from_world, found.key_frame
+
+    def shows_another_place(
+        self,
+        sparse_map: SparseMap,
+        tracks: FrameTracks,
+        pose: Pose,
+        gray: NDArray[np.uint8],
+        noise: Noise,
+    ) -> bool:
+        """Whether what surrounds the landmarks of a frame says that it is not where they say."""
+        view = self._surroundings.best_view(sparse_map, tracks, pose, noise)
+        return self._surroundings.deny(gray, view)
+
+    def _is_elsewhere(
+        self,
+        sparse_map: SparseMap,
+        found: Relocalization,
+        features: BinaryFeatures,
+        gray: NDArray[np.uint8],
+        *,
+        in_doubt: bool = False,
+    ) -> bool:
+        """The same of a frame that was found by its features."""
+        old = found.key_frame
+        view = SharedView.of_relocalization(
+            found, sparse_map.key_frames[old].cam_from_world, self._features[old], features
+        )
+        return self._surroundings.deny(gray, view, in_doubt=in_doubt)
 
     def close_loop(self, sparse_map: SparseMap) -> LoopClosure | None:
         """Loop between the newest key frame and an old one that shows the same place."""
@@ -93,6 +143,11 @@ class Recognition:
             path_length=way,
             options=LoopOptions(place=self._place),
         )
+        gray = self._surroundings.picture(number)
+        if loop.new_in_map is not None and gray is not None:
+            features = self._features[number]
+            if self._is_elsewhere(sparse_map, loop.new_in_map, features, gray):
+                return None
         return loop if loop.success else None
 
     def correct(self, sparse_map: SparseMap, loop: LoopClosure) -> Array:
@@ -134,7 +189,7 @@ class Recognition:
         positions = sparse_map.positions_of(ids)
         seen = np.isfinite(positions[:, 0]) & ~np.isin(ids, sparse_map.landmarks_of(tracks.ids))
         ids, positions = ids[seen], positions[seen]
-        if len(ids) == 0:
+        if len(ids) == 0 or len(tracks.ids) == 0:
             return 0
         rays = positions @ pose.rotation.T + pose.translation
         rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)

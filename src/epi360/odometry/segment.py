@@ -216,12 +216,12 @@ class Segment:
     def recognise_first(self, gray: NDArray[np.uint8] | None) -> None:
         """Remember what the first key frame looks like."""
         if gray is not None:
-            self.recognition.add(0, self.recognition.features(gray))
+            self.recognition.add(0, self.recognition.features(gray), gray)
 
     def recognise(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> int | None:
         """Remember what the newest key frame looks like; the frame with which it closes a loop."""
         recognition, number = self.recognition, len(self.map.key_frames) - 1
-        recognition.add(number, recognition.features(gray))
+        recognition.add(number, recognition.features(gray), gray)
         loop = recognition.close_loop(self.map) if self._options.loop_closure else None
         if loop is None:
             return None
@@ -230,9 +230,18 @@ class Segment:
         recognition.join_tracks(self.map, tracks, pose, loop.old, limit)
         return self.map.key_frames[loop.old].index
 
-    def find(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> AbsolutePoseFit | None:
-        """Pose of a frame that shares no tracks with the map, by what key frames look like."""
-        found = self.recognition.find(self.map, gray)
+    def denies(self, tracks: FrameTracks, pose: Pose, gray: NDArray[np.uint8]) -> bool:
+        """Whether what surrounds the landmarks of a located frame says that it is elsewhere."""
+        return self.recognition.shows_another_place(self.map, tracks, pose, gray, self.noise)
+
+    def find(
+        self, gray: NDArray[np.uint8], tracks: FrameTracks, *, in_doubt: bool = False
+    ) -> AbsolutePoseFit | None:
+        """Pose of a frame that shares no tracks with the map, by what key frames look like.
+
+        ``in_doubt`` what surrounds it must make that sure.
+        """
+        found = self.recognition.find(self.map, gray, in_doubt=in_doubt)
         if found is None:
             return None
         pose, number = found
