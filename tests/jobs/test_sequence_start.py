@@ -152,7 +152,7 @@ def test_past_a_gap_frames_are_not_followed(tmp_path):
     images = find_images(tmp_path / "rgb")
     for _ in range(2):  # the second time from the record
         tracked = track_sequence(images, tmp_path)
-        assert not tracked.cam_from_world and tracked.past_gap == "005.png"
+        assert not tracked.cam_from_world and tracked.past_gaps == ("005.png",)
         assert tracked.reason == "frames seem to be missing before 005.png"
     run = map_images(images, tmp_path / "out", options())
     assert any("missing before 005.png" in remark for remark in run.remarks)

@@ -80,7 +80,7 @@ def composed_poses(
         return ComposedPoses()
     pairs = _chosen_pairs(graph, told.keys())
     names = [(pair.image1, pair.image2) for pair in pairs]
-    posed = _posed(graph, pairs, [told[each] for each in names])
+    posed = posed_pairs(graph, pairs, [told[each] for each in names])
     scale = common_scale(posed, _views(posed, names, panorama_of, progress))
     sure = np.flatnonzero(scale.is_sure).tolist()
     lengths = {names[row]: float(np.exp(scale.log_lengths[row])) for row in sure}
@@ -99,7 +99,7 @@ def _chosen_pairs(graph: MatchGraph, accepted: Set[Names]) -> list[MatchedPair]:
     for row, pair in enumerate(graph.pairs):
         if (pair.image1, pair.image2) in accepted:
             rows.append(row)
-            strengths.append(((pair.image1, pair.image2), _num_inliers(pair)))
+            strengths.append(((pair.image1, pair.image2), num_inliers(pair)))
     return [graph.pairs[rows[each]] for each in hold_together(strengths, MOST_PAIRS)]
 
 
@@ -124,13 +124,15 @@ def hold_together(pairs: Sequence[tuple[Names, int]], most: int) -> list[int]:
     return sorted(chosen)
 
 
-def _num_inliers(pair: MatchedPair) -> int:
+def num_inliers(pair: MatchedPair) -> int:
+    """How many matches of a pair agree with its pose."""
     return 0 if pair.geometry is None else len(pair.geometry.inliers)
 
 
-def _posed(
+def posed_pairs(
     graph: MatchGraph, pairs: Sequence[MatchedPair], verdicts: Sequence[PairVerdict]
 ) -> list[PosedPair]:
+    """Accepted pairs with the bearings of their inliers, and what the verdicts know of them."""
     number_of = {name: number for number, name in enumerate(graph.images)}
     bearings: dict[str, Array] = {}
     for name in {name for pair in pairs for name in (pair.image1, pair.image2)}:

@@ -42,6 +42,7 @@ from epi360.jobs.mapping.mapped_models import (
     read_models,
     write_transforms_of,
 )
+from epi360.jobs.mapping.past_gap import cut_where_the_place_repeats
 from epi360.jobs.mapping.sequence_start import (
     BY_PAIRS,
     BY_TRACKS,
@@ -67,10 +68,16 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 from epi360.runs.whole_files import whole_folder
 
 _PAST_GAP = (
-    "Frames seem to be missing before {name}: where a place repeats itself, as a corridor with "
+    "Frames seem to be missing before {names}: where a place repeats itself, as a corridor with "
     "equal doors does, what comes then may be placed wrongly. The frames were not followed, but "
     "matched as other images are."
 )
+_CUT = (
+    "Frames seem to be missing before {names}, and the place repeats itself, as a corridor with "
+    "equal doors does: nothing tells which of its parts comes then, so that images before and "
+    "after are not joined. --no-track joins them, at the risk of putting one part upon another."
+)
+_MOST_NAMED = 3  # frames of a remark
 DATABASE, RECORD = "database.db", "mapping.json"
 TRACKED_POSES = "the poses of the odometry"
 
@@ -189,6 +196,11 @@ def map_images(
     images, matched, tracked = found.images, found.run, found.tracked
     graph, colors = load_matches_and_colors(output)
     graph = without_doubtful(graph, matched)
+    cut = None
+    if tracked is not None and tracked.past_gaps:
+        panorama_of = _panoramas(images, options.match.mask_nadir_deg)
+        cut = cut_where_the_place_repeats(graph, matched.verdicts, tracked.past_gaps, panorama_of)
+        graph = cut or graph
     poses = given or ({} if tracked is None else tracked.cam_from_world)
     work = _Work(images, graph, matched, colors, output, options, progress)
     how = "the given poses" if given else TRACKED_POSES
@@ -197,8 +209,12 @@ def map_images(
     record["pairs"] = matched.how
     write_record(output / RECORD, record)
     remarks = write_transforms_of(images, output, models, options.match.mask_nadir_deg)
-    if tracked is not None and tracked.past_gap and models:
-        remarks = (*remarks, _PAST_GAP.format(name=tracked.past_gap))
+    if tracked is not None and tracked.past_gaps and models:
+        said = _PAST_GAP if cut is None else _CUT
+        names = " and ".join(tracked.past_gaps[:_MOST_NAMED])
+        more = len(tracked.past_gaps) - _MOST_NAMED
+        names += f", and {more} more" if more > 0 else ""
+        remarks = (*remarks, said.format(names=names))
     # A folder that only looked like a sequence is mapped without a word, as it always was.
     was_asked = video is not None or "sequential" in ways_of(options.match.pairs)
     tracking = {"tracking": tracked.seconds} if tracked is not None and poses else {}

@@ -36,7 +36,7 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 STAGE = "tracking frames"
 # By the given camera, and by the lens that the tracks, or pairs of images, agree on.
 TRACKED, BY_TRACKS, BY_PAIRS = "tracked.json", "tracked-again.json", "tracked-by-pairs.json"
-RULES = 4  # of what counts as a sequence: other rules, other poses
+RULES = 5  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
 _FEWEST_FOLLOWED = 40
@@ -50,9 +50,9 @@ class SequenceStart:
     """What the odometry says of the images of a sequence.
 
     ``depth`` is the median distance of the landmarks around an image, in the unit of the poses.
-    ``reason`` says why there are no poses to start from; it is empty if there are. ``past_gap`` is
-    the frame before which others are missing, if that is why. ``lens`` is another one on which the
-    tracks agree.
+    ``reason`` says why there are no poses to start from; it is empty if there are. ``past_gaps``
+    are the frames before which others are missing, if that is why. ``lens`` is another one on which
+    the tracks agree.
     """
 
     cam_from_world: dict[str, Pose] = field(default_factory=dict)
@@ -61,7 +61,7 @@ class SequenceStart:
     num_tracked: int = 0
     seconds: float = 0.0
     reason: str = ""
-    past_gap: str = ""
+    past_gaps: tuple[str, ...] = ()
     lens: Camera | None = None
 
     def summary(self) -> dict[str, Any]:
@@ -72,7 +72,7 @@ class SequenceStart:
             "num_images": len(self.cam_from_world),
             "seconds": self.seconds,
             "reason": self.reason,
-            "past_gap": self.past_gap,
+            "past_gaps": list(self.past_gaps),
         }
 
 
@@ -138,7 +138,7 @@ def _from_record(record: dict[str, Any]) -> SequenceStart:
         record["num_tracked"],
         record["seconds"],
         record["reason"],
-        record["past_gap"],
+        tuple(record["past_gaps"]),
         None if record["lens"] is None else own.read(record["lens"])["camera"],
     )
 
@@ -208,6 +208,7 @@ def _track(
     usable = nadir_mask(frames.camera, mask_nadir_deg)
     odometry = Odometry(frames.camera, mask=None if usable.all() else usable, seed=seed)
     names: list[str] = []
+    past_gaps: list[str] = []
     num_jumps, most_jumps = 0, max(1.0, _MOST_JUMPS * len(images.images))
     progress(STAGE, 0, max(frames.num_frames, 1))
     for frame in frames:
@@ -215,23 +216,24 @@ def _track(
         result = _added(odometry, frame, frames)
         num_jumps += len(names) > 1 and result.num_tracked < _FEWEST_FOLLOWED
         progress(STAGE, len(names), max(frames.num_frames, len(names)))
-        reason = ""
         if result.follows_gap:  # what comes then may be another part of a place that repeats itself
-            reason = f"frames seem to be missing before {frame.name}"
-        elif num_jumps > most_jumps:
+            past_gaps.append(frame.name)
+        if num_jumps > most_jumps:
             reason = "points cannot be followed from image to image"
-        if reason:
-            given_up = SequenceStart(
-                num_frames=len(names),
-                seconds=time.perf_counter() - begun,
-                reason=reason,
-                past_gap=frame.name if result.follows_gap else "",
-            )
-            return given_up, None
+            return _given_up(reason, names, begun), None
+    if past_gaps:
+        reason = f"frames seem to be missing before {past_gaps[0]}"
+        return replace(_given_up(reason, names, begun), past_gaps=tuple(past_gaps)), None
     if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
         progress(STAGE, len(names), len(names))
     odometry.finish()
     return _start_from(odometry, names, images, time.perf_counter() - begun), odometry
+
+
+def _given_up(reason: str, names: Sequence[str], begun: float) -> SequenceStart:
+    """No poses, for a reason."""
+    seconds = time.perf_counter() - begun
+    return SequenceStart(num_frames=len(names), seconds=seconds, reason=reason)
 
 
 def _added(odometry: Odometry, frame: SourceFrame, frames: _Frames) -> FrameResult:
