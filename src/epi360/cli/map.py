@@ -291,6 +291,7 @@ def _describe(run: MapRun, images: ImageSet) -> str:
         describe_level,
         describe_noise,
         describe_others,
+        describe_rig,
         no_translation_sentence,
     )
 
@@ -324,7 +325,13 @@ def _describe(run: MapRun, images: ImageSet) -> str:
     lines += [f"not used     {name}: {reason}" for name, reason in reasons[:NAMED]]
     if len(reasons) > NAMED:
         lines.append(f"not used     and {len(reasons) - NAMED} more")
-    for describe in (describe_noise, describe_agreed, describe_level, describe_others):
+    for describe in (
+        describe_rig,
+        describe_noise,
+        describe_agreed,
+        describe_level,
+        describe_others,
+    ):
         lines += describe(run.matched)
     lines += run.remarks
     return "\n".join(lines)

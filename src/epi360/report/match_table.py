@@ -129,6 +129,7 @@ def describe_questioned(judged: JudgedPairs) -> list[str]:
 def describe_judged(judged: JudgedPairs) -> list[str]:
     """Lines that say what all pairs together have told, and what they could not tell."""
     return [
+        *describe_rig(judged),
         *describe_noise(judged),
         *describe_agreed(judged),
         *describe_calibration(judged),
@@ -136,6 +137,16 @@ def describe_judged(judged: JudgedPairs) -> list[str]:
         *describe_others(judged),
         *describe_questioned(judged),
         *describe_not_compared(judged),
+    ]
+
+
+def describe_rig(judged: JudgedPairs) -> list[str]:
+    """Lines that name the cameras of a rig which pairs see turned otherwise than is stated."""
+    return [
+        f"{doubt.num_pairs:,} pairs see {' and '.join(doubt.cameras)} turned against each other "
+        f"otherwise than the rig says, by {doubt.off_deg:.1f} degrees (median): do the images lie "
+        "in the folders of their cameras, and is cam_from_rig right? A map follows the rig."
+        for doubt in judged.rig_doubts
     ]
 
 

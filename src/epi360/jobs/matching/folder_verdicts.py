@@ -14,6 +14,7 @@ from typing import Literal
 from epi360.cameras.upright import has_a_vertical
 from epi360.jobs.graph.graph_check import CONFIRMED
 from epi360.jobs.graph.level_folder import Level, find_level
+from epi360.jobs.graph.rig_check import RigDoubt
 from epi360.jobs.matching.implied_job import find_implied
 from epi360.jobs.matching.pair_verdicts import (
     PairVerdict,
@@ -55,6 +56,7 @@ class JudgedPairs:
     num_gained: int = 0  # pairs that are accepted because the folder is level
     num_lost: int = 0  # pairs that have no pose any more because the folder is level
     num_not_compared: int = 0  # accepted pairs whose surroundings are too many to compare them
+    rig_doubts: tuple[RigDoubt, ...] = ()  # cameras of a rig that pairs see turned otherwise
 
     @property
     def num_by_others(self) -> int:

@@ -18,6 +18,7 @@ from epi360.features.detection import check_options
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
+from epi360.jobs.graph.rig_check import RigDoubt, Turn, rig_doubts
 from epi360.jobs.matching.agreed_cameras import MOST_ROUNDS, CameraSearch
 from epi360.jobs.matching.folder_verdicts import FolderVerdicts, JudgedPairs, judge_folder
 from epi360.jobs.matching.kept_verdicts import KeptVerdicts, made_from
@@ -230,7 +231,26 @@ def _judged(
         num_not_compared=judged.num_not_compared,
         cameras=images.cameras,
         agreed=agreed,
+        rig_doubts=_rig_doubts(images, judged.verdicts),
     )
+
+
+def _rig_doubts(images: ImageSet, verdicts: Sequence[PairVerdict]) -> tuple[RigDoubt, ...]:
+    """What the rotations of pairs say against the rig of the images."""
+    if not images.cam_from_rig:
+        return ()
+    moments = {each.name: (each.frame or each.name, each.camera) for each in images.images}
+    turns = (
+        Turn(
+            moments[each.image1],
+            moments[each.image2],
+            each.cam2_from_cam1.rotation,
+            each.rotation_sigma_deg,
+        )
+        for each in verdicts
+        if each.accepted or each.status == "pure_rotation"
+    )
+    return tuple(rig_doubts(turns, images.cam_from_rig))
 
 
 def _chosen(
