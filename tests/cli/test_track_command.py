@@ -468,3 +468,23 @@ def test_upright_frames_are_tracked_with_gravity_and_the_log_says_so(walk, tmp_p
     assert main(["track", str(folder), "--out", str(tmp_path / "no"), "--upright", "0"]) == 2
     assert "--upright must be in (0, 45] degrees" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
+
+
+def test_the_result_of_a_whole_run_stays_until_the_next_one_is_done(tmp_path, interrupt_at):
+    write_frames(tmp_path / "frames", 10)
+    arguments = ["track", str(tmp_path / "frames"), "--out", str(tmp_path / "out")]
+    assert main(arguments) == 0
+    whole = (tmp_path / "out" / "trajectory.txt").read_bytes()
+    interrupt_at("004.png")
+    for _ in range(2):  # an interrupted result does not replace the whole one
+        assert main(arguments) == 130
+        assert len(rows_of(tmp_path / "out")) == 4
+        earlier = tmp_path / "out" / "earlier"
+        assert (earlier / "trajectory.txt").read_bytes() == whole
+        assert (earlier / "sparse" / "0" / "images.bin").is_file()
+        assert log_of(earlier)["track"] == "done"
+        assert any("earlier" in remark for remark in log_of(tmp_path / "out")["remarks"])
+    interrupt_at("no frame")
+    assert main(arguments) == 0
+    assert not earlier.exists()
+    assert (tmp_path / "out" / "trajectory.txt").read_bytes() == whole

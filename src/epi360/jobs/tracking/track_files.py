@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import csv
 import io
+import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,8 +32,43 @@ from epi360.runs.whole_files import write_file
 
 TRAJECTORY, FRAMES, POINTS, LOG = "trajectory.txt", "frames.csv", "points.ply", "track.json"
 MODEL, TRANSFORMS, IMAGES = "sparse/0", "transforms.json", "images"
+EARLIER = "earlier"  # results of the run before, until this one is done
 CAMERA = "camera.json"  # the lens, if it is another one than was given
+RESULTS = TRAJECTORY, FRAMES, POINTS, TRANSFORMS, CAMERA, MODEL, IMAGES
 COLUMNS = ("image", "timestamp_s", "status", "num_inliers", "is_keyframe")
+
+
+def set_aside(output: Path, names: Sequence[str]) -> None:
+    """Move the results of a whole run into the folder ``earlier``, with a copy of its log.
+
+    What is there is replaced one by one: wherever this stops, nothing is lost, and the next time
+    goes on.
+    """
+    earlier = output / EARLIER
+    earlier.mkdir(exist_ok=True)
+    for name in names:
+        if _is_there(output / name):
+            remove(earlier, [name])
+            (earlier / name).parent.mkdir(parents=True, exist_ok=True)
+            (output / name).rename(earlier / name)
+    shutil.copy2(output / LOG, earlier)
+
+
+def remove(folder: Path, names: Sequence[str]) -> None:
+    """Remove results of a run, and the folder if nothing else is in it."""
+    for name in names:
+        path = folder / name
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        elif _is_there(path):
+            path.unlink()
+    for path in (folder / Path(MODEL).parent, folder):
+        with suppress(OSError):  # there is more in it, or it is not there
+            path.rmdir()
+
+
+def _is_there(path: Path) -> bool:
+    return path.exists() or path.is_symlink()
 
 
 class FrameTable:

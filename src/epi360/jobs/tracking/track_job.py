@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -121,6 +120,9 @@ def track_frames(
     ``camera.json`` has it. Watchers are shown the frames again. Interrupted then, the run writes
     what it found by the given lens.
 
+    What an earlier run into the same output has found is kept in its folder ``earlier`` until this
+    one is done.
+
     Raises
     ------
     FileNotFoundError
@@ -165,8 +167,10 @@ def track_frames(
 def _prepare(output: Path, made_from: Mapping[str, str], camera: str | None) -> None:
     """Make the output, or check that it is one of this function and of the same source.
 
-    What an earlier run has written is removed, but for the file of the camera that is given.
+    What an earlier run has written is moved aside until this one is done, but for the file of the
+    camera that is given.
     """
+    is_whole = False
     if output.exists() and not output.is_dir():
         raise ValueError(f"the output must be a folder, {output} is a file")
     if output.is_dir() and any(output.iterdir()):
@@ -176,13 +180,14 @@ def _prepare(output: Path, made_from: Mapping[str, str], camera: str | None) -> 
                 f"{output} is not empty and holds no result of epi360 track; choose a new folder"
             )
         _check_source(output, record, made_from)
-    output.mkdir(parents=True, exist_ok=True)
+        is_whole = record["track"] == "done"
     given = None if camera is None else camera_file(camera)[0].resolve()
-    for name in (files.TRAJECTORY, files.FRAMES, files.POINTS, files.TRANSFORMS, files.CAMERA):
-        if (output / name).resolve() != given:
-            (output / name).unlink(missing_ok=True)
-    for folder in (files.MODEL, files.IMAGES):
-        shutil.rmtree(output / folder, ignore_errors=True)
+    results = [name for name in files.RESULTS if (output / name).resolve() != given]
+    if is_whole:
+        files.set_aside(output, results)
+    else:
+        files.remove(output, results)
+    output.mkdir(parents=True, exist_ok=True)
     write_record(output / files.LOG, {"track": "began", "made_from": made_from})
 
 
@@ -341,8 +346,14 @@ class _Run:
         )
         for watcher in self._watchers:
             watcher.close(self.odometry)
+        earlier = self._output / files.EARLIER
+        is_needed = interrupted or written.failed
+        if is_needed and earlier.is_dir():
+            written.remarks.append(f"what an earlier run has found of all frames is in {earlier}")
         log = json.dumps(_log(run, self._made_from, self._options), indent=1).encode()
         written.attempt(files.LOG, lambda: write_file(self._output / files.LOG, log))
+        if not is_needed and not written.failed:
+            files.remove(earlier, (*files.RESULTS, files.LOG))
         return run
 
     def _add(self, frame: SourceFrame) -> FrameResult:
