@@ -127,3 +127,25 @@ def test_a_mask_of_all_panoramas_is_cut_once(tmp_path, monkeypatch):
     assert len(cuts) == 6
     for face in ("a_down.jpg.png", "b_down.jpg.png"):
         assert not read_picture(tmp_path / "out" / "masks" / face).all()
+
+
+def test_what_a_lens_does_not_light_is_masked(tmp_path):
+    """Most calibration files do not say where a lens ends."""
+    endless = KannalaBrandt(200, 200, 60.0, 60.0, 100.0, 100.0, 0, 0, 0, 0)
+    v, u = np.mgrid[:200, :200] + 0.5
+    radius = np.hypot(u - 100, v - 100)
+    for number, dark in enumerate((0, 40)):  # a dark corner of a room is lit in another picture
+        lit = np.where(radius < 95, 200, 0).astype(np.uint8)
+        lit[100 - dark : 100, 150 : 150 + dark] = 0
+        write_png(tmp_path / "in" / f"{number}.png", np.repeat(lit[..., None], 3, axis=2))
+    source = plain_reconstruction(["0.png", "1.png"], endless)
+    export_cubemap(tmp_path / "in", source, tmp_path / "out")
+    num_used = 0
+    for face in (tmp_path / "out" / "images").iterdir():
+        mask = read_picture(tmp_path / "out" / "masks" / f"{face.name}.png")[..., 0] > 127
+        num_used += np.count_nonzero(mask)
+        if face.name.startswith("0"):
+            assert (read_picture(face)[mask] > 100).all()
+        elif face.name.startswith("1_right"):
+            assert (read_picture(face)[mask] < 100).any()  # dark, but no end of the lens
+    assert num_used > 0

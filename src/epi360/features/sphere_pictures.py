@@ -49,7 +49,7 @@ class SpherePicture(NamedTuple):
         grey, _ = shrunk(grey, max(1, coarse))
         height, width = grey.shape
         around = _around(resized_camera(camera, width), panorama)
-        shown = _lit(grey)
+        shown = lit_part(grey)
         if mask is not None:
             kept = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_AREA)
             shown = shown & (kept > 0)
@@ -58,8 +58,11 @@ class SpherePicture(NamedTuple):
         return cls(around.picture(grey), np.asarray(inner > 0))
 
 
-def _lit(grey: Grey) -> Mask:
-    """What is not black, up to its noise, from a corner of the picture on."""
+def lit_part(grey: Grey) -> Mask:
+    """What a lens lights: all that is not black, up to its noise, from a corner of the picture on.
+
+    Grey values (H, W) and the pixels (H, W) that show something.
+    """
     lit = np.ones(grey.shape, dtype=bool)
     height, width = (max(1, round(_CORNER * side)) for side in grey.shape)
     rows, columns = (slice(height), slice(-height, None)), (slice(width), slice(-width, None))

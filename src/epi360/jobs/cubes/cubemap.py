@@ -6,20 +6,22 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from epi360.cameras import Camera, Equirectangular
+from epi360.cameras import Camera, Equirectangular, Pinhole
 from epi360.features.image_headers import read_image_header
-from epi360.features.images import nadir_mask, read_mask, read_transparent_image
+from epi360.features.images import nadir_mask, read_image, read_mask, read_transparent_image
 from epi360.features.picture_writing import encode_picture
+from epi360.features.sphere_pictures import lit_part
 from epi360.interop.colmap_model import write_colmap_model
 from epi360.interop.nerfstudio import write_nerfstudio
 from epi360.interop.reconstruction import Reconstruction
@@ -43,6 +45,10 @@ from epi360.runs.whole_files import whole_file
 
 RECORD_FILE, DIGESTS_FILE = "cubemap.json", "digests.json"
 _STAGE = "cutting cube faces"
+_MOST_LOOKED_AT = 8  # pictures of a lens that say where it ends
+# Of the radius from which on nothing is lit, so much more may a circle be off its centre; and of
+# what is lit, the share beyond that.
+_WIDER, _STRAY = 1.1, 0.02
 _FaceMask = tuple[NDArray[np.bool_], bytes]  # white = use, and the content of its file
 
 
@@ -124,7 +130,9 @@ def export_cubemap(
                 if cutter.is_cut(wanted.values()):
                     kept += 1
                 else:
-                    samplers = samplers or _samplers(camera, options)
+                    if not samplers:
+                        samplers = _samplers(camera, options)
+                        cutter.lit = _lit_part(folder, panoramas, camera)
                     cutter.cut(panorama, camera, samplers, wanted, pool)
                 done += 1
                 progress(_STAGE, done, len(reconstruction.images))
@@ -180,6 +188,31 @@ def _see_all(reconstruction: Reconstruction) -> bool:
     return all(camera == Equirectangular(camera.width, camera.height) for camera in cameras)
 
 
+def _lit_part(folder: Path, names: Sequence[str], camera: Camera) -> NDArray[np.bool_] | None:
+    """What a fisheye lens lights of its pictures, by some of them; None where nothing says so.
+
+    Few calibration files say where the lens ends. What is dark in one picture is lit in another,
+    and what no lens lights begins on a circle, as no dark sky does.
+    """
+    if isinstance(camera, Equirectangular | Pinhole):
+        return None
+    lit = np.zeros((camera.height, camera.width), dtype=bool)
+    step = max(1, len(names) // _MOST_LOOKED_AT)
+    for name in names[::step][:_MOST_LOOKED_AT]:
+        grey = cv2.cvtColor(read_image(folder / name), cv2.COLOR_RGB2GRAY)
+        if grey.shape == lit.shape:  # otherwise the work on it says so
+            lit |= lit_part(np.asarray(grey, np.uint8))
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    radii = np.hypot(u - getattr(camera, "cx", np.nan), v - getattr(camera, "cy", np.nan))
+    if lit.all() or not lit.any():
+        return None
+    begins = float(np.percentile(radii[~lit], 2))
+    if not np.mean(radii[lit] > _WIDER * begins) < _STRAY:
+        return None
+    inner = cv2.erode(lit.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1)
+    return np.asarray(inner > 0)
+
+
 def _samplers(camera: Camera, options: CubemapOptions) -> dict[FaceName, FaceSampler]:
     pinhole = face_camera(camera, options)
     return {face: FaceSampler(camera, pinhole, face) for face in visible_faces(camera, options)}
@@ -195,6 +228,7 @@ class _Cutter:
     masks: dict[str, Path | None]
     mask_nadir_deg: float
     masked: bool  # every face gets a mask: nerfstudio takes those of all images or of none
+    lit: NDArray[np.bool_] | None = None  # of the camera whose pictures are cut, see `_lit_part`
     _face_masks: tuple[Camera, Path | None, dict[FaceName, _FaceMask]] | None = None
     _record: dict[str, Any] = field(default_factory=dict)
     _left: set[str] = field(default_factory=set)  # faces of panoramas that left the model
@@ -337,6 +371,8 @@ class _Cutter:
         if self.mask_nadir_deg > 0:
             above = _nadir_mask(camera, self.mask_nadir_deg)
             mask = above if mask is None else mask & above
+        if self.lit is not None:
+            mask = self.lit if mask is None else mask & self.lit
         return mask
 
     def _face_file(self, face: str) -> Path:
