@@ -177,3 +177,25 @@ def test_help_names_every_option(capsys):
         capsys, "localize", "--images", "--features", "--database", "--camera", "--mask",
         "--mask-nadir-deg", "--max-views", "--seed", "--known-place", "--keep", "--out", "--report",
     )  # fmt: skip
+
+
+def test_the_folder_of_an_image_names_its_camera(room_run, new_folder, tmp_path, capsys):
+    size = f"width: {CAMERA.width}, height: {CAMERA.height}"
+    (tmp_path / "cameras.yaml").write_text(
+        f"cameras:\n  top: {{model: Equirectangular, {size}}}\n"
+        f"  rig/left: {{model: Equirectangular, {size}, horizontal_fov_deg: 90}}\n"
+    )
+    for folder in ("new/top", "new/rig/left"):
+        (tmp_path / folder).mkdir(parents=True)
+    shutil.copy(new_folder / "0.png", tmp_path / "new" / "top")
+    words = ["localize", str(room_run[0]), "--camera", str(tmp_path / "cameras.yaml")]
+    assert cli.main([*words, str(tmp_path / "new" / "top" / "0.png")]) == 0
+    capsys.readouterr()
+    shutil.copy(new_folder / "1.png", tmp_path / "new" / "rig" / "left" / "other.png")
+    table = tmp_path / "a.csv"
+    assert cli.main([*words, str(tmp_path / "new"), "--out", str(table)]) == 0
+    assert "rig/left/other.png" in table.read_text(encoding="utf-8")
+    shutil.copy(new_folder / "1.png", tmp_path / "new")
+    capsys.readouterr()
+    said = "1.png must lie in a sub-folder that is called as its camera, one of top, rig/left"
+    assert_wrong_use(capsys, [*words, str(tmp_path / "new")], said)

@@ -125,3 +125,11 @@ def test_a_result_without_pose_and_any_camera_is_kept_whole(folder, tmp_path):
     )  # fmt: skip
     write_result(tmp_path / "a.npz", nowhere)
     assert_same(nowhere, read_result(tmp_path / "a.npz"))
+
+
+def test_each_image_may_have_a_camera_of_its_own(folder, made):
+    with pytest.raises(ValueError, match=r"but its camera is 64x32"):
+        run(folder, camera={"new.png": epi360.Equirectangular(64, 32)})
+    found = run(folder, camera={"new.png": CAMERA})
+    assert found.results["new.png"].camera == CAMERA
+    assert run(folder, camera=CAMERA).num_kept == 1  # the same question

@@ -2,6 +2,7 @@
 """New images in a map of a rendered room: ours, COLMAP's, hloc's; and images of other places."""
 
 import dataclasses
+import pickle
 import shutil
 from types import SimpleNamespace
 
@@ -292,3 +293,10 @@ def test_features_where_a_lens_sees_nothing_are_left_out(world, room_folder):
     )
     assert_right(result, world, room_folder[1], largest_deg=1.0, largest_m=0.05)
     assert np.isfinite(narrow.bearings_from_pixels(result.keypoints)).all()
+
+
+def test_a_map_can_be_handed_to_another_process(world, new_image):
+    copy = pickle.loads(pickle.dumps(world))
+    first, second = (epi360.localize_image(new_image, each) for each in (world, copy))
+    assert first.success and second.success
+    assert (first.cam_from_world.matrix() == second.cam_from_world.matrix()).all()

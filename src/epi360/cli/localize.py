@@ -17,6 +17,7 @@ from epi360.cli.report_option import check_report
 
 if TYPE_CHECKING:
     from epi360.cameras import Camera
+    from epi360.jobs.folder.given_cameras import GivenCameras
     from epi360.jobs.localization import LocalizationMap, LocalizationResult
     from epi360.jobs.localization.localize_files import LocalizedFiles
 
@@ -73,8 +74,9 @@ def localize(
     others
         More of them.
     camera
-        Calibration file of the new images; FILE:NAME where it holds several. Without it, images are
-        panoramas, or of the map's only camera of their size.
+        Calibration file of the new images. Where it holds several cameras, FILE:NAME, or the
+        sub-folder of an image names its camera. Without it, images are panoramas, or of the map's
+        only camera of their size.
     mask
         Mask for all new images, or a folder with one for each; white = use.
     mask_nadir_deg
@@ -109,8 +111,8 @@ def localize(
     world = load_map(
         model, images=of_map.images, features=of_map.features, database=of_map.database
     )
-    given = None if camera is None else _camera(camera)
     files = _files_by_name([image, *others])
+    given = None if camera is None else _cameras(camera, files)
     with show_bars() as progress:
         found = localize_files(
             files, world, camera=given, mask=mask, options=options, keep=keep, progress=progress
@@ -128,10 +130,22 @@ def localize(
     return SUCCESS if any(each.success for each in found.results.values()) else FAILURE
 
 
-def _camera(camera: str) -> Camera:
+def _cameras(camera: str, files: Mapping[str, Path]) -> Camera | dict[str, Camera]:
+    """The one camera of all images, or that of each, which is the name of its folder."""
     from epi360.jobs.folder.given_cameras import read_given_cameras
 
-    return read_given_cameras(camera).only()
+    given = read_given_cameras(camera)
+    if len(given.cameras) == 1:
+        return given.only()
+    return {name: given.cameras[_called(given, path)] for name, path in files.items()}
+
+
+def _called(given: GivenCameras, image: Path) -> str:
+    """Name of the camera that is the innermost folder around an image of all that are called so."""
+    path = image.absolute().as_posix()
+    called = {path.rfind(f"/{camera}/"): camera for camera in given.cameras}
+    innermost = max(called)
+    return called[innermost] if innermost >= 0 else given.name_of(image.as_posix())
 
 
 def _files_by_name(paths: Sequence[Path]) -> dict[str, Path]:

@@ -30,6 +30,23 @@ class GivenCameras:
             raise ValueError(f"{self.source} holds {known}; name one as {self.source}:NAME")
         return next(iter(self.cameras.values()))
 
+    def name_of(self, image: str) -> str:
+        """Name of the camera of an image: the only one, or that of a folder that it lies in.
+
+        ``image`` is its path below the folder of all images. ValueError if no folder has the name
+        of a camera.
+        """
+        if len(self.cameras) == 1:
+            return next(iter(self.cameras))
+        # COLMAP's rigs have folders in folders, "rig/front"; the longest name says most.
+        called = [camera for camera in self.cameras if image.startswith(f"{camera}/")]
+        if not called:
+            raise ValueError(
+                f"image {image} must lie in a sub-folder that is called as its camera, one of "
+                f"{', '.join(self.cameras)}; or name one camera for all as {self.source}:NAME"
+            )
+        return max(called, key=len)
+
 
 def read_given_cameras(source: str) -> GivenCameras:
     """Cameras of ``FILE`` or ``FILE:NAME``, a file that `load_cameras` reads.

@@ -160,12 +160,12 @@ class _FileCameras:
     """The cameras of a calibration file."""
 
     def __init__(self, given: GivenCameras) -> None:
-        self._source = given.source
+        self._given = given
         self.cameras = dict(given.cameras)
         self.cam_from_rig = dict(given.cam_from_rig)
 
     def of(self, name: str, size: tuple[int, int], gpano: GPano | None) -> tuple[str, str | None]:
-        called = self._camera_of(name)
+        called = self._given.name_of(name)
         camera = self.cameras[called]
         if (camera.width, camera.height) != size:
             raise _Unusable(
@@ -173,18 +173,6 @@ class _FileCameras:
                 "the camera of this image size"
             )
         return called, name.removeprefix(f"{called}/") if self.cam_from_rig else None
-
-    def _camera_of(self, name: str) -> str:
-        if len(self.cameras) == 1:
-            return next(iter(self.cameras))
-        # COLMAP's rigs have folders in folders, "rig/front"; the longest name says most.
-        called = [camera for camera in self.cameras if name.startswith(f"{camera}/")]
-        if not called:
-            raise ValueError(
-                f"image {name} must lie in a sub-folder that is called as its camera, one of "
-                f"{', '.join(self.cameras)}; or name one camera for all as {self._source}:NAME"
-            )
-        return max(called, key=len)
 
 
 def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) -> SourceImage:

@@ -38,20 +38,25 @@ class KeptResults:
         self,
         folder: Path,
         world: LocalizationMap,
-        camera: Camera | None,
         options: LocalizationOptions,
     ) -> None:
         folder.mkdir(exist_ok=True)
         self.num_used = 0
         self._folder = folder
         self._digests = FileDigests(folder / _DIGESTS)
-        self._made_from = package_version(), cv2.__version__, world.made_from(), camera, options
+        self._made_from = package_version(), cv2.__version__, world.made_from()
+        self._options = options
 
     def result(
-        self, name: str, image: Path, mask: Path | None, make: Callable[[], LocalizationResult]
+        self,
+        name: str,
+        image: Path,
+        mask: Path | None,
+        camera: Camera | None,
+        make: Callable[[], LocalizationResult],
     ) -> LocalizationResult:
         """Result of an image: the one that is kept, or a new one."""
-        path = self._path_of(name, image, mask)
+        path = self._path_of(name, image, mask, camera)
         found = read_result(path)
         if found is None:
             found = make()
@@ -60,10 +65,11 @@ class KeptResults:
             self.num_used += 1
         return found
 
-    def _path_of(self, name: str, image: Path, mask: Path | None) -> Path:
+    def _path_of(self, name: str, image: Path, mask: Path | None, camera: Camera | None) -> Path:
         contents = [b"" if p is None else self._digests.digest_of(p) for p in (image, mask)]
         # The name and the place say which of hloc's features are the image's.
-        key = fingerprint((*self._made_from, name, str(image.absolute())), *contents)
+        asked = camera, self._options, name, str(image.absolute())
+        key = fingerprint((*self._made_from, *asked), *contents)
         return self._folder / f"result-{key}.npz"
 
     def save_digests(self) -> None:

@@ -108,12 +108,16 @@ def _camera_of(
 ) -> Camera:
     try:
         return find_camera(image, picture, camera, "image")
-    except ValueError:
+    except ValueError as error:
         height, width = picture.shape[:2]
         known = world.camera_of_size(width, height) if camera is None else None
-        if known in (None, Equirectangular(width, height)):  # the raw frame of a 360 camera
+        if known not in (None, Equirectangular(width, height)):
+            return known
+        several = world.names_of_size(width, height) if camera is None else []
+        if len(several) < 2:  # or the raw frame of a 360 camera
             raise
-        return known
+        names = ", ".join(several)
+        raise ValueError(f"{error}; the map has {len(several)} of this size: {names}") from None
 
 
 def localize_features(

@@ -32,7 +32,7 @@ def localize_files(
     files: Mapping[str, Path],
     world: LocalizationMap,
     *,
-    camera: Camera | None = None,
+    camera: Camera | Mapping[str, Camera] | None = None,
     mask: Path | None = None,
     options: LocalizationOptions = LocalizationOptions(),  # noqa: B008 - frozen
     keep: Path | None = None,
@@ -40,21 +40,26 @@ def localize_files(
 ) -> LocalizedFiles:
     """Localize images by name; one that cannot be read costs itself, not the others.
 
+    There may be one camera, or one for each name.
     A folder ``keep`` gets the result of each image and gives those that are done and unchanged.
     """
     masks = MaskSource(mask)
     mask_of = {name: masks.mask_of(name) for name in files}
     masks.check_used(list(mask_of.values()))
-    kept = None if keep is None else KeptResults(keep, world, camera, options)
-    localize = partial(localize_image, world=world, camera=camera, options=options)
+    kept = None if keep is None else KeptResults(keep, world, options)
+    localize = partial(localize_image, world=world, options=options)
     results: dict[str, LocalizationResult] = {}
     reasons: dict[str, str] = {}
     for number, (name, path) in enumerate(files.items()):
         progress("localizing images", number, len(files))
-        make = partial(localize, path, mask=mask_of[name])
+        own = camera[name] if isinstance(camera, Mapping) else camera
+        make = partial(localize, path, camera=own, mask=mask_of[name])
         try:
             _check_opens(path, mask_of[name])
-            results[name] = make() if kept is None else kept.result(name, path, mask_of[name], make)
+            if kept is None:
+                results[name] = make()
+            else:
+                results[name] = kept.result(name, path, mask_of[name], own, make)
         except ValueError as error:
             if len(files) == 1:
                 raise

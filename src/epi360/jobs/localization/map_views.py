@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ Indices = NDArray[np.int64]
 
 _LARGEST = 1e100  # of a coordinate, whatever its unit: its square is a number
 _VIEWS_IN_MEMORY = 64  # of 6 MB each
+_IN_MEMORY = "view", "_features"
 _TO_SAME_PIXEL = 0.02  # px: key points in single precision
 # Share of an image's observations that must be key points of its features, and of the images that
 # must have features.
@@ -90,8 +92,20 @@ class LocalizationMap:
         starts = np.searchsorted(seen.images[order], np.arange(len(model.images) + 1))
         self._observations = [order[starts[k] : starts[k + 1]] for k in range(len(model.images))]
         self._covariances = point_covariances(model)
+        self._remember()
+
+    def _remember(self) -> None:
         self.view = lru_cache(_VIEWS_IN_MEMORY)(self._view)
         self._features = lru_cache(_VIEWS_IN_MEMORY)(self._features_of)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the views in memory, which another process finds itself."""
+        return {name: value for name, value in vars(self).items() if name not in _IN_MEMORY}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin with no views in memory."""
+        vars(self).update(state)
+        self._remember()
 
     def camera_of_size(self, width: int, height: int) -> Camera | None:
         """The only camera of the map with this size, or None.
@@ -101,12 +115,22 @@ class LocalizationMap:
         width, height : int
             Size of an image in pixels.
         """
-        fitting = [
-            camera
-            for camera in self.model.cameras.values()
+        fitting = self.names_of_size(width, height)
+        return self.model.cameras[fitting[0]] if len(fitting) == 1 else None
+
+    def names_of_size(self, width: int, height: int) -> list[str]:
+        """Names of the cameras of the map with this size.
+
+        Parameters
+        ----------
+        width, height : int
+            Size of an image in pixels.
+        """
+        return [
+            name
+            for name, camera in self.model.cameras.items()
             if (camera.width, camera.height) == (width, height)
         ]
-        return fitting[0] if len(fitting) == 1 else None
 
     def similar_views(self, features: Features) -> list[int]:
         """Numbers of the images of the map, those that look most like these features first.
