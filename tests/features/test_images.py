@@ -12,6 +12,7 @@ from PIL import Image
 from real_data import is_picture
 
 from epi360.cameras import Equirectangular, Pinhole
+from epi360.features.image_cameras import find_camera
 from epi360.features.images import (
     looks_like_dual_fisheye,
     looks_like_photograph,
@@ -470,3 +471,12 @@ def test_dual_fisheye_frames_of_real_panoramas_are_recognised(data_dir: Path):
     for path in paths:
         panorama = cv2.resize(read_image(path), (512, 256), interpolation=cv2.INTER_AREA)
         assert looks_like_dual_fisheye(dual_fisheye(panorama))
+
+
+def test_the_camera_of_a_panorama_makes_none_of_a_raw_frame():
+    frame = dual_fisheye(smooth_panorama())
+    camera = Equirectangular(frame.shape[1], frame.shape[0])
+    with pytest.raises(ValueError, match="image1 looks like a raw dual fisheye frame"):
+        find_camera(frame, frame, camera, "image1")
+    photograph = cut_panorama(smooth_panorama().astype(np.uint8), slice(50, 200), slice(100, 400))
+    assert find_camera(photograph, photograph, camera, "image1") == camera  # somebody says so

@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 from rendered_views import write_png
+from walked_room import write_frames
 from written_videos import noise_frames, write_video
 
 from epi360.cameras import Equirectangular
@@ -26,7 +27,6 @@ def test_a_folder_gives_its_images_in_natural_order_without_times(folder):
     assert {(frame.timestamp_s, frame.usable) for frame in frames} == {(None, None)}
     np.testing.assert_array_equal(frames[10].image, noise_frames(11)[10])
     assert source.num_frames == 11 and source.ending is None
-    assert source.camera() == Equirectangular(256, 128)
 
 
 def test_the_table_of_frames_gives_the_times_and_names_what_is_missing(folder):
@@ -99,3 +99,37 @@ def test_what_holds_no_frames_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("words")
     with pytest.raises(ValueError, match="no video file|needs? av|need av"):
         open_frames(tmp_path / "notes.txt")
+
+
+def test_the_camera_of_a_folder_is_that_of_its_first_picture(tmp_path):
+    write_frames(tmp_path / "rgb", 2)
+    (tmp_path / "rgb" / "!.png").write_text("no picture")
+    assert open_frames(tmp_path / "rgb").camera() == Equirectangular(512, 256)
+
+
+def raw_frame(height=200):
+    """Two discs of noise on black, side by side."""
+    v, u = np.mgrid[:height, :height] + 0.5
+    inside = np.hypot(u - height / 2, v - height / 2) < 0.48 * height
+    lit = np.random.default_rng(0).integers(60, 200, (height, height))
+    disc = np.where(inside, lit, 0).astype(np.uint8)
+    return np.repeat(np.hstack([disc, disc])[:, :, None], 3, axis=2)
+
+
+def test_raw_dual_fisheye_frames_are_no_panoramas(tmp_path):
+    (tmp_path / "0.png").write_text("no picture")
+    write_png(tmp_path / "1.png", raw_frame())
+    with pytest.raises(ValueError, match=r"1\.png looks like a raw dual fisheye frame"):
+        open_frames(tmp_path).camera()
+
+
+def test_photographs_cut_to_the_shape_of_panoramas_are_none(tmp_path):
+    part = smooth_panorama()[40:168, 100:356].astype(np.uint8)
+    write_png(tmp_path / "1.png", cv2.resize(part, (512, 256)))
+    with pytest.raises(ValueError, match=r"1\.png has the shape of a panorama, but .* camera"):
+        open_frames(tmp_path).camera()
+
+
+def smooth_panorama():
+    noise = np.random.default_rng(0).uniform(0, 255, (8, 16, 3)).astype(np.float32)
+    return cv2.resize(noise, (512, 256), interpolation=cv2.INTER_CUBIC).clip(0, 255)

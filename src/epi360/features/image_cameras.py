@@ -20,25 +20,34 @@ def find_camera(
     """Camera of a picture: the given one, or that of a panorama or of a part of one.
 
     A file is the part of a panorama that its GPano metadata state. What does not fit is a
-    ``ValueError`` that calls it ``name``.
+    ``ValueError`` that calls it ``name``; so is a raw dual fisheye frame with the camera of a full
+    panorama.
     """
-    height, width = picture.shape[:2]
     if camera is None:
-        gpano = gpano_of(source)
-        try:
-            found = panorama_camera(width, height, gpano)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from None
-        if found == Equirectangular(width, height):
-            require_panorama(picture, name, is_stated=gpano is not None)
-        return found
+        return find_panorama(source, picture, name)
+    height, width = picture.shape[:2]
     check_camera(camera, f"the camera of {name}")
     if (camera.width, camera.height) != (width, height):
         raise ValueError(
             f"{name} is {width}x{height} but its camera is {camera.width}x{camera.height}; "
             "give the camera of this image size"
         )
+    if camera == Equirectangular(width, height):
+        require_panorama(picture, name, is_stated=True)
     return camera
+
+
+def find_panorama(source: ImageSource, picture: NDArray[np.uint8], name: str) -> Equirectangular:
+    """Camera of a panorama, or of a part of one; ``ValueError`` for what is none."""
+    height, width = picture.shape[:2]
+    gpano = gpano_of(source)
+    try:
+        found = panorama_camera(width, height, gpano)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from None
+    if found == Equirectangular(width, height):
+        require_panorama(picture, name, is_stated=gpano is not None)
+    return found
 
 
 def check_camera(camera: object, name: str) -> None:

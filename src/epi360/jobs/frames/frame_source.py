@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular
-from epi360.cameras.gpano import panorama_camera
-from epi360.features.image_cameras import gpano_of
+from epi360.features.image_cameras import find_panorama
 from epi360.features.images import read_image, read_masked_image
 from epi360.image_folders import IMAGE_SUFFIXES, existing_folder
 from epi360.interop.video import Video, is_video, open_video
@@ -220,13 +219,10 @@ class _FolderFrames:
     def camera(self) -> Equirectangular:
         for name, path in self._files.items():
             try:
-                height, width = read_image(path).shape[:2]
+                picture = read_image(path)
             except (OSError, ValueError):
                 continue
-            try:
-                return panorama_camera(width, height, gpano_of(path))
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from None
+            return find_panorama(path, picture, name)
         raise ValueError(f"image folder {self.path} has no image that can be read")
 
 
