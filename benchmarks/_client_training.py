@@ -59,7 +59,7 @@ def _map_a_walk(scratch: Path) -> None:
         ["render", "walk", *WALK],
         ["map", "walk/rgb", "--output", "map", "--cubemap"],
     ):
-        command = [sys.executable, "-m", "epi360.cli", *words]
+        command = [sys.executable, "-m", "epi360", *words]
         subprocess.run(command, cwd=scratch, check=True, capture_output=True)
     model = read_colmap_model(scratch / "map" / "sparse" / "0")
     rows = read_tum_trajectory(scratch / "walk" / "frm_ref.txt").images
@@ -68,7 +68,7 @@ def _map_a_walk(scratch: Path) -> None:
     images = tuple(dataclasses.replace(i, cam_from_world=true[i.name]) for i in model.images)
     write_colmap_model(scratch / "true_model", dataclasses.replace(model, images=images))
     words = ["cubemap", "true_model", "walk/rgb", "true_cubemap", "--keep-world"]
-    command = [sys.executable, "-m", "epi360.cli", *words]
+    command = [sys.executable, "-m", "epi360", *words]
     subprocess.run(command, cwd=scratch, check=True, capture_output=True)
 
 

@@ -68,7 +68,7 @@ class Row:
 
 def run(words: list[str]) -> None:
     """Run a command of epi360."""
-    subprocess.run([sys.executable, "-m", "epi360.cli", *words], check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "epi360", *words], check=True, capture_output=True)
 
 
 def map_of(images: Path, output: Path) -> LocalizationMap:

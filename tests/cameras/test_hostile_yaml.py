@@ -21,3 +21,10 @@ def test_a_value_that_is_not_of_its_type_is_refused_in_one_sentence(value, tmp_p
     with pytest.raises(ValueError, match="camera.yaml") as error:
         load_cameras(path)
     assert "\n" not in str(error.value) and len(str(error.value)) < 500
+
+
+def test_a_key_that_is_there_twice_is_refused(tmp_path):
+    path = tmp_path / "camera.yaml"
+    path.write_text("model: Pinhole\nwidth: 8\nheight: 4\nfx: 140\nfy: 1\ncx: 1\ncy: 1\nfx: 70\n")
+    with pytest.raises(ValueError, match=r"camera.yaml .* fx is there twice"):
+        load_cameras(path)

@@ -56,7 +56,7 @@ def test_without_the_extra_the_command_says_how_to_install_it(capsys, monkeypatc
 @pytest.mark.parametrize("how", ["SIGINT", "SIGHUP"], ids=["Ctrl-C", "closed terminal"])
 def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_path, how):
     process = subprocess.Popen(
-        [sys.executable, "-m", "epi360.cli", "demo", "--port", "0", "--no-open"],
+        [sys.executable, "-m", "epi360", "demo", "--port", "0", "--no-open"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         env=os.environ | {"TMPDIR": str(tmp_path)},
         # Under nohup, a closed terminal ends no command that it starts.
@@ -80,7 +80,7 @@ def test_the_page_answers_where_the_command_says_and_leaves_nothing_behind(tmp_p
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX")
 def test_a_demo_that_is_ended_when_it_says_its_address_leaves_nothing_behind(tmp_path):
     process = subprocess.Popen(
-        [sys.executable, "-m", "epi360.cli", "demo", "--port", "0", "--no-open"],
+        [sys.executable, "-m", "epi360", "demo", "--port", "0", "--no-open"],
         stdout=subprocess.PIPE, text=True, cwd=tmp_path,
         env=os.environ | {"TMPDIR": str(tmp_path)},
     )  # fmt: skip

@@ -137,3 +137,10 @@ def test_tangent_sampson_refuses_bad_bearings_too():
     J = np.zeros((12, 3, 2))
     with pytest.raises(ValueError, match="bearings2 must be finite"):
         tangent_sampson_residuals(E, B1, with_row(B2, 0, np.inf), J, J)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("wrong", ["words", [[1, 2], [3]], B1 + 1j, POSE])
+def test_what_are_no_numbers_is_refused_in_one_sentence(name, wrong):
+    with pytest.raises(ValueError, match=r"bearings1 must be real numbers of shape \(N, 3\)"):
+        FUNCTIONS[name](wrong, B2)

@@ -274,3 +274,10 @@ def test_a_closer_look_multiplies_only_what_is_new(monkeypatch):
     monkeypatch.setattr(matching, "_two_nearest", counted)
     matching.look(first, second, before)
     assert sum(sizes) == len(first) * len(second) - 100 * 80
+
+
+@pytest.mark.parametrize("wrong", [None, np.zeros((5, 128), np.float32)])
+def test_what_are_no_features_is_refused(wrong):
+    features = Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), np.zeros(0))
+    with pytest.raises(ValueError, match="features2 must be Features, as extract_features gives"):
+        match_features(features, wrong)

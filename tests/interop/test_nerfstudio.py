@@ -391,3 +391,15 @@ def test_a_matrix_of_huge_numbers_is_no_rotation(number):
     matrix = np.diag([number, number, 1.0, 1.0]).tolist()
     with pytest.raises(ValueError, match="must hold a rotation, got a matrix with determinant"):
         pose_of_matrix(matrix, "applied_transform")
+
+
+def test_the_folder_of_the_images_may_be_named_as_it_is_seen_from_here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    camera = Pinhole(8, 4, 5.0, 5.0, 4.0, 2.0)
+    images = (PosedImage("front/1.png", "1", Pose(np.eye(3), np.zeros(3))),)
+    (tmp_path / "map").mkdir()
+    path = tmp_path / "map" / "transforms.json"
+    write_nerfstudio(path, Reconstruction({"1": camera}, images), images="../pictures")
+    for folder in ("../pictures", "pictures", str(tmp_path / "pictures")):
+        assert read_nerfstudio(path, images=folder).images[0].name == "front/1.png"
+    assert read_nerfstudio(path).images[0].name == "../pictures/front/1.png"

@@ -10,16 +10,40 @@ import numpy as np
 from epi360.cameras.base import Camera
 from epi360.cameras.equirectangular import Equirectangular
 
+# No lens has so large an angle across, even where its edges are stretched.
+_MOST_RADIANS = 40.0
+_FAR = 0.1  # of the size, from the middle to a principal point that counts instead
+_ALL_OVER = np.stack(np.meshgrid(*[np.linspace(0.05, 0.95, 10)] * 2), axis=-1).reshape(-1, 2)
+
 
 def pixels_per_radian(camera: Camera) -> float:
     """Resolution in the middle of the image, the mean of both directions; of a panorama, across.
 
-    NaN if the middle has no ray.
+    Where the principal point lies far from there, as that of one of the two lenses of a raw frame,
+    it is the resolution at that; if neither has a ray, that of what has. ``ValueError`` if nothing
+    has one, or lengths are not in pixels.
     """
     if isinstance(camera, Equirectangular):  # whose middle may be far from the horizon
         return camera.width / math.radians(camera.horizontal_fov_deg)
-    middle = np.array([[camera.width / 2, camera.height / 2]])
-    return math.sqrt(2) / float(np.linalg.norm(camera.bearing_jacobians(middle)[0]))
+    size = np.array([camera.width, camera.height])
+    middle = size / 2
+    principal = np.array([getattr(camera, "cx", np.nan), getattr(camera, "cy", np.nan)])
+    is_inside = ((principal >= 0) & (principal <= size)).all()
+    is_far = is_inside and (np.abs(principal - middle) > _FAR * size).any()
+    places = np.array([principal, middle] if is_far else [middle, principal])
+    for pixels in (places if is_inside else places[:1], size * _ALL_OVER):
+        lengths = np.linalg.norm(camera.bearing_jacobians(pixels), axis=(1, 2))
+        lengths = lengths[np.isfinite(lengths)]
+        if len(lengths):
+            length = lengths[0] if len(pixels) <= len(places) else np.median(lengths)
+            if camera.width * length <= math.sqrt(2) * _MOST_RADIANS:
+                return math.sqrt(2) / float(length)
+            break
+    raise ValueError(
+        f"the camera ({camera.width}x{camera.height}) must have as many pixels as its angles need; "
+        f"cx {principal[0]:g}, cy {principal[1]:g} and fx {getattr(camera, 'fx', np.nan):g} must "
+        "be in pixels of this size"
+    )
 
 
 def smallest_pixel_deg(cameras: Iterable[Camera]) -> float:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Checks of bearings at the public boundary: one place, one wording."""
 
+import reprlib
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,7 +11,7 @@ Array = NDArray[np.float64]
 
 def bearings_array(bearings: ArrayLike, name: str) -> Array:
     """Return unit bearings as float64 (N, 3); rows with NaN, or masked, are NaN."""
-    array = plain_array(bearings)
+    array = plain_array(bearings, name)
     check_rows_of_three(array, name)
     if np.isinf(array).any():
         row = int(np.flatnonzero(np.isinf(array).any(axis=1))[0])
@@ -25,11 +27,18 @@ def bearings_array(bearings: ArrayLike, name: str) -> Array:
     return np.ascontiguousarray(array / norms[:, None])
 
 
-def plain_array(values: ArrayLike) -> Array:
-    """Return float64 values; NaN where a masked array hides one."""
-    if isinstance(values, np.ma.MaskedArray):
-        return np.ma.filled(values.astype(np.float64), np.nan)
-    return np.asarray(values, dtype=np.float64)
+def plain_array(values: ArrayLike, name: str) -> Array:
+    """Return float64 values; NaN where a masked array hides one. ValueError for other things."""
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError
+        if isinstance(values, np.ma.MaskedArray):
+            return np.ma.filled(values.astype(np.float64), np.nan)
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be real numbers of shape (N, 3), got {reprlib.repr(values)}"
+        ) from None
 
 
 def check_rows_of_three(array: Array, name: str) -> None:

@@ -253,7 +253,7 @@ def _are_unit(rows: ArrayLike) -> bool:
 
 
 def _points(points: ArrayLike, shape: tuple[int, ...]) -> Array:
-    X = np.ascontiguousarray(plain_array(points))
+    X = np.ascontiguousarray(plain_array(points, "points"))
     if X.shape != shape:
         raise ValueError(f"points must have shape {shape} like bearings, got {X.shape}")
     if np.isinf(X).any():

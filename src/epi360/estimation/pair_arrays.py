@@ -65,7 +65,7 @@ def native_pair(
 
 
 def _rows(bearings: ArrayLike, name: str) -> Array:
-    array = np.ascontiguousarray(plain_array(bearings))
+    array = np.ascontiguousarray(plain_array(bearings, name))
     if array.shape == (0,):  # an empty list
         array = array.reshape(0, 3)
     check_rows_of_three(array, name)

@@ -49,10 +49,16 @@ def match_features(
     Raises
     ------
     ValueError
-        If ratio is not in (0, 1].
+        If ratio is not in (0, 1], or one of the features is something else.
     """
     if not 0.0 < ratio <= 1.0:
         raise ValueError(f"ratio must be in (0, 1], got {ratio}")
+    for name, given in (("features1", features1), ("features2", features2)):
+        if not isinstance(given, Features):
+            raise ValueError(
+                f"{name} must be Features, as extract_features gives them, got "
+                f"{type(given).__name__}"
+            )
     half = len(features1) // 2
     if half * len(features2) < _WORTH_A_THREAD:
         return look(features1, features2).matches(ratio, mutual=mutual)

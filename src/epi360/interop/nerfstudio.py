@@ -15,7 +15,7 @@ nerfstudio_dataparser.py.
 import json
 import os
 import posixpath
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from epi360.runs.inside import inside
 from epi360.runs.whole_files import PathLike, write_file
 
 WHAT = "a transforms.json of nerfstudio"
+_IMAGES = "images"  # nerfstudio's own name of the folder
 POINTS_FILE = "sparse_pc.ply"
 # What nerfstudio's reader of COLMAP models does with a world in which y points down.
 Z_UP_FROM_Y_DOWN = Pose(np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), np.zeros(3))
@@ -44,12 +45,12 @@ SIZE, FOCUS, DISTORTION = ("w", "h"), ("fl_x", "fl_y", "cx", "cy"), ("k1", "k2",
 INTRINSICS = ("camera_model", *SIZE, *FOCUS, *DISTORTION, "p1", "p2")
 
 
-def read_nerfstudio(path: PathLike, *, images: str = "images") -> Reconstruction:
+def read_nerfstudio(path: PathLike, *, images: str = _IMAGES) -> Reconstruction:
     """Return the cameras, poses and points of a ``transforms.json``.
 
     They are in the original world: an ``applied_transform`` is undone. Cameras are called "1", "2",
     ... in the order in which frames use them. The folder ``images`` is left out of the image names
-    if every ``file_path`` begins with it.
+    if every ``file_path`` begins with it; it is named as in the file, or as it is seen from here.
 
     Raises
     ------
@@ -67,7 +68,10 @@ def read_nerfstudio(path: PathLike, *, images: str = "images") -> Reconstruction
         if not isinstance(document["frames"], list) or not document["frames"]:
             raise ValueError("frames must be a list, with one frame at least")
         original_from_saved = _original_from_saved(document)
-        cameras, posed = _frames(document, original_from_saved, images)
+        folders = [images, seen_from(path.parent, images)]
+        if images == _IMAGES:  # the same names wherever the program runs
+            folders = [images]
+        cameras, posed = _frames(document, original_from_saved, folders)
         points, colors = _points(path, document, original_from_saved)
         return Reconstruction(cameras, posed, points, colors)
     except ValueError as error:
@@ -172,10 +176,10 @@ def _original_from_saved(document: Mapping[str, Any]) -> Pose:
 
 
 def _frames(
-    document: Mapping[str, Any], original_from_saved: Pose, folder: str
+    document: Mapping[str, Any], original_from_saved: Pose, folders: Iterable[str]
 ) -> tuple[dict[str, Camera], tuple[PosedImage, ...]]:
     shared = {key: document[key] for key in INTRINSICS if key in document}
-    names = _image_names(document["frames"], folder)
+    names = _image_names(document["frames"], folders)
     cameras: dict[Camera, str] = {}
     posed = []
     for number, frame in enumerate(document["frames"]):
@@ -192,17 +196,18 @@ def _frames(
     return {name: camera for camera, name in cameras.items()}, tuple(posed)
 
 
-def _image_names(frames: list[Any], folder: str) -> list[str]:
-    """Paths of the images below their folder; unchanged if one of them lies elsewhere."""
+def _image_names(frames: list[Any], folders: Iterable[str]) -> list[str]:
+    """Paths of the images below the first folder that has all of them; unchanged if none has."""
     paths = []
     for number, frame in enumerate(frames):
         value = checks.mapping(frame, f"frame {number}").get("file_path")
         if not isinstance(value, str) or not value:
             raise ValueError(f"frame {number} must have a file_path, got {fields.shortened(value)}")
         paths.append(posixpath.normpath(value))
-    prefix = posixpath.normpath(folder) + "/"
-    if all(path.startswith(prefix) for path in paths):
-        paths = [path.removeprefix(prefix) for path in paths]
+    for folder in folders:
+        prefix = posixpath.normpath(folder) + "/"
+        if all(path.startswith(prefix) for path in paths):
+            return [path.removeprefix(prefix) for path in paths]
     return paths
 
 

@@ -55,7 +55,17 @@ def _yaml(text: str) -> Any:
         raise ValueError(f"YAML may have {LONGEST_YAML} characters, got {len(text)}")
 
     class Loader(yaml.SafeLoader):
-        """Takes OpenCV's matrices as the mappings that they are."""
+        """Takes OpenCV's matrices as the mappings that they are, and no key twice."""
+
+        def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+            node = super().compose_mapping_node(anchor)  # as written: what it merges comes later
+            known: set[tuple[str, str]] = set()
+            for key, _ in node.value:
+                if isinstance(key, yaml.ScalarNode):
+                    if (key.tag, key.value) in known:
+                        raise ValueError(f"{key.value} is there twice")
+                    known.add((key.tag, key.value))
+            return node
 
     yaml.add_constructor(_OPENCV_MATRIX, yaml.SafeLoader.construct_yaml_map, Loader=Loader)
     if text.startswith(_OPENCV_START):  # no directive of YAML, but OpenCV begins like that
