@@ -12,16 +12,15 @@ from epi360.cameras.equirectangular import Equirectangular
 
 # No lens has so large an angle across, even where its edges are stretched.
 _MOST_RADIANS = 40.0
-_FAR = 0.1  # of the size, from the middle to a principal point that counts instead
 _ALL_OVER = np.stack(np.meshgrid(*[np.linspace(0.05, 0.95, 10)] * 2), axis=-1).reshape(-1, 2)
 
 
 def pixels_per_radian(camera: Camera) -> float:
     """Resolution in the middle of the image, the mean of both directions; of a panorama, across.
 
-    Where the principal point lies far from there, as that of one of the two lenses of a raw frame,
-    it is the resolution at that; if neither has a ray, that of what has. ``ValueError`` if nothing
-    has one, or lengths are not in pixels.
+    If the middle has no ray, as of one of the two lenses of a raw frame, it is the resolution at
+    the principal point, or else that of what has rays. ``ValueError`` if nothing has one, or
+    lengths are not in pixels.
     """
     if isinstance(camera, Equirectangular):  # whose middle may be far from the horizon
         return camera.width / math.radians(camera.horizontal_fov_deg)
@@ -29,9 +28,8 @@ def pixels_per_radian(camera: Camera) -> float:
     middle = size / 2
     principal = np.array([getattr(camera, "cx", np.nan), getattr(camera, "cy", np.nan)])
     is_inside = ((principal >= 0) & (principal <= size)).all()
-    is_far = is_inside and (np.abs(principal - middle) > _FAR * size).any()
-    places = np.array([principal, middle] if is_far else [middle, principal])
-    for pixels in (places if is_inside else places[:1], size * _ALL_OVER):
+    places = np.array([middle, principal] if is_inside else [middle])
+    for pixels in (places, size * _ALL_OVER):
         lengths = np.linalg.norm(camera.bearing_jacobians(pixels), axis=(1, 2))
         lengths = lengths[np.isfinite(lengths)]
         if len(lengths):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.estimation.result import LEAST_PROBABILITY
 from epi360.features.binary_features import BinaryFeatures
+from epi360.features.picture_writing import encode_picture
 from epi360.features.warped_patches import Panorama
 from epi360.odometry.frame_result import FrameTracks, shared_rows
 from epi360.odometry.key_frames import SparseMap
@@ -34,7 +35,7 @@ Picture = NDArray[np.uint8]
 # Of a key frame that is asked: points in common, and their median parallax, also in units of their
 # noise. Without parallax there is no distance at which anything could be looked for.
 _FEWEST_COMMON, _LEAST_PARALLAX_DEG, _LEAST_PARALLAX_SIGMAS = 10, 0.5, 5.0
-_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 90)  # 40 to 80 kB a key frame
+_JPEG_QUALITY = 90  # 40 to 80 kB a key frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +79,19 @@ class Surroundings:
     def __init__(self, camera: Camera, mask: NDArray[np.bool_] | None) -> None:
         self._camera, self._mask = camera, mask
         self._is_used = can_be_compared(camera)
-        self._pictures: dict[int, Picture] = {}  # compressed
+        self._pictures: dict[int, bytes] = {}  # compressed
 
     def add(self, number: int, gray: Picture) -> None:
         """Remember the picture of a key frame."""
         if self._is_used:
-            _, self._pictures[number] = cv2.imencode(".jpg", gray, _JPEG)
+            self._pictures[number] = encode_picture(gray, ".jpg", jpeg_quality=_JPEG_QUALITY)
 
     def picture(self, number: int) -> Picture | None:
         """Picture of a key frame, if it is remembered."""
         if number not in self._pictures:
             return None
-        return np.asarray(cv2.imdecode(self._pictures[number], cv2.IMREAD_GRAYSCALE), np.uint8)
+        content = np.frombuffer(self._pictures[number], np.uint8)
+        return np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
 
     def best_view(
         self, sparse_map: SparseMap, tracks: FrameTracks, pose: Pose, noise: Noise
