@@ -56,7 +56,7 @@ def test_the_map_does_not_go_on_at_another_door():
 
 
 def test_points_alone_would_say_so(monkeypatch):
-    """Of doors that are equal, nothing but what is around them tells which this is."""
+    """Nothing but what is around a door tells it from its equals."""
     monkeypatch.setattr(Surroundings, "deny", lambda *_, **__: False)
     odometry = walked_without(40)
     places = odometry.trajectory().positions

@@ -28,15 +28,14 @@ def pixels_per_radian(camera: Camera) -> float:
     middle = size / 2
     principal = np.array([getattr(camera, "cx", np.nan), getattr(camera, "cy", np.nan)])
     is_inside = ((principal >= 0) & (principal <= size)).all()
-    places = np.array([middle, principal] if is_inside else [middle])
-    for pixels in (places, size * _ALL_OVER):
-        lengths = np.linalg.norm(camera.bearing_jacobians(pixels), axis=(1, 2))
+    for pixels in (middle, principal if is_inside else middle, size * _ALL_OVER):
+        jacobians = camera.bearing_jacobians(np.atleast_2d(pixels))
+        lengths = np.linalg.norm(jacobians, axis=(1, 2))
         lengths = lengths[np.isfinite(lengths)]
         if len(lengths):
-            length = lengths[0] if len(pixels) <= len(places) else np.median(lengths)
-            if camera.width * length <= math.sqrt(2) * _MOST_RADIANS:
-                return math.sqrt(2) / float(length)
             break
+    if len(lengths) and camera.width * np.median(lengths) <= math.sqrt(2) * _MOST_RADIANS:
+        return math.sqrt(2) / float(np.median(lengths))
     raise ValueError(
         f"the camera ({camera.width}x{camera.height}) must have as many pixels as its angles need; "
         f"cx {principal[0]:g}, cy {principal[1]:g} and fx {getattr(camera, 'fx', np.nan):g} must "

@@ -68,9 +68,8 @@ def read_nerfstudio(path: PathLike, *, images: str = _IMAGES) -> Reconstruction:
         if not isinstance(document["frames"], list) or not document["frames"]:
             raise ValueError("frames must be a list, with one frame at least")
         original_from_saved = _original_from_saved(document)
-        folders = [images, seen_from(path.parent, images)]
-        if images == _IMAGES:  # the same names wherever the program runs
-            folders = [images]
+        # By default, the names are the same wherever the program runs.
+        folders = [images] if images == _IMAGES else [images, seen_from(path.parent, images)]
         cameras, posed = _frames(document, original_from_saved, folders)
         points, colors = _points(path, document, original_from_saved)
         return Reconstruction(cameras, posed, points, colors)

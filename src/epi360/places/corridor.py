@@ -83,38 +83,28 @@ def shown_by_itself(
     own = OwnEvidence.of(pair, views)
     if not own.is_known or not (is_corridor or repeats_itself(views, panoramas)):
         return own
-    if not show_a_floor(views):
+    floors = [plane for view in views if (plane := _floor_of(view)) is not None]
+    if len(floors) < len(views):
         return own.among_equal_doors(_FITTED.of(shown_by(pair, views)))
-    lies_below = max(_share_below_floor(pair, side, view) for side, view in enumerate(views))
+    lies_below = max(_share_below_floor(pair, side, floor) for side, floor in enumerate(floors))
     return own.among_equal_doors(-np.inf) if lies_below > _MOST_BELOW else own
 
 
 def show_a_floor(views: Sequence[SharedSurfaces]) -> bool:
     """Whether much of what was found in both views is one flat floor, which has no doors."""
-    for view in views:
-        least = max(_FEWEST_ON_FLOOR, _LEAST_ON_FLOOR * np.count_nonzero(view.found))
-        if np.count_nonzero(_on_floor(view)) < least:
-            return False
-        share_on_plane, _ = _floor_of(view)
-        if share_on_plane < _LEAST_ON_PLANE:
-            return False
-    return True
+    return all(_floor_of(view) is not None for view in views)
 
 
-def _on_floor(view: SharedSurfaces) -> NDArray[np.bool_]:
-    """Cells below the horizon that were found to be level."""
-    on_floor: NDArray[np.bool_] = (
-        view.found & (grid().directions[:, 1] > _BELOW) & (np.abs(view.normals[:, 1]) > _LEVEL)
-    )
-    return on_floor
+def _floor_of(view: SharedSurfaces) -> Array | None:
+    """Plane (3,) of the floor, points x of which have plane @ x = 1; None if little shows one.
 
-
-def _floor_of(view: SharedSurfaces) -> tuple[float, Array]:
-    """Share of what is level that lies on one plane, the floor's (3,): plane @ x = 1 for points x.
-
-    The rest may be tables. The camera may be tilted.
+    What else is level may be tables. The camera may be tilted.
     """
-    cells = _on_floor(view)
+    is_below = grid().directions[:, 1] > _BELOW
+    cells = view.found & is_below & (np.abs(view.normals[:, 1]) > _LEVEL)
+    least = max(_FEWEST_ON_FLOOR, _LEAST_ON_FLOOR * np.count_nonzero(view.found))
+    if np.count_nonzero(cells) < least:
+        return None
     points = view.depths[cells, None] * grid().directions[cells].astype(np.float64)
     plane = np.array([0.0, 1.0 / np.median(points[:, 1]), 0.0])
     for _ in range(_NUM_FITS):  # what lies elsewhere, and so far off, counts less and less
@@ -122,16 +112,15 @@ def _floor_of(view: SharedSurfaces) -> tuple[float, Array]:
         weights = 1.0 / (1.0 + np.square(off / max(_FLAT, float(np.median(off)))))
         plane = np.linalg.lstsq(weights[:, None] * points, weights, rcond=None)[0]
     is_near = np.abs(points @ plane - 1.0) < _FLAT
-    return float(np.mean(is_near)), np.asarray(plane, np.float64)
+    return None if np.mean(is_near) < _LEAST_ON_PLANE else np.asarray(plane, np.float64)
 
 
-def _share_below_floor(pair: PosedPair, side: int, view: SharedSurfaces) -> float:
-    """Share of the inliers below the horizon whose points lie below the floor that was found.
+def _share_below_floor(pair: PosedPair, side: int, plane: Array) -> float:
+    """Share of the inliers below the horizon whose points lie below the floor, a plane (3,).
 
     The pose may be right and its matches wrong: those of doors that lie on one epipolar curve put
     them far behind walls and floor.
     """
-    _, plane = _floor_of(view)
     points = cloud_of(pair, side, 0.0).points
     depths = points @ plane  # 1 on the floor, 0 at the height of the camera
     distances = np.linalg.norm(plane) * np.linalg.norm(points, axis=1)

@@ -202,10 +202,10 @@ def _lit_part(folder: Path, names: Sequence[str], camera: Camera) -> NDArray[np.
         grey = cv2.cvtColor(read_image(folder / name), cv2.COLOR_RGB2GRAY)
         if grey.shape == lit.shape:  # otherwise the work on it says so
             lit |= lit_part(np.asarray(grey, np.uint8))
-    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
-    radii = np.hypot(u - getattr(camera, "cx", np.nan), v - getattr(camera, "cy", np.nan))
     if lit.all() or not lit.any():
         return None
+    v, u = np.mgrid[: camera.height, : camera.width] + 0.5
+    radii = np.hypot(u - getattr(camera, "cx", np.nan), v - getattr(camera, "cy", np.nan))
     begins = float(np.percentile(radii[~lit], 2))
     if not np.mean(radii[lit] > _WIDER * begins) < _STRAY:
         return None
