@@ -5,6 +5,7 @@ from walked_room import CAMERA, NUM_FRAMES, elsewhere, error_share, frames, turn
 
 from epi360 import Equirectangular, Odometry, OdometryOptions, Pose, rotation_error_deg
 from epi360.odometry.pictures import PictureWatch
+from epi360.odometry.similarity import Similarity
 from epi360.odometry.turning import rotation_between
 
 # One pixel of these frames is 0.7 degrees and the nearest wall two metres away. Measured 0.2 % and
@@ -323,7 +324,6 @@ def test_rotation_between_sees_through_things_that_move():
 def test_frames_keep_their_distance_in_the_unit_of_their_key_frame():
     odometry = tracked(frames()[:10])
     segment = odometry._segments[0]
-    last = len(segment.map.key_frames) - 1
     index = segment.last_key_frame.index + 1
     shift = np.array([0.1, 0.2, 0.3])
 
@@ -331,11 +331,18 @@ def test_frames_keep_their_distance_in_the_unit_of_their_key_frame():
         key_pose = segment.last_key_frame.cam_from_world
         return (segment.pose_of(index) @ key_pose.inverse()).translation
 
-    segment.grow(np.full(last + 1, 2.0))
+    def grow(factor):
+        key_frame, smaller = (
+            segment.last_key_frame,
+            Similarity(1.0 / factor, np.eye(3), np.zeros(3)),
+        )
+        key_frame.move(smaller @ Similarity.from_pose(key_frame.cam_from_world))
+
+    grow(2.0)
     step = Pose(np.eye(3), shift)
     segment.add_frame(index, step @ segment.last_key_frame.cam_from_world, 50)
     np.testing.assert_allclose(offset(), shift, atol=1e-12)
-    segment.grow(np.full(last + 1, 3.0))
+    grow(3.0)
     np.testing.assert_allclose(offset(), 3.0 * shift, atol=1e-12)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.odometry.frame_result import FrameTracks
+from epi360.odometry.similarity import Similarity
 from epi360.poses import Pose
 
 Array = NDArray[np.float64]
@@ -35,6 +36,11 @@ class KeyFrame:
         Where.
     is_used : ndarray, shape (N,)
         False for observations that disagree with the map.
+    chain : int
+        Number of the frame with which the map began in which the key frame was placed; maps may
+        have been joined since. From one key frame of a chain to the next goes the odometry.
+    growth : float
+        By how much its unit of length has grown since it was placed.
     """
 
     index: int
@@ -44,6 +50,8 @@ class KeyFrame:
     bearings: Array
     pixels: Array
     is_used: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
+    chain: int = 0
+    growth: float = 1.0
 
     def __post_init__(self) -> None:
         if len(self.is_used) != len(self.ids):
@@ -64,12 +72,19 @@ class KeyFrame:
         """Directions (N, 3) of the bearings in the world."""
         return self.bearings @ self.rotation
 
+    def move(self, node_from_world: Similarity) -> None:
+        """Put it where a similarity says, whose scale changes its unit of length."""
+        pose = node_from_world.pose()
+        self.rotation, self.translation = np.array(pose.rotation), np.array(pose.translation)
+        self.growth /= node_from_world.scale
+
 
 class SparseMap:
     """Key frames and landmarks; a landmark has the identity of the track that began it."""
 
     def __init__(self) -> None:
         self.key_frames: list[KeyFrame] = []
+        self.chain: int | None = None  # that is continued
         self._first: int | None = None  # the lowest identity: rows of the tables start there
         self._positions = np.empty((0, 3))
         self._colors = np.empty((0, 3), np.uint8)
@@ -84,6 +99,8 @@ class SparseMap:
 
     def add_key_frame(self, tracks: FrameTracks, pose: Pose) -> KeyFrame:
         """Add a frame with its pose; tracks that were found to be wrong stay out."""
+        if self.chain is None:
+            self.chain = tracks.index
         rows = self._rows(tracks.ids)
         kept = ~self._is_banned[rows]
         key_frame = KeyFrame(
@@ -93,6 +110,7 @@ class SparseMap:
             self.landmarks_of(tracks.ids)[kept],
             tracks.bearings[kept],
             tracks.pixels[kept],
+            chain=self.chain,
         )
         _use_each_once(key_frame)
         self.key_frames.append(key_frame)
@@ -171,9 +189,8 @@ class SparseMap:
         self._strikes[rows] = np.clip(self._strikes[rows] + np.where(agrees, -1, 1), 0, _STRIKES)
         self.remove(landmarks[self._strikes[rows] >= _STRIKES])
 
-    def num_seen_by(self, number: int) -> int:
+    def num_seen_by(self, key_frame: KeyFrame) -> int:
         """How many landmarks a key frame sees."""
-        key_frame = self.key_frames[number]
         seen = key_frame.is_used & np.isfinite(self.positions_of(key_frame.ids)[:, 0])
         return int(seen.sum())
 

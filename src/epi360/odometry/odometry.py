@@ -113,7 +113,6 @@ class Odometry:
         self._pixel_rad = float(np.radians(smallest_pixel_deg((working, working))))
         self._results: list[FrameResult] = []
         self._segments: list[Segment] = []
-        self._waited: list[list[FrameTracks]] = []  # of each segment, then of the wait
         self._waiting = self._new_wait()
         self._active = 0  # the segment that is tracked
         self._first_index = -1
@@ -215,8 +214,8 @@ class Odometry:
         main = self._main
         if main is None:
             return list(self._results)
-        for segment, waited in zip(self._segments, self._waited, strict=True):
-            segment.pose_waiting(waited)
+        for segment in self._segments:
+            segment.pose_waiting()
         return updated_results(self._results, self._segments, main)
 
     def trajectory(self) -> Trajectory:
@@ -304,7 +303,7 @@ class Odometry:
             return self._wait(tracks, replace(frame, message=message), image, gray)
         if self._is_lost:
             frame = replace(frame, message=joined(frame.message, "the map is found again"))
-            self._waited[self._active].extend(self._waiting.frames)
+            segment.add_waited(self._waiting.frames)
             self._found()
             self._motion.restart()
         segment.agree(tracks, result)
@@ -388,10 +387,9 @@ class Odometry:
         pose = segment.last_key_frame.cam_from_world
         if segment.locate(tracks, pose) is None:
             return None
-        segment.add_frame(tracks.index, pose, segment.map.num_seen_by(-1))
+        segment.add_frame(tracks.index, pose, segment.map.num_seen_by(segment.last_key_frame))
         self._active = len(self._segments)
         self._segments.append(segment)
-        self._waited.append(waited)
         self._found()
         before = [tracks.index - 1] if tracks.index - 1 in segment.frames else []
         self._motion.restart(*before, tracks.index)

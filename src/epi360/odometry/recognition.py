@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,8 +151,8 @@ class Recognition:
                 return None
         return loop if loop.success else None
 
-    def correct(self, sparse_map: SparseMap, loop: LoopClosure) -> Array:
-        """Spread what a loop says over the key frames; returns by what each (K,) has shrunk."""
+    def correct(self, sparse_map: SparseMap, loop: LoopClosure) -> None:
+        """Spread what a loop says over the key frames."""
         assert loop.new_from_old is not None
         self._loops.append(PoseGraphEdge(loop.old, loop.new, loop.new_from_old, loop.information))
         nodes = [Similarity.from_pose(each.cam_from_world) for each in sparse_map.key_frames]
@@ -163,11 +164,8 @@ class Recognition:
             sparse_map.positions_of(ids), _last_seen(sparse_map, ids), nodes, graph.node_from_world
         )
         sparse_map.set_positions(ids, points)
-        scales = np.array([node.scale for node in graph.node_from_world])
         for key_frame, node in zip(sparse_map.key_frames, graph.node_from_world, strict=True):
-            pose = node.pose()
-            key_frame.rotation = np.array(pose.rotation)
-            key_frame.translation = np.array(pose.translation)
+            key_frame.move(node)
         # What the loop said about scale holds between key frames that have one unit from now on.
         self._loops = [
             PoseGraphEdge(
@@ -178,7 +176,6 @@ class Recognition:
             )
             for edge in self._loops
         ]
-        return 1.0 / scales
 
     def join_tracks(
         self, sparse_map: SparseMap, tracks: FrameTracks, pose: Pose, number: int, limit_rad: float
@@ -229,20 +226,25 @@ def nodes_relative(nodes: list[Similarity], i: int, j: int) -> Similarity:
 
 
 def _odometry_edges(sparse_map: SparseMap) -> list[PoseGraphEdge]:
-    """Edges from key frame to key frame; each step may be wrong by a percent of its length."""
+    """Edges along each chain of key frames; a step may be wrong by a percent of its length."""
+    chains: dict[int, list[int]] = {}
+    for number, key_frame in enumerate(sparse_map.key_frames):
+        chains.setdefault(key_frame.chain, []).append(number)
+    steps = [pair for numbers in chains.values() for pair in pairwise(numbers)]
+    befores, afters = np.array(steps, np.intp).reshape(-1, 2).T
     rotations = np.array([each.rotation for each in sparse_map.key_frames])
     translations = np.array([each.translation for each in sparse_map.key_frames])
-    turns = rotations[1:] @ np.swapaxes(rotations[:-1], 1, 2)
-    steps = translations[1:] - (turns @ translations[:-1, :, None])[:, :, 0]
-    lengths = np.maximum(np.linalg.norm(steps, axis=1), 1e-6)
+    turns = rotations[afters] @ np.swapaxes(rotations[befores], 1, 2)
+    ways = translations[afters] - (turns @ translations[befores, :, None])[:, :, 0]
+    lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-6)
     return [
         PoseGraphEdge(
-            number,
-            number + 1,
-            Similarity(1.0, turn, step),
+            before,
+            after,
+            Similarity(1.0, turn, way),
             diagonal_information(2e-3, 0.01 * length, 0.01),
         )
-        for number, (turn, step, length) in enumerate(zip(turns, steps, lengths, strict=True))
+        for (before, after), turn, way, length in zip(steps, turns, ways, lengths, strict=True)
     ]
 
 

@@ -46,8 +46,8 @@ class _GravityArguments(TypedDict, total=False):
 class PosedFrame:
     """A frame's pose relative to a key frame, which later adjustments move."""
 
-    number: int  # of the key frame
-    frame_from_key: Pose  # before loops have changed the key frame's unit of length
+    key_frame: KeyFrame
+    frame_from_key: Pose  # before the key frame's unit of length has grown
     num_inliers: int
 
 
@@ -66,7 +66,7 @@ class Segment:
         self.map = SparseMap()
         self.recognition = recognition
         self.frames: dict[int, PosedFrame] = {}
-        self._growth = np.ones(0)  # of the unit of each key frame by loops; later ones have one
+        self.waited: dict[int, list[FrameTracks]] = {}  # for a pose, by the chain of the map
         self._pixel_rad = pixel_rad
         self._options = options
         self._gravity = gravity
@@ -103,7 +103,8 @@ class Segment:
         sparse_map.key_frames.append(last)
         for _ in range(2):
             segment._adjust(max_iterations=10)
-        segment.pose_waiting(waited)
+        segment.waited[first.chain] = waited
+        segment.pose_waiting()
         return segment
 
     @property
@@ -145,14 +146,19 @@ class Segment:
 
     def add_frame(self, index: int, pose: Pose, num_inliers: int) -> None:
         """Keep the pose of a frame relative to the newest key frame."""
-        self._add_frame(index, pose, len(self.map.key_frames) - 1, num_inliers)
+        self._add_frame(index, pose, self.last_key_frame, num_inliers)
 
     def pose_of(self, index: int) -> Pose:
         """Pose of a frame as the map is now."""
         posed = self.frames[index]
-        offset, growth = posed.frame_from_key, self._growth_of(posed.number)
-        grown = Pose(offset.rotation, growth * offset.translation)
-        return grown @ self.map.key_frames[posed.number].cam_from_world
+        offset, key_frame = posed.frame_from_key, posed.key_frame
+        grown = Pose(offset.rotation, key_frame.growth * offset.translation)
+        return grown @ key_frame.cam_from_world
+
+    def add_waited(self, waited: list[FrameTracks]) -> None:
+        """Take in frames that waited while the map was lost."""
+        assert self.map.chain is not None
+        self.waited[self.map.chain].extend(waited)
 
     def wants_key_frame(self, tracks: FrameTracks, pose: Pose, num_inliers: int) -> bool:
         """Whether a frame shows enough that is new."""
@@ -225,7 +231,7 @@ class Segment:
         loop = recognition.close_loop(self.map) if self._options.loop_closure else None
         if loop is None:
             return None
-        self.grow(recognition.correct(self.map, loop))
+        recognition.correct(self.map, loop)
         pose, limit = self.last_key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
         recognition.join_tracks(self.map, tracks, pose, loop.old, limit)
         return self.map.key_frames[loop.old].index
@@ -263,37 +269,35 @@ class Segment:
             triangulate_new(self.map, self.noise)
             adjust_all(self.map, self.noise, gravity=self._gravity)
 
-    def pose_waiting(self, waited: list[FrameTracks]) -> None:
+    def pose_waiting(self) -> None:
         """Give frames that waited their poses, as far as the map shows what they saw."""
-        numbers = {each.index: number for number, each in enumerate(self.map.key_frames)}
-        first = self.map.key_frames[0].index
-        later = [frame for frame in waited if frame.index >= first]
-        earlier = [frame for frame in reversed(waited) if frame.index < first]
-        for run in (later, earlier):
-            last = -2
-            for frame in run:
-                number = numbers.get(frame.index, self._nearest(frame.index))
-                if abs(frame.index - last) != 1:
-                    guess = self.map.key_frames[number].cam_from_world
-                if frame.is_repeat and frame.index - 1 in self.frames:
-                    self.frames[frame.index] = self.frames[frame.index - 1]
-                    last = frame.index
-                    continue
-                if frame.index in numbers:
-                    guess = self.map.key_frames[number].cam_from_world
-                    self._add_frame(frame.index, guess, number, self.map.num_seen_by(number))
-                    last = frame.index
-                    continue
-                result = self.locate(frame, guess)
-                if result is not None:
-                    guess, last = result.cam_from_world, frame.index
-                    self._add_frame(frame.index, guess, number, int(result.inlier_mask.sum()))
+        for chain, waited in self.waited.items():
+            own = [each for each in self.map.key_frames if each.chain == chain]
+            later = [frame for frame in waited if frame.index >= own[0].index]
+            earlier = [frame for frame in reversed(waited) if frame.index < own[0].index]
+            for run in (later, earlier):
+                self._pose_run(run, {each.index: each for each in own})
 
-    def grow(self, factors: Array) -> None:
-        """Lengthen what frames are away from their key frames by a factor for each of these."""
-        before = np.ones(len(factors))
-        before[: len(self._growth)] = self._growth
-        self._growth = before * factors
+    def _pose_run(self, run: list[FrameTracks], key_frames: dict[int, KeyFrame]) -> None:
+        """The same of frames in the order in which each helps to find the next."""
+        last = -2
+        for frame in run:
+            near = key_frames[min(key_frames, key=lambda index: abs(index - frame.index))]
+            if abs(frame.index - last) != 1:
+                guess = near.cam_from_world
+            if frame.is_repeat and frame.index - 1 in self.frames:
+                self.frames[frame.index] = self.frames[frame.index - 1]
+                last = frame.index
+                continue
+            if frame.index in key_frames:
+                guess = near.cam_from_world
+                self._add_frame(frame.index, guess, near, self.map.num_seen_by(near))
+                last = frame.index
+                continue
+            result = self.locate(frame, guess)
+            if result is not None:
+                guess, last = result.cam_from_world, frame.index
+                self._add_frame(frame.index, guess, near, int(result.inlier_mask.sum()))
 
     def _insert_between(
         self, first: FrameTracks, last: FrameTracks, pose: Pose, waited: list[FrameTracks]
@@ -315,17 +319,10 @@ class Segment:
             if result is not None:
                 self.map.add_key_frame(frame, result.cam_from_world)
 
-    def _add_frame(self, index: int, pose: Pose, number: int, num_inliers: int) -> None:
-        offset = pose @ self.map.key_frames[number].cam_from_world.inverse()
-        offset = Pose(offset.rotation, offset.translation / self._growth_of(number))
-        self.frames[index] = PosedFrame(number, offset, num_inliers)
-
-    def _growth_of(self, number: int) -> float:
-        return float(self._growth[number]) if number < len(self._growth) else 1.0
-
-    def _nearest(self, index: int) -> int:
-        distances = [abs(key_frame.index - index) for key_frame in self.map.key_frames]
-        return int(np.argmin(distances))
+    def _add_frame(self, index: int, pose: Pose, key_frame: KeyFrame, num_inliers: int) -> None:
+        offset = pose @ key_frame.cam_from_world.inverse()
+        offset = Pose(offset.rotation, offset.translation / key_frame.growth)
+        self.frames[index] = PosedFrame(key_frame, offset, num_inliers)
 
     def _adjust(self, *, max_iterations: int) -> None:
         sigma_rad = adjust_last(
