@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
+import pytest
 
 from epi360 import Pose
 from epi360.odometry.frame_result import FrameTracks, shared_rows
 from epi360.odometry.key_frames import SparseMap
+from epi360.odometry.similarity import Similarity
+from epi360.poses import rotation_from_vector
 
 HERE = Pose(np.eye(3), np.zeros(3))
 
@@ -74,3 +77,70 @@ def test_landmark_that_agrees_as_often_as_not_stays():
     for agrees in (False, True) * 10:
         sparse_map.count_agreement(np.array([1]), np.array([agrees]))
     assert sparse_map.ids.tolist() == [1]
+
+
+def new_identities(first):
+    return lambda count: np.arange(first, first + count)
+
+
+def test_a_map_that_is_taken_in_keeps_its_landmarks_apart():
+    """Both maps have a track 2, which is not the same point."""
+    own, other = map_with([1, 2]), SparseMap()
+    other.add_key_frame(tracks_of(5, [2, 3]), HERE)
+    place(own, [1, 2])
+    other.set_positions(np.array([2, 3]), np.full((2, 3), [[7.0, 8.0, 9.0]]))
+    renaming = own.take_in(other, new_identities(100))
+    assert renaming.of(np.array([1, 2, 3])).tolist() == [1, 100, 3]
+    assert own.ids.tolist() == [1, 2, 3, 100]
+    np.testing.assert_array_equal(own.positions_of(np.array([2, 100])), [[3, 4, 5], [7, 8, 9]])
+    places, ids, _ = own.observations([0, 1])
+    assert list(zip(places.tolist(), ids.tolist(), strict=True)) == [
+        (0, 1),
+        (0, 2),
+        (1, 100),
+        (1, 3),
+    ]
+
+
+def test_joined_and_removed_landmarks_stay_so_in_the_map_that_takes_them_in():
+    own, other = map_with([1, 2, 8]), SparseMap()
+    other.add_key_frame(tracks_of(5, [2, 4, 6]), HERE)
+    other.join(np.array([4]), np.array([2]))
+    other.remove(np.array([6]))
+    place(own, [1])
+    own.take_in(other, new_identities(100))
+    assert own.landmarks_of(np.array([4, 2])).tolist() == [100, 2]
+    assert own.is_free(np.array([6, 8])).tolist() == [False, True]
+
+
+def test_key_frames_of_both_maps_are_in_the_order_of_their_frames():
+    own, other = SparseMap(), SparseMap()
+    for index in (0, 3, 9):
+        own.add_key_frame(tracks_of(index, [index]), HERE)
+    for index in (5, 7):
+        other.add_key_frame(tracks_of(index, [index]), HERE)
+    own.take_in(other, new_identities(100))
+    assert [(each.index, each.chain) for each in own.key_frames] == [
+        (0, 0),
+        (3, 0),
+        (5, 5),
+        (7, 5),
+        (9, 0),
+    ]
+    own.add_key_frame(tracks_of(10, [10]), HERE)
+    assert own.key_frames[-1].chain == 0
+
+
+def test_another_world_of_other_units_moves_key_frames_and_landmarks():
+    sparse_map = map_with([1])
+    place(sparse_map, [1])
+    turn = rotation_from_vector([0.1, 0.2, 0.3])
+    sparse_map.key_frames[0].translation = np.array([1.0, 0.0, 0.0])
+    (bearing,) = sparse_map.positions_of(np.array([1])) + [[1.0, 0.0, 0.0]]
+    sparse_map.move_world(Similarity(3.0, turn, np.array([5.0, 6.0, 7.0])))
+    key_frame = sparse_map.key_frames[0]
+    np.testing.assert_allclose(key_frame.center, 3.0 * turn @ [-1.0, 0.0, 0.0] + [5, 6, 7])
+    (point,) = sparse_map.positions_of(np.array([1]))
+    seen = key_frame.rotation @ point + key_frame.translation
+    np.testing.assert_allclose(seen, 3.0 * bearing)
+    assert key_frame.growth == pytest.approx(3.0)

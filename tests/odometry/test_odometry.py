@@ -62,7 +62,7 @@ def test_adjusting_the_whole_map_never_raises_its_own_cost():
     odometry = Odometry(CAMERA)
     for image in frames():
         odometry.add_frame(image)
-    segment = odometry._segments[0]
+    segment = odometry._segments[1]
     scale_rad = 2.0 * segment.noise.sigma_rad  # of Cauchy's loss
     used = [each.is_used.copy() for each in odometry.key_frames()]
     before = seen_errors_rad(odometry.key_frames(), segment.map.positions_of)
@@ -323,7 +323,7 @@ def test_rotation_between_sees_through_things_that_move():
 
 def test_frames_keep_their_distance_in_the_unit_of_their_key_frame():
     odometry = tracked(frames()[:10])
-    segment = odometry._segments[0]
+    segment = odometry._segments[1]
     index = segment.last_key_frame.index + 1
     shift = np.array([0.1, 0.2, 0.3])
 

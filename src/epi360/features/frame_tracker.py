@@ -220,11 +220,15 @@ class FrameTracker:
         Where a frame shows another place than the one before, they are not the same points.
         """
         rows = np.searchsorted(self._points.ids, ids)
-        count = len(self._points.ids)
-        fresh = np.arange(self._next_id, self._next_id + count)
-        self._next_id += count
+        fresh = self.new_identities(len(self._points.ids))
         self._points = replace(self._points, ids=fresh)
         return np.asarray(fresh[rows])
+
+    def new_identities(self, count: int) -> NDArray[np.int64]:
+        """Return identities that no point has or will get."""
+        fresh = np.arange(self._next_id, self._next_id + count)
+        self._next_id += count
+        return fresh
 
     def _frame(self, before: _Seen | None, now: _Seen) -> TrackedFrame:
         points = self._points

@@ -40,7 +40,7 @@ class FrameResult:
         Whether the frame became a key frame of the map.
     loop_frame : int, optional
         Number of an earlier frame whose place the camera has come back to, where that corrected the
-        trajectory.
+        trajectory or joined two maps.
     message : str
         Sentence for a person, empty when there is nothing to say.
     follows_gap : bool

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,6 +80,21 @@ class KeyFrame:
         self.growth /= node_from_world.scale
 
 
+@dataclass(frozen=True, eq=False)
+class Renaming:
+    """Identities (sorted) that become others."""
+
+    before: Ids
+    after: Ids
+
+    def of(self, ids: Ids) -> Ids:
+        """Identities as they are called now."""
+        if len(self.before) == 0:
+            return ids
+        rows = np.minimum(np.searchsorted(self.before, ids), len(self.before) - 1)
+        return np.where(self.before[rows] == ids, self.after[rows], ids)
+
+
 class SparseMap:
     """Key frames and landmarks; a landmark has the identity of the track that began it."""
 
@@ -144,6 +160,34 @@ class SparseMap:
             if is_joined[self._rows(key_frame.ids)].any():
                 key_frame.ids = self.landmarks_of(key_frame.ids)
                 _use_each_once(key_frame)
+
+    def move_world(self, new_from_old: Similarity) -> None:
+        """Give key frames and landmarks another world."""
+        old_from_new = new_from_old.inverse()
+        for key_frame in self.key_frames:
+            key_frame.move(Similarity.from_pose(key_frame.cam_from_world) @ old_from_new)
+        self._positions = new_from_old.apply(self._positions)
+
+    def take_in(self, other: SparseMap, new_identities: Callable[[int], Ids]) -> Renaming:
+        """Take in another map of the same world, whose key frames and landmarks become this one's.
+
+        Tracks that both know become two, for the maps would not be two if they were the same
+        points. Key frames are in the order of their frames afterwards.
+        """
+        ids = other._known_ids()
+        shared = np.intersect1d(ids, self._known_ids())
+        renaming = Renaming(shared, new_identities(len(shared)))
+        rows, other_rows = self._rows(renaming.of(ids)), other._rows(ids)
+        self._positions[rows] = other._positions[other_rows]
+        self._colors[rows] = other._colors[other_rows]
+        self._strikes[rows] = other._strikes[other_rows]
+        self._is_banned[rows] = other._is_banned[other_rows]
+        self._same_as[rows] = renaming.of(other._same_as[other_rows])
+        for key_frame in other.key_frames:
+            key_frame.ids = renaming.of(key_frame.ids)
+        key_frames = [*self.key_frames, *other.key_frames]
+        self.key_frames = sorted(key_frames, key=lambda each: each.index)
+        return renaming
 
     def positions_of(self, ids: Ids) -> Array:
         """Positions (N, 3) of the landmarks of tracks, NaN where there is none."""
@@ -233,6 +277,15 @@ class SparseMap:
         for name, piece in pieces:
             old = getattr(self, name)
             setattr(self, name, np.concatenate([piece, old] if at_front else [old, piece]))
+
+    def _known_ids(self) -> Ids:
+        """Sorted identities of all tracks of which something is known."""
+        is_known = np.isfinite(self._positions[:, 0]) | self._is_banned | (self._strikes != 0)
+        first = self._first or 0
+        is_joined = self._same_as != np.arange(first, first + len(self._same_as))
+        known = np.flatnonzero(is_known | is_joined) + first
+        seen = [each.ids for each in self.key_frames]
+        return np.unique(np.concatenate([known, self._same_as[is_joined], *seen]))
 
 
 def _use_each_once(key_frame: KeyFrame) -> None:

@@ -123,8 +123,8 @@ def close_loop(
     num_cells = min(forth.num_cells, back.num_cells)
     refused = replace(refused, num_inliers=num_inliers, num_cells=num_cells)
     other = (back.pose.cam_from_world @ new.cam_from_world.inverse()).inverse()
-    range_ = _median_range(new)
-    if not _agree(new_from_old, Similarity.from_pose(other), range_, place.threshold_rad):
+    range_ = median_range(new)
+    if not similar(new_from_old, Similarity.from_pose(other), range_, place.threshold_rad):
         return replace(refused, status="two_views_disagree")
     if path_length is not None and not _is_plausible(new_from_old, new, old, path_length, options):
         return replace(refused, status="drift_too_large")
@@ -150,13 +150,14 @@ def _distance_ratios(new: MappedView, old: MappedView, found: Relocalization) ->
     return np.asarray(np.log(np.linalg.norm(in_new, axis=1) / far_old))
 
 
-def _median_range(view: MappedView) -> float:
+def median_range(view: MappedView) -> float:
+    """Median distance of a key frame's points."""
     known = view.points[np.isfinite(view.points[:, 0])]
     center = view.cam_from_world.inverse().translation
     return float(np.median(np.linalg.norm(known - center, axis=1)))
 
 
-def _agree(a: Similarity, b: Similarity, range_: float, threshold_rad: float) -> bool:
+def similar(a: Similarity, b: Similarity, range_: float, threshold_rad: float) -> bool:
     """Whether two similarities that end in the new camera's units differ by noise alone."""
     angle = np.radians(rotation_error_deg(a.rotation, b.rotation))
     # Of the translation: noise of the rays, and five per cent of its length of the scale.

@@ -29,6 +29,7 @@ from epi360.odometry.gaps import Gaps
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
+from epi360.odometry.map_parts import Connection
 from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.pictures import PictureWatch, joint_mask, mask_for
@@ -82,7 +83,8 @@ class Odometry:
     -----
     The world is the camera's frame at the first key frame, and the unit of length the distance
     between the two frames that the map began with. If the sequence is cut, each part has a world
-    of its own, and `trajectory` is that of the part with most frames.
+    of its own until the camera sees a place of another part again, and `trajectory` is that of the
+    part with most frames.
     """
 
     def __init__(
@@ -112,9 +114,11 @@ class Odometry:
         )
         self._pixel_rad = float(np.radians(smallest_pixel_deg((working, working))))
         self._results: list[FrameResult] = []
-        self._segments: list[Segment] = []
+        self._segments: dict[int, Segment] = {}  # by their numbers, from 1
+        self._num_begun = 0  # segments, of which some may have been joined
+        self._connections: dict[tuple[int, int], Connection] = {}  # of the active one with others
         self._waiting = self._new_wait()
-        self._active = 0  # the segment that is tracked
+        self._active = 0  # number of the segment that is tracked
         self._first_index = -1
         self._last_seen = -1  # the frame whose picture was the last to show something
         self._first_gray: NDArray[np.uint8] | None = None  # picture of the frame that waits first
@@ -203,7 +207,7 @@ class Odometry:
     def finish(self) -> None:
         """Adjust the whole map once, when no frame follows."""
         if self._main is not None:
-            self._segments[self._main].adjust_all()
+            self._main.adjust_all()
 
     def results(self) -> list[FrameResult]:
         """What is known of each frame by now: frames that waited have their poses.
@@ -214,7 +218,7 @@ class Odometry:
         main = self._main
         if main is None:
             return list(self._results)
-        for segment in self._segments:
+        for segment in self._segments.values():
             segment.pose_waiting()
         return updated_results(self._results, self._segments, main)
 
@@ -224,11 +228,11 @@ class Odometry:
 
     def key_frames(self) -> list[KeyFrame]:
         """Key frames of the map; empty before it begins."""
-        return [] if self._main is None else self._segments[self._main].map.key_frames
+        return [] if self._main is None else self._main.map.key_frames
 
     def points(self) -> MapPoints:
         """Landmarks of the map and where its key frames see them."""
-        return no_points() if self._main is None else self._segments[self._main].points()
+        return no_points() if self._main is None else self._main.points()
 
     def move_map(self, cam_from_world: Sequence[Pose], positions: NDArray[np.float64]) -> None:
         """Put key frames and points where another adjustment has found them; frames follow.
@@ -246,21 +250,21 @@ class Odometry:
             If there are not as many as of key frames and points.
         """
         if self._main is not None:
-            self._segments[self._main].move(cam_from_world, positions)
+            self._main.move(cam_from_world, positions)
 
     @property
     def num_segments(self) -> int:
-        """Number of maps: more than one where the sequence was cut or lost for good."""
+        """Number of maps: more than one where the sequence was cut and no place seen again."""
         return len(self._segments)
 
     @property
-    def _main(self) -> int | None:
-        sizes = [len(segment.frames) for segment in self._segments]
-        return sizes.index(max(sizes)) if sizes else None
+    def _main(self) -> Segment | None:
+        numbers = sorted(self._segments, key=lambda each: (-len(self._segments[each].frames), each))
+        return self._segments[numbers[0]] if numbers else None
 
     @property
     def _segment(self) -> Segment | None:
-        return self._segments[self._active] if self._segments else None
+        return self._segments.get(self._active)
 
     def _new_wait(self) -> Waiting:
         return Waiting(
@@ -312,11 +316,8 @@ class Odometry:
         if is_key_frame:
             pose = segment.add_key_frame(tracks, pose)
             segment.color(segment.last_key_frame, image, self._full_from_working)
-            old = segment.recognise(gray, tracks)
-            if old is not None:
-                pose = segment.last_key_frame.cam_from_world
-                said = joined(frame.message, f"closes a loop with frame {old}")
-                frame = replace(frame, message=said, loop_frame=old)
+            frame = self._recognised(segment, tracks, frame, gray)
+            pose = segment.last_key_frame.cam_from_world
         segment.add_frame(tracks.index, pose, count)
         self._motion.follow(tracks.index)
         return replace(
@@ -353,19 +354,45 @@ class Odometry:
         segment.color(segment.last_key_frame, image, self._full_from_working)
         if segment.map.key_frames[0].index == self._first_index:
             segment.recognise_first(self._first_gray)
-        segment.recognise(gray, tracks)
         self._first_index, self._first_gray = -1, None
         said = start.message
-        if len(self._segments) > 1:
-            said = f"another place, map {len(self._segments)}: {said}"
+        if self._num_begun > 1:
+            said = f"another place, map {self._num_begun}: {said}"
+        frame = self._recognised(segment, tracks, replace(frame, message=said), gray)
         return replace(
             frame,
             status="tracked",
             cam_from_world=segment.pose_of(tracks.index),
             num_inliers=segment.frames[tracks.index].num_inliers,
             is_keyframe=True,
-            message=said,
         )
+
+    def _recognised(
+        self, segment: Segment, tracks: FrameTracks, frame: FrameResult, gray: NDArray[np.uint8]
+    ) -> FrameResult:
+        """Look where the place of the newest key frame was seen before, and say so."""
+        old = segment.recognise(gray, tracks)
+        if old is not None:
+            said = joined(frame.message, f"closes a loop with frame {old}")
+            return replace(frame, message=said, loop_frame=old)
+        for number, other in list(self._segments.items()):
+            if other is segment or not self._options.loop_closure:
+                continue
+            connection = segment.connection(other)
+            if connection is None:
+                continue
+            ends = self._active, number
+            before, self._connections[ends] = self._connections.get(ends), connection
+            if before is None or not connection.agrees_with(before):
+                continue
+            old = other.map.key_frames[connection.loop.old].index
+            segment.take_in(other, connection, tracks, self._tracker.new_identities)
+            del self._segments[number], self._segments[self._active]
+            message = f"joins map {max(ends)} to map {min(ends)}, by frame {old}"
+            self._active, self._connections = min(ends), {}
+            self._segments[self._active] = segment
+            return replace(frame, message=joined(frame.message, message), loop_frame=old)
+        return frame
 
     def _found(self) -> None:
         """Count no longer as lost."""
@@ -388,8 +415,9 @@ class Odometry:
         if segment.locate(tracks, pose) is None:
             return None
         segment.add_frame(tracks.index, pose, segment.map.num_seen_by(segment.last_key_frame))
-        self._active = len(self._segments)
-        self._segments.append(segment)
+        self._num_begun += 1
+        self._active = self._num_begun
+        self._segments[self._active] = segment
         self._found()
         before = [tracks.index - 1] if tracks.index - 1 in segment.frames else []
         self._motion.restart(*before, tracks.index)
@@ -402,10 +430,12 @@ class Odometry:
         self._num_lost += 1
         if self._num_lost > _TRIES and self._num_lost % _TRIES:
             return active, None
-        for segment in (active, *(other for other in self._segments if other is not active)):
+        others = [number for number in sorted(self._segments) if number != self._active]
+        for number in (self._active, *others):
+            segment = self._segments[number]
             result = segment.find(gray, tracks, in_doubt=self._is_in_doubt)
             if result is not None:
-                self._active = self._segments.index(segment)
+                self._active = number
                 return segment, result
         return active, None
 

@@ -15,6 +15,7 @@ from epi360.features.binary_features import BinaryFeatures, extract_binary_featu
 from epi360.odometry.frame_result import FrameTracks
 from epi360.odometry.key_frames import Ids, SparseMap
 from epi360.odometry.loop_closure import LoopClosure, LoopOptions, close_loop
+from epi360.odometry.map_parts import Connection, PartOfMap
 from epi360.odometry.mapping import Noise
 from epi360.odometry.places import PlaceIndex
 from epi360.odometry.pose_graph import (
@@ -27,6 +28,7 @@ from epi360.odometry.relocalization import (
     MappedView,
     PlaceOptions,
     Relocalization,
+    locate,
     map_view,
     relocalize,
 )
@@ -43,6 +45,7 @@ _THRESHOLD_PX = 2.0  # of a feature; small pictures need more than the angle tha
 _LOOP_GAP = 20  # key frames, before which a place that looks alike is no loop
 _SIMILAR = 0.5  # of the similarity to the key frame before, which a loop's must reach
 _FEWEST_COMMON = 30  # landmarks that two key frames share if nothing has drifted between them
+_REST_IN_DOUBT = 3  # key frames after another map has seemed to show the same place
 _REST = 5  # key frames after a loop, or a try that failed, before the next is tried
 # A correction moves the whole map, in 0.3 ms for each key frame. After one, more key frames rest in
 # proportion: no key frame pays for moving more than so many, however often a place is seen again.
@@ -61,7 +64,9 @@ class Recognition:
         self._features: dict[int, BinaryFeatures] = {}
         self._surroundings = Surroundings(camera, mask)
         self._loops: list[PoseGraphEdge] = []
-        self._rest_until = 0
+        self._rest_until = 0  # key frame before which no loop is looked for
+        self._alone_until = 0  # and no other map with the same place
+        self._views: dict[int, MappedView] = {}  # of key frames while the map does not grow
 
     def features(self, gray: NDArray[np.uint8]) -> BinaryFeatures:
         """Features of a picture."""
@@ -73,6 +78,7 @@ class Recognition:
         """Remember what a key frame looks like: its features, and the picture around them."""
         self._features[number] = features
         self._index.add(number, features.descriptors)
+        self._views.clear()
         if gray is not None:
             self._surroundings.add(number, gray)
 
@@ -113,11 +119,16 @@ class Recognition:
         in_doubt: bool = False,
     ) -> bool:
         """The same of a frame that was found by its features."""
-        old = found.key_frame
-        view = SharedView.of_relocalization(
-            found, sparse_map.key_frames[old].cam_from_world, self._features[old], features
-        )
+        view = self._shared_view(sparse_map, found, features)
         return self._surroundings.deny(gray, view, in_doubt=in_doubt)
+
+    def _shared_view(
+        self, sparse_map: SparseMap, found: Relocalization, features: BinaryFeatures
+    ) -> SharedView:
+        """What a frame that was found by its features shares with the key frame that found it."""
+        old = found.key_frame
+        pose = sparse_map.key_frames[old].cam_from_world
+        return SharedView.of_relocalization(found, pose, self._features[old], features)
 
     def close_loop(self, sparse_map: SparseMap) -> LoopClosure | None:
         """Loop between the newest key frame and an old one that shows the same place."""
@@ -150,6 +161,69 @@ class Recognition:
             if self._is_elsewhere(sparse_map, loop.new_in_map, features, gray):
                 return None
         return loop if loop.success else None
+
+    def connect(
+        self, sparse_map: SparseMap, other: Recognition, other_map: SparseMap
+    ) -> Connection | None:
+        """Key frame of another map that shows the same place as the newest one of this map.
+
+        Nothing says where the maps are, so what surrounds it must make the place sure.
+        """
+        number = len(sparse_map.key_frames) - 1
+        gray = self._surroundings.picture(number)
+        if number not in self._features or gray is None or number < self._alone_until:
+            return None
+        features, new = self._features[number], None
+        for old, _ in other._index.most_similar(features.descriptors, _CANDIDATES):
+            view = other._view_at_rest(other_map, old)
+            if not locate(features, view, options=self._place, seed=0).success:
+                continue
+            new = new or self._view(sparse_map, number)
+            loop = close_loop(new, view, options=LoopOptions(place=self._place))
+            if loop.new_in_map is None:
+                continue
+            shared = other._shared_view(other_map, loop.new_in_map, features)
+            if not shared.has_parallax:  # another key frame says more
+                continue
+            if other._surroundings.deny(gray, shared, in_doubt=True):
+                self._alone_until = number + _REST_IN_DOUBT
+                return None
+            return Connection.of(loop, new, view, self._place.threshold_rad)
+        return None
+
+    def take_in(
+        self,
+        other: Recognition,
+        connection: Connection,
+        sparse_map: SparseMap,
+        own_part: PartOfMap,
+        other_part: PartOfMap,
+    ) -> None:
+        """Take in what another map's key frames look like, after the map has taken them in."""
+        own, others = own_part.renumbered(self._features), other_part.renumbered(other._features)
+        self._features = dict(sorted((own | others).items()))
+        self._index = PlaceIndex()
+        for number, features in self._features.items():
+            self._index.add(number, features.descriptors)
+        self._surroundings.take_in(other._surroundings, own_part, other_part)
+        loop = connection.loop
+        assert loop.information is not None
+        nodes = [Similarity.from_pose(each.cam_from_world) for each in sparse_map.key_frames]
+        ends = [
+            *(own_part.ends_of(each) for each in self._loops),
+            *(other_part.ends_of(each) for each in other._loops),
+            (
+                other_part.numbers[loop.old],
+                own_part.numbers[loop.new],
+                own_part.grown(loop.information),
+            ),
+        ]
+        self._loops = [
+            PoseGraphEdge(i, j, nodes_relative(nodes, i, j), information)
+            for i, j, information in ends
+        ]
+        self._rest_until = len(nodes) + _REST
+        self._views.clear()
 
     def correct(self, sparse_map: SparseMap, loop: LoopClosure) -> None:
         """Spread what a loop says over the key frames."""
@@ -206,6 +280,12 @@ class Recognition:
             numbers = [last, *(number for number in numbers if number != last)]
         for number in numbers:
             yield self._view(sparse_map, number)
+
+    def _view_at_rest(self, sparse_map: SparseMap, number: int) -> MappedView:
+        """The same while nothing is added to the map."""
+        if number not in self._views:
+            self._views[number] = self._view(sparse_map, number)
+        return self._views[number]
 
     def _view(self, sparse_map: SparseMap, number: int) -> MappedView:
         """Key frame with the places of its features, from the rays of its neighbours."""

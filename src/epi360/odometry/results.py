@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,19 +14,16 @@ from epi360.poses import Pose
 
 
 def updated_results(
-    results: Sequence[FrameResult], segments: Sequence[Segment], main: int
+    results: Sequence[FrameResult], segments: Mapping[int, Segment], main: Segment
 ) -> list[FrameResult]:
     """Results with the poses of the main map; frames of other maps are lost, and say so."""
-    key_frames = {each.index for each in segments[main].map.key_frames}
+    key_frames = {each.index for each in main.map.key_frames}
     number_of = {
         index: number
-        for number, segment in reversed(list(enumerate(segments, start=1)))
-        for index in segment.frames
+        for number in sorted(segments, reverse=True)
+        for index in segments[number].frames
     }
-    return [
-        _updated(result, segments[main], key_frames, number_of.get(result.index))
-        for result in results
-    ]
+    return [_updated(result, main, key_frames, number_of.get(result.index)) for result in results]
 
 
 def _updated(

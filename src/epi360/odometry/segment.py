@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import TypedDict
 
 import numpy as np
@@ -14,7 +14,8 @@ from epi360.estimation.absolute_pose_fit import AbsolutePoseFit, fit_absolute_po
 from epi360.odometry.frame_result import FrameTracks, MapPoints, shared_rows
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start
-from epi360.odometry.key_frames import KeyFrame, SparseMap
+from epi360.odometry.key_frames import Ids, KeyFrame, SparseMap
+from epi360.odometry.map_parts import Connection, PartOfMap
 from epi360.odometry.mapping import Noise, adjust_all, adjust_last, triangulate, triangulate_new
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.recognition import Recognition
@@ -232,9 +233,52 @@ class Segment:
         if loop is None:
             return None
         recognition.correct(self.map, loop)
-        pose, limit = self.last_key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
-        recognition.join_tracks(self.map, tracks, pose, loop.old, limit)
+        self._join_tracks(tracks, loop.old)
         return self.map.key_frames[loop.old].index
+
+    def _join_tracks(self, tracks: FrameTracks, number: int) -> None:
+        """Join tracks of the newest key frame to the landmarks around another one."""
+        pose, limit = self.last_key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
+        self.recognition.join_tracks(self.map, tracks, pose, number, limit)
+
+    def connection(self, other: Segment) -> Connection | None:
+        """How the newest key frame is connected with another map; None if that is not known."""
+        return self.recognition.connect(self.map, other.recognition, other.map)
+
+    def take_in(
+        self,
+        other: Segment,
+        connection: Connection,
+        tracks: FrameTracks,
+        new_identities: Callable[[int], Ids],
+    ) -> None:
+        """Make another map a part of this one; the world is that of the map that began first.
+
+        ``tracks`` are those of the newest key frame, by which they are connected.
+        """
+        before = self.map.key_frames, other.map.key_frames
+        if other.map.key_frames[0].index < self.map.key_frames[0].index:
+            growths = connection.other_from_own.scale, 1.0
+            self.map.move_world(connection.other_from_own)
+        else:
+            own_from_other = connection.other_from_own.inverse()
+            growths = 1.0, own_from_other.scale
+            other.map.move_world(own_from_other)
+        renaming = self.map.take_in(other.map, new_identities)
+        number_of = {each.index: number for number, each in enumerate(self.map.key_frames)}
+        own_part, other_part = (
+            PartOfMap({row: number_of[each.index] for row, each in enumerate(key_frames)}, growth)
+            for key_frames, growth in zip(before, growths, strict=True)
+        )
+        self.recognition.take_in(other.recognition, connection, self.map, own_part, other_part)
+        self.frames = other.frames | self.frames
+        for chain, waited in other.waited.items():
+            renamed = [replace(frame, ids=renaming.of(frame.ids)) for frame in waited]
+            self.waited[chain] = renamed
+        self._widest_rad = max(self._widest_rad, other._widest_rad)
+        if self._gravity is not None:
+            self._down = self._gravity.in_world(self.map.key_frames)
+        self._join_tracks(tracks, other_part.numbers[connection.loop.old])
 
     def denies(self, tracks: FrameTracks, pose: Pose, gray: NDArray[np.uint8]) -> bool:
         """Whether what surrounds the landmarks of a located frame says that it is elsewhere."""

@@ -21,6 +21,7 @@ from epi360.features.picture_writing import encode_picture
 from epi360.features.warped_patches import Panorama
 from epi360.odometry.frame_result import FrameTracks, shared_rows
 from epi360.odometry.key_frames import SparseMap
+from epi360.odometry.map_parts import PartOfMap
 from epi360.odometry.mapping import Noise
 from epi360.odometry.relocalization import Relocalization
 from epi360.places.corridor import shown_by_itself
@@ -35,6 +36,7 @@ Picture = NDArray[np.uint8]
 # Of a key frame that is asked: points in common, and their median parallax, also in units of their
 # noise. Without parallax there is no distance at which anything could be looked for.
 _FEWEST_COMMON, _LEAST_PARALLAX_DEG, _LEAST_PARALLAX_SIGMAS = 10, 0.5, 5.0
+_COPIES_IN_DOUBT = 0.5  # where only the pictures tell one of two places from the other
 _JPEG_QUALITY = 90  # 40 to 80 kB a key frame
 
 
@@ -93,6 +95,11 @@ class Surroundings:
         content = np.frombuffer(self._pictures[number], np.uint8)
         return np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
 
+    def take_in(self, other: Surroundings, own_part: PartOfMap, other_part: PartOfMap) -> None:
+        """Take in the pictures of another map that has become a part of this one."""
+        own, others = own_part.renumbered(self._pictures), other_part.renumbered(other._pictures)
+        self._pictures = dict(sorted((own | others).items()))
+
     def best_view(
         self, sparse_map: SparseMap, tracks: FrameTracks, pose: Pose, noise: Noise
     ) -> SharedView | None:
@@ -142,7 +149,9 @@ class Surroundings:
         own = shown_by_itself(pair, views, panoramas, is_corridor=in_doubt)
         if not own.is_known:
             return in_doubt
-        return same_place(own).here < (SURE if in_doubt else LEAST_PROBABILITY)
+        if in_doubt:
+            return same_place(own, _COPIES_IN_DOUBT).here < SURE
+        return same_place(own).here < LEAST_PROBABILITY
 
     def _panorama(self, gray: Picture) -> Panorama:
         image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2RGB), np.uint8)

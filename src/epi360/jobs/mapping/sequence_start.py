@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from epi360.jobs.pairs.pair_selection import NUMBERED
 from epi360.jobs.records.match_store import DIGESTS
 from epi360.odometry import Odometry
 from epi360.odometry.frame_result import FrameResult
+from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.pictures import joint_mask
 from epi360.poses import Pose
@@ -36,7 +38,7 @@ from epi360.runs.made_from import fingerprint, read_record, write_record
 STAGE = "tracking frames"
 # By the given camera, and by the lens that the tracks, or pairs of images, agree on.
 TRACKED, BY_TRACKS, BY_PAIRS = "tracked.json", "tracked-again.json", "tracked-by-pairs.json"
-RULES = 5  # of what counts as a sequence: other rules, other poses
+RULES = 6  # of what counts as a sequence: other rules, other poses
 # From one panorama of a real tour to the next, 0 to 10 of 800 points can be followed; from one
 # frame of a video to the next, 700 and more.
 _FEWEST_FOLLOWED = 40
@@ -208,7 +210,7 @@ def _track(
     usable = nadir_mask(frames.camera, mask_nadir_deg)
     odometry = Odometry(frames.camera, mask=None if usable.all() else usable, seed=seed)
     names: list[str] = []
-    past_gaps: list[str] = []
+    past_gaps: list[int] = []
     num_jumps, most_jumps = 0, max(1.0, _MOST_JUMPS * len(images.images))
     progress(STAGE, 0, max(frames.num_frames, 1))
     for frame in frames:
@@ -217,17 +219,33 @@ def _track(
         num_jumps += len(names) > 1 and result.num_tracked < _FEWEST_FOLLOWED
         progress(STAGE, len(names), max(frames.num_frames, len(names)))
         if result.follows_gap:  # what comes then may be another part of a place that repeats itself
-            past_gaps.append(frame.name)
+            past_gaps.append(result.index)
         if num_jumps > most_jumps:
             reason = "points cannot be followed from image to image"
             return _given_up(reason, names, begun), None
+    past_gaps = unsure_gaps(past_gaps, odometry.key_frames())
     if past_gaps:
-        reason = f"frames seem to be missing before {past_gaps[0]}"
-        return replace(_given_up(reason, names, begun), past_gaps=tuple(past_gaps)), None
+        reason = f"frames seem to be missing before {names[past_gaps[0]]}"
+        told = tuple(names[index] for index in past_gaps)
+        return replace(_given_up(reason, names, begun), past_gaps=told), None
     if len(names) < frames.num_frames:  # the rest of the video shows nothing of the images
         progress(STAGE, len(names), len(names))
     odometry.finish()
     return _start_from(odometry, names, images, time.perf_counter() - begun), odometry
+
+
+def unsure_gaps(past_gaps: Sequence[int], key_frames: Sequence[KeyFrame]) -> list[int]:
+    """Frames past gaps but for those that began a map, which was joined with another later.
+
+    Maps are joined where places that are seen again make it sure that they belong together.
+    """
+    indices = [each.index for each in key_frames]
+
+    def is_sure(index: int) -> bool:
+        after = bisect_left(indices, index)
+        return 0 < after < len(indices) and key_frames[after].chain >= index
+
+    return [index for index in past_gaps if not is_sure(index)]
 
 
 def _given_up(reason: str, names: Sequence[str], begun: float) -> SequenceStart:
