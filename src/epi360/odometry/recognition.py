@@ -45,7 +45,7 @@ _THRESHOLD_PX = 2.0  # of a feature; small pictures need more than the angle tha
 _LOOP_GAP = 20  # key frames, before which a place that looks alike is no loop
 _SIMILAR = 0.5  # of the similarity to the key frame before, which a loop's must reach
 _FEWEST_COMMON = 30  # landmarks that two key frames share if nothing has drifted between them
-_REST_IN_DOUBT = 3  # key frames after another map has seemed to show the same place
+_REST_IN_DOUBT = 2  # key frames after another map has seemed to show the same place
 _REST = 5  # key frames after a loop, or a try that failed, before the next is tried
 # A correction moves the whole map, in 0.3 ms for each key frame. After one, more key frames rest in
 # proportion: no key frame pays for moving more than so many, however often a place is seen again.
