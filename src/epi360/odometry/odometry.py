@@ -25,7 +25,7 @@ from epi360.odometry.frame_result import (
     MapPoints,
     Trajectory,
 )
-from epi360.odometry.gaps import Gaps
+from epi360.odometry.gaps import FAR_SHARE, Gaps
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
@@ -43,9 +43,6 @@ _GAP = (
     "some {usual}; where a place repeats itself, the map may go on in another part of it"
 )
 _ELSEWHERE = "around what it has in common with the map, it seems to show another place"
-# Of the usual number of followed points. In rendered corridors, frames that were placed at another
-# door have 0.39 and less, but for one with 0.65; past right steps of 0.4 m it is 0.55 and more.
-_FAR_SHARE = 0.5
 _TRIES = 4  # frames in a row that are looked for in the map; afterwards one of so many is
 
 
@@ -189,7 +186,7 @@ class Odometry:
         if usual is not None:
             said = joined(frame.message, _GAP.format(num_tracked=num_tracked, usual=usual))
             frame = replace(frame, follows_gap=True, message=said)
-        is_far = usual is not None and num_tracked < _FAR_SHARE * usual
+        is_far = usual is not None and num_tracked < FAR_SHARE * usual
         return self._kept(self._place(tracks, frame, fitted, gray, is_far))
 
     def skip_frame(self, reason: str, timestamp_s: float | None = None) -> FrameResult:
