@@ -23,6 +23,7 @@ from epi360.estimation.angle_search import Bearings
 from epi360.estimation.calibration_doubt import Doubted, with_calibration_doubt
 from epi360.estimation.image_matches import IMAGE_OPTIONS as IMAGE_OPTIONS
 from epi360.estimation.image_matches import MAX_NOISE_PX
+from epi360.estimation.lens_beside_panorama import with_focal_uncertainty
 from epi360.estimation.options import check_threshold
 from epi360.estimation.seen_through import without_what_is_seen_through
 from epi360.estimation.sky_motion import with_ground_motion
@@ -214,8 +215,9 @@ def asked_again(
     """What the matches of two images say in the end, and the cameras that this pose belongs to.
 
     The ground is asked where only the sky agrees, then what is left where inliers would be seen
-    through a surface, then whether other angles of the cameras explain more; see
-    `with_ground_motion`, `without_what_is_seen_through` and `with_calibration_doubt`. Warnings
+    through a surface, then whether other angles of the cameras explain more, and what the focal
+    length of a lens beside a panorama leaves open; see `with_ground_motion`,
+    `without_what_is_seen_through`, `with_calibration_doubt` and `with_focal_uncertainty`. Warnings
     have noise in pixels.
     """
     pixel_deg = smallest_pixel_deg(cameras)
@@ -223,7 +225,10 @@ def asked_again(
     grounded = with_ground_motion(result, bearings, cameras, again)
     seen = without_what_is_seen_through(grounded, bearings, again)
     told = with_calibration_doubt(seen, bearings, cameras, again)
-    return told._replace(result=noise_in_pixels(told.result, pixel_deg))
+    result = told.result
+    if told.cameras == cameras:  # others are uncertain by what the matches say of them
+        result = with_focal_uncertainty(result, bearings, cameras)
+    return told._replace(result=noise_in_pixels(result, pixel_deg))
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,9 @@ _THRESHOLD_PX = 2.0  # of a feature; small pictures need more than the angle tha
 _LOOP_GAP = 20  # key frames, before which a place that looks alike is no loop
 _SIMILAR = 0.5  # of the similarity to the key frame before, which a loop's must reach
 _FEWEST_COMMON = 30  # landmarks that two key frames share if nothing has drifted between them
-_REST_IN_DOUBT = 2  # key frames after another map has seemed to show the same place
+# Key frames after another map has seemed to show the same place, and the pictures were not sure; as
+# many more each time, for a corridor seems to show it all along.
+_REST_IN_DOUBT, _LONGEST_REST = 2, 16
 _REST = 5  # key frames after a loop, or a try that failed, before the next is tried
 # A correction moves the whole map, in 0.3 ms for each key frame. After one, more key frames rest in
 # proportion: no key frame pays for moving more than so many, however often a place is seen again.
@@ -66,6 +68,7 @@ class Recognition:
         self._loops: list[PoseGraphEdge] = []
         self._rest_until = 0  # key frame before which no loop is looked for
         self._alone_until = 0  # and no other map with the same place
+        self._num_doubts = 0  # since the pictures were sure of one
         self._views: dict[int, MappedView] = {}  # of key frames while the map does not grow
 
     def features(self, gray: NDArray[np.uint8]) -> BinaryFeatures:
@@ -186,8 +189,11 @@ class Recognition:
             if not shared.has_parallax:  # another key frame says more
                 continue
             if other._surroundings.deny(gray, shared, in_doubt=True):
-                self._alone_until = number + _REST_IN_DOUBT
+                self._num_doubts += 1
+                rest = min(_REST_IN_DOUBT * self._num_doubts, _LONGEST_REST)
+                self._alone_until = number + rest
                 return None
+            self._num_doubts = 0
             return Connection.of(loop, new, view, self._place.threshold_rad)
         return None
 
