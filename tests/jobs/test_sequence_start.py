@@ -19,11 +19,9 @@ from epi360.jobs.mapping.sequence_start import (  # noqa: E402
     _Frames,
     may_be_sequence,
     track_sequence,
-    unsure_gaps,
 )
 from epi360.jobs.matching.match_folder import MatchOptions  # noqa: E402
 from epi360.jobs.pairs.pair_selection import trajectory_pairs  # noqa: E402
-from epi360.odometry.key_frames import KeyFrame  # noqa: E402
 from epi360.poses import Pose  # noqa: E402
 
 NUM_IMAGES = 10
@@ -162,25 +160,6 @@ def test_past_a_gap_frames_are_not_followed(tmp_path):
         assert tracked.reason == "frames seem to be missing before 005.png"
     run = map_images(images, tmp_path / "out", options())
     assert any("missing before 005.png" in remark for remark in run.remarks)
-
-
-@pytest.mark.parametrize(
-    ("chains", "unsure"),
-    [
-        ({0: 0, 4: 0, 6: 5, 9: 5}, []),  # another map began, and was joined
-        ({0: 0, 4: 0, 6: 0, 9: 0}, [5]),  # the map went on
-        ({0: 0, 3: 3, 6: 0, 9: 0}, [5]),  # the first map was found again
-        ({0: 0, 4: 0}, [5]),
-        ({6: 5, 9: 5}, [5]),
-    ],
-)
-def test_a_gap_is_sure_where_the_map_past_it_was_joined(chains, unsure):
-    none = np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 2))
-    key_frames = [
-        KeyFrame(index, np.eye(3), np.zeros(3), *none, chain=chain)
-        for index, chain in chains.items()
-    ]
-    assert unsure_gaps([5], key_frames) == unsure
 
 
 def test_a_camera_that_stands_still_gives_no_poses_to_start_from(tmp_path):

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from epi360 import Odometry, OdometryOptions
 from epi360.cameras import Equirectangular
-from epi360.odometry.frame_result import FrameTracks
+from epi360.odometry import segment
 from epi360.odometry.loop_closure import LoopClosure
 from epi360.odometry.map_parts import Connection
+from epi360.odometry.pose_graph import diagonal_information
 from epi360.odometry.relocalization import map_view
 from epi360.odometry.similarity import Similarity
 from epi360.odometry.surroundings import Surroundings
@@ -82,6 +83,7 @@ def test_the_way_back_joins_two_maps():
     np.testing.assert_allclose(first.matrix(), np.eye(4), atol=1e-9)
     indices = [each.index for each in odometry.key_frames()]
     assert indices == sorted(indices)
+    assert odometry.began_past(NUM_BEFORE) and not odometry.began_past(NUM_BEFORE - 3)
 
 
 def test_maps_are_not_joined_where_the_pictures_do_not_make_it_sure(monkeypatch):
@@ -94,42 +96,40 @@ def test_without_loops_no_maps_are_joined():
     assert odometry.num_segments == 2
     told = {each.message.rpartition("(")[2] for each in odometry.results()[: NUM_BEFORE - 1]}
     assert told == {"in map 1, which is not connected)"}
+    assert not odometry.began_past(NUM_BEFORE)
 
 
 def connection_by_truth(new, old):
     """Connection of the last key frame of one map with the first of another."""
     metres = {}
-    for segment in (new, old):
-        key_frames = segment.map.key_frames
-        centers = np.array([each.center for each in key_frames])
-        metres[segment], _ = metres_from(centers, [each.index for each in key_frames])
+    for each in (new, old):
+        key_frames = each.map.key_frames
+        centers = np.array([key_frame.center for key_frame in key_frames])
+        metres[each], _ = metres_from(centers, [key_frame.index for key_frame in key_frames])
     views = []
-    for segment, number in ((new, len(new.map.key_frames) - 1), (old, 0)):
-        key_frame = segment.map.key_frames[number]
-        features = segment.recognition.features(frames()[key_frame.index][:, :, 1].copy())
+    for each, number in ((new, len(new.map.key_frames) - 1), (old, 0)):
+        key_frame = each.map.key_frames[number]
+        features = each.recognition.features(frames()[key_frame.index][:, :, 1].copy())
         views.append(map_view(number, key_frame.cam_from_world, features, []))
     new_from_world, old_from_world = (Similarity.from_pose(each.cam_from_world) for each in views)
     new_from_old_world = metres[new].inverse() @ metres[old]
     new_from_old = new_from_world @ new_from_old_world @ old_from_world.inverse()
-    loop = LoopClosure(0, views[0].key_frame, new_from_old, np.eye(7), 50, 20, "ok")
-    return Connection.of(loop, *views, 0.012)
+    information = diagonal_information(0.003, 0.003, 0.01)
+    loop = LoopClosure(0, views[0].key_frame, new_from_old, information, 50, 20, "ok")
+    return Connection.of(loop, *views, 0.012, is_sure=True)
 
 
 @pytest.mark.parametrize("taking", [1, 2])
-def test_whichever_map_takes_in_the_other_all_frames_are_where_they_were(taking):
+def test_whichever_map_takes_in_the_other_all_frames_are_where_they_were(taking, monkeypatch):
     segments = deepcopy(two_maps()._segments)
     own, other = segments[taking], segments[3 - taking]
     older = segments[1]
     before = {index: older.pose_of(index).matrix() for index in older.frames}
     num_frames = len(own.frames) + len(other.frames)
     fresh = iter(range(10**6, 2 * 10**6, 10**4))
-    nothing = FrameTracks(own.last_key_frame.index, np.zeros(0, np.int64), np.zeros((0, 3)))
-    own.take_in(
-        other,
-        connection_by_truth(own, other),
-        nothing,
-        lambda count: next(fresh) + np.arange(count),
-    )
+    connection = connection_by_truth(own, other)
+    monkeypatch.setattr(segment, "_MOST_AT_A_JOIN", 0)
+    own.take_in(other, (connection, connection), lambda count: next(fresh) + np.arange(count))
     assert len(own.frames) == num_frames
     for index, matrix in before.items():
         np.testing.assert_allclose(own.pose_of(index).matrix(), matrix, atol=1e-9)

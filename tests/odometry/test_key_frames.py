@@ -89,7 +89,7 @@ def test_a_map_that_is_taken_in_keeps_its_landmarks_apart():
     other.add_key_frame(tracks_of(5, [2, 3]), HERE)
     place(own, [1, 2])
     other.set_positions(np.array([2, 3]), np.full((2, 3), [[7.0, 8.0, 9.0]]))
-    renaming = own.take_in(other, new_identities(100))
+    renaming = own.take_in(other, np.array([2]), new_identities(100))
     assert renaming.of(np.array([1, 2, 3])).tolist() == [1, 100, 3]
     assert own.ids.tolist() == [1, 2, 3, 100]
     np.testing.assert_array_equal(own.positions_of(np.array([2, 100])), [[3, 4, 5], [7, 8, 9]])
@@ -108,7 +108,7 @@ def test_joined_and_removed_landmarks_stay_so_in_the_map_that_takes_them_in():
     other.join(np.array([4]), np.array([2]))
     other.remove(np.array([6]))
     place(own, [1])
-    own.take_in(other, new_identities(100))
+    own.take_in(other, np.array([2]), new_identities(100))
     assert own.landmarks_of(np.array([4, 2])).tolist() == [100, 2]
     assert own.is_free(np.array([6, 8])).tolist() == [False, True]
 
@@ -119,7 +119,7 @@ def test_key_frames_of_both_maps_are_in_the_order_of_their_frames():
         own.add_key_frame(tracks_of(index, [index]), HERE)
     for index in (5, 7):
         other.add_key_frame(tracks_of(index, [index]), HERE)
-    own.take_in(other, new_identities(100))
+    own.take_in(other, np.array([2]), new_identities(100))
     assert [(each.index, each.chain) for each in own.key_frames] == [
         (0, 0),
         (3, 0),

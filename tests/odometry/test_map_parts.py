@@ -33,8 +33,9 @@ def connection(old_place, new_place, off=(0.0, 0.0, 0.0), grown=1.0):
     metres_from_old = (Similarity.from_pose(old.cam_from_world) @ OTHER_FROM_METRES).inverse()
     moved = Similarity(grown, np.eye(3), np.array(off))
     new_from_old = metres_from_new.inverse() @ moved @ metres_from_old
-    loop = LoopClosure(0, 1, new_from_old, np.eye(7), 50, 20, "ok")
-    return Connection.of(loop, new, old, 0.012)
+    information = diagonal_information(0.01, 0.01, 0.02)
+    loop = LoopClosure(0, 1, new_from_old, information, 50, 20, "ok")
+    return Connection.of(loop, new, old, 0.012, is_sure=True)
 
 
 def test_a_connection_takes_one_world_to_the_other():
@@ -48,15 +49,26 @@ def test_a_connection_takes_one_world_to_the_other():
     ("off", "grown", "agrees"),
     [
         ((0.0, 0.0, 0.0), 1.0, True),
-        ((0.03, 0.0, 0.0), 1.03, True),  # noise of points that are two metres away
+        ((0.03, 0.0, 0.0), 1.02, True),  # noise of points that are two metres away
         ((0.5, 0.0, 0.0), 1.0, False),  # another place that looks alike
-        ((0.0, 0.0, 0.0), 1.2, False),
+        ((0.0, 0.0, 0.0), 1.08, False),
     ],
 )
 def test_two_connections_of_the_same_maps_must_agree(off, grown, agrees):
     first = connection((0.0, 0.0, 0.0), (0.2, 0.0, 0.1))
     second = connection((0.6, 0.0, 0.0), (0.7, 0.0, 0.2), off, grown)
     assert second.agrees_with(first) == agrees
+
+
+def test_the_scale_of_two_connections_is_their_mean():
+    place = (0.0, 0.0, 0.0), (0.2, 0.0, 0.1)
+    first, second = connection(*place), connection(*place, grown=1.04)
+    mean = second.with_scale_of_both(first)
+    scales = [each.other_from_own.scale for each in (first, mean, second)]
+    assert scales[1] == pytest.approx(np.sqrt(scales[0] * scales[2]))
+    assert mean.loop.new_from_old.pose().matrix() == pytest.approx(
+        second.loop.new_from_old.pose().matrix()
+    )
 
 
 def test_loops_of_a_part_have_the_numbers_and_units_of_the_whole():

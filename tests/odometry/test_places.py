@@ -67,6 +67,26 @@ def test_late_key_frames_can_be_left_out():
     assert len(index.most_similar(query, 4)) == 4
 
 
+def test_key_frames_of_another_index_are_found_among_those_before_them():
+    rng = np.random.default_rng(4)
+    own, others = ([random_descriptors(rng) for _ in range(count)] for count in (33, 5))
+    index = PlaceIndex()
+    for k, descriptors in enumerate(own):
+        index.add(k, descriptors)
+        assert index.has_learned == (k >= 31)
+    numbers = {k: 2 * k for k in range(len(own))}
+    index.take_in(numbers, {10 * k + 1: each for k, each in enumerate(others)})
+    assert len(index) == 38
+    for k, descriptors in enumerate(own):
+        assert index.most_similar(seen_again(rng, descriptors), 1)[0][0] == 2 * k
+    for k, descriptors in enumerate(others):
+        assert index.most_similar(seen_again(rng, descriptors), 1)[0][0] == 10 * k + 1
+    before, _ = index.similar_before(31)
+    assert before.tolist() == sorted([*range(0, 31, 2), 1, 11, 21])
+    index.add(70, own[0])
+    assert index.most_similar(own[0], 2, not_after=69)[0][0] == 0
+
+
 def test_empty_index_and_pictures_without_features_have_no_places():
     index = PlaceIndex()
     empty = np.zeros((0, 32), np.uint8)

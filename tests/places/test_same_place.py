@@ -14,9 +14,11 @@ from epi360.places.own_evidence import OwnEvidence, grow_both, shown_by
 from epi360.places.same_place import (
     DOUBT,
     ONE_WALL,
+    SURE,
     can_be_compared,
     look_around,
     same_place,
+    same_place_in_doubt,
 )
 from epi360.places.shared_points import PosedPair
 from epi360.poses import rotation_error_deg, rotation_from_vector, translation_error_deg
@@ -45,6 +47,7 @@ def error_deg(pose, name1, name2):
 
 def test_without_evidence_the_prior_remains():
     np.testing.assert_allclose(astuple(same_place(OwnEvidence())), (0.882, 0.1, 0.018))
+    np.testing.assert_allclose(astuple(same_place_in_doubt(OwnEvidence())), (0.25, 0.5, 0.25))
     assert same_place(OwnEvidence(inliers_on_floor=True)).elsewhere == pytest.approx(0.5)
 
 
@@ -289,3 +292,13 @@ def test_swapped_views_get_the_same_verdict(names):
 
 def log_odds(probability):
     return np.log(probability / (1.0 - probability))
+
+
+@pytest.mark.parametrize("in_the_open", [False, True])
+def test_in_doubt_the_pictures_alone_make_a_place_sure(in_the_open):
+    """Where nothing else says where a frame is, a street corner may be one of many."""
+    little = OwnEvidence(1.0, -3.0, in_the_open=in_the_open)
+    much = OwnEvidence(9.0, 8.0, in_the_open=in_the_open)
+    assert same_place_in_doubt(little).here < 0.1
+    assert same_place_in_doubt(much).here > SURE
+    assert same_place_in_doubt(OwnEvidence(9.0, 0.0, in_the_open=in_the_open)).here < 0.51

@@ -161,6 +161,23 @@ class SparseMap:
                 key_frame.ids = self.landmarks_of(key_frame.ids)
                 _use_each_once(key_frame)
 
+    def newest(self, count: int) -> list[int]:
+        """Numbers of the last key frames of the chain that is continued, in order."""
+        found: list[int] = []
+        for number in range(len(self.key_frames) - 1, -1, -1):
+            if len(found) == count:
+                break
+            if self.key_frames[number].chain == self.chain:
+                found.append(number)
+        return found[::-1]
+
+    def near(self, number: int, reach: int) -> list[int]:
+        """Numbers of the key frames of its chain up to so many before and after one, in order."""
+        chain = self.key_frames[number].chain
+        own = [row for row, each in enumerate(self.key_frames) if each.chain == chain]
+        place = own.index(number)
+        return own[max(place - reach, 0) : place + reach + 1]
+
     def move_world(self, new_from_old: Similarity) -> None:
         """Give key frames and landmarks another world."""
         old_from_new = new_from_old.inverse()
@@ -168,13 +185,16 @@ class SparseMap:
             key_frame.move(Similarity.from_pose(key_frame.cam_from_world) @ old_from_new)
         self._positions = new_from_old.apply(self._positions)
 
-    def take_in(self, other: SparseMap, new_identities: Callable[[int], Ids]) -> Renaming:
+    def take_in(
+        self, other: SparseMap, other_waited: Ids, new_identities: Callable[[int], Ids]
+    ) -> Renaming:
         """Take in another map of the same world, whose key frames and landmarks become this one's.
 
         Tracks that both know become two, for the maps would not be two if they were the same
-        points. Key frames are in the order of their frames afterwards.
+        points; ``other_waited`` are those of frames that waited for a pose in the other map. Key
+        frames are in the order of their frames afterwards.
         """
-        ids = other._known_ids()
+        ids = np.union1d(other._known_ids(), other_waited)
         shared = np.intersect1d(ids, self._known_ids())
         renaming = Renaming(shared, new_identities(len(shared)))
         rows, other_rows = self._rows(renaming.of(ids)), other._rows(ids)

@@ -87,6 +87,7 @@ def close_loop(
     new: MappedView,
     old: MappedView,
     *,
+    forth: Relocalization | None = None,
     path_length: float | None = None,
     options: LoopOptions = LoopOptions(),  # noqa: B008 - frozen
     seed: int = 0,
@@ -95,11 +96,12 @@ def close_loop(
 
     The new camera is placed by points of the old key frame and the old one by those of the new;
     both must agree. The scale is the median ratio of distances to the points that both have.
-    ``path_length`` is the way of the camera between them in units of the map, with which the
+    ``forth`` is the new camera's place by the old points, if that is known. ``path_length`` is the
+    way of the camera between them in units of the map, with which the
     error is compared that the loop would take away.
     """
     place = options.place
-    forth = locate(new.features, old, options=place, seed=seed)
+    forth = forth or locate(new.features, old, options=place, seed=seed)
     refused = LoopClosure(old.key_frame, new.key_frame, None, None, 0, 0, forth.status)
     if not forth.success:
         return refused

@@ -45,7 +45,8 @@ def triangulate(
     if len(ids) == 0:
         return 0
     centers, rays, tracks = [], [], []
-    for key_frame in sparse_map.key_frames[-_KEY_FRAMES_BACK:]:
+    for number in sparse_map.newest(_KEY_FRAMES_BACK):
+        key_frame = sparse_map.key_frames[number]
         rows = np.flatnonzero(key_frame.is_used & np.isin(key_frame.ids, ids))
         centers.append(np.broadcast_to(key_frame.center, (len(rows), 3)))
         rays.append(key_frame.bearings[rows] @ key_frame.rotation)
@@ -72,13 +73,12 @@ def adjust_last(
     max_iterations: int = 5,
 ) -> float:
     """Adjust the last key frames and what they see; returns the noise that is left, in radians."""
-    count = len(sparse_map.key_frames)
-    free = list(range(max(count - window, 0), count))
-    held = _held(sparse_map, free) if free[0] > 0 else []
+    free = sparse_map.newest(window)
+    held = _held(sparse_map, free) if len(free) < len(sparse_map.key_frames) else []
     numbers = held + free
     fixed = np.zeros(len(numbers), np.bool_)
     fixed[: max(len(held), 1)] = True
-    if free[0] > 0 and len(held) < 2:  # nothing older holds the scale
+    if len(free) < len(sparse_map.key_frames) and len(held) < 2:  # nothing older holds the scale
         fixed[:2] = True
     return adjust(sparse_map, numbers, fixed, noise, gravity=gravity, max_iterations=max_iterations)
 
@@ -155,7 +155,7 @@ def _held(sparse_map: SparseMap, free: list[int]) -> list[int]:
     _, ids, _ = sparse_map.observations(free)
     wanted = np.unique(ids)
     shared = []
-    for number in range(max(free[0] - _KEY_FRAMES_BACK, 0), free[0]):
+    for number in sparse_map.newest(_KEY_FRAMES_BACK + len(free))[: -len(free)]:
         key_frame = sparse_map.key_frames[number]
         count = int(np.isin(key_frame.ids[key_frame.is_used], wanted).sum())
         if count >= _FEWEST_SHARED:

@@ -17,6 +17,7 @@ from epi360.features import ImageSource, read_mask
 from epi360.features.frame_tracker import FrameTracker
 from epi360.features.image_cameras import check_camera
 from epi360.features.images import read_masked_image, usable_at
+from epi360.odometry.connections import Connections
 from epi360.odometry.frame_clock import FrameClock
 from epi360.odometry.frame_result import (
     FrameResult,
@@ -29,7 +30,6 @@ from epi360.odometry.gaps import FAR_SHARE, Gaps
 from epi360.odometry.gravity import GravityPrior
 from epi360.odometry.initialization import Start, Waiting
 from epi360.odometry.key_frames import KeyFrame
-from epi360.odometry.map_parts import Connection
 from epi360.odometry.motion import Motion
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.pictures import PictureWatch, joint_mask, mask_for
@@ -113,7 +113,7 @@ class Odometry:
         self._results: list[FrameResult] = []
         self._segments: dict[int, Segment] = {}  # by their numbers, from 1
         self._num_begun = 0  # segments, of which some may have been joined
-        self._connections: dict[tuple[int, int], Connection] = {}  # of the active one with others
+        self._connections = Connections()
         self._waiting = self._new_wait()
         self._active = 0  # number of the segment that is tracked
         self._first_index = -1
@@ -205,6 +205,7 @@ class Odometry:
         """Adjust the whole map once, when no frame follows."""
         if self._main is not None:
             self._main.adjust_all()
+            self._connections.forget()
 
     def results(self) -> list[FrameResult]:
         """What is known of each frame by now: frames that waited have their poses.
@@ -248,6 +249,23 @@ class Odometry:
         """
         if self._main is not None:
             self._main.move(cam_from_world, positions)
+            self._connections.forget()
+
+    def began_past(self, index: int) -> bool:
+        """Whether frames from one on began a map that has been joined with that of those before.
+
+        Then it is sure that both belong together, whatever is missing between them.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame.
+        """
+        main = self._main
+        if main is None or not any(each < index for each in main.frames):
+            return False
+        after = sorted(each for each in main.frames if each >= index)
+        return bool(after) and main.frames[after[0]].key_frame.chain >= index
 
     @property
     def num_segments(self) -> int:
@@ -372,24 +390,21 @@ class Odometry:
         if old is not None:
             said = joined(frame.message, f"closes a loop with frame {old}")
             return replace(frame, message=said, loop_frame=old)
-        for number, other in list(self._segments.items()):
-            if other is segment or not self._options.loop_closure:
-                continue
-            connection = segment.connection(other)
-            if connection is None:
-                continue
-            ends = self._active, number
-            before, self._connections[ends] = self._connections.get(ends), connection
-            if before is None or not connection.agrees_with(before):
-                continue
-            old = other.map.key_frames[connection.loop.old].index
-            segment.take_in(other, connection, tracks, self._tracker.new_identities)
-            del self._segments[number], self._segments[self._active]
-            message = f"joins map {max(ends)} to map {min(ends)}, by frame {old}"
-            self._active, self._connections = min(ends), {}
-            self._segments[self._active] = segment
-            return replace(frame, message=joined(frame.message, message), loop_frame=old)
-        return frame
+        found = None
+        if self._options.loop_closure:
+            found = self._connections.find(self._active, self._segments)
+        if found is None:
+            return frame
+        number, connections = found
+        other = self._segments.pop(number)
+        old = other.map.key_frames[connections[1].loop.old].index
+        segment.take_in(other, connections, self._tracker.new_identities)
+        first, second = sorted((number, self._active))
+        del self._segments[self._active]
+        self._segments[first], self._active = segment, first
+        self._connections.forget()
+        message = joined(frame.message, f"joins map {second} to map {first}, by frame {old}")
+        return replace(frame, message=message, loop_frame=old)
 
     def _found(self) -> None:
         """Count no longer as lost."""

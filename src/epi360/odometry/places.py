@@ -8,6 +8,8 @@ about any axis has the same one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +63,24 @@ class PlaceIndex:
             self._learn(strongest)
         else:
             self._describe(self._size - 1, strongest)
+
+    @property
+    def has_learned(self) -> bool:
+        """Whether the words stay as they are."""
+        return len(self._learning) == _NUM_LEARNING_FRAMES
+
+    def take_in(self, numbers: Mapping[int, int], others: Mapping[int, Descriptors]) -> None:
+        """Renumber key frames, and remember others with any numbers, once the words are learned."""
+        own = self._key_frames[: self._size]
+        own[:] = [numbers[number] for number in own.tolist()]
+        for number, descriptors in others.items():
+            self._reserve()
+            self._key_frames[self._size] = number
+            self._size += 1
+            self._describe(self._size - 1, _checked(descriptors))
+        order = np.argsort(self._key_frames[: self._size], kind="stable")
+        for table in (self._key_frames, self._words, self._counts):
+            table[: self._size] = table[order]
 
     def most_similar(
         self, descriptors: Descriptors, count: int, *, not_after: int | None = None

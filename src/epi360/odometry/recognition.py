@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.features.binary_features import BinaryFeatures, extract_binary_features
 from epi360.odometry.frame_result import FrameTracks
-from epi360.odometry.key_frames import Ids, SparseMap
+from epi360.odometry.key_frames import Ids, KeyFrame, SparseMap
 from epi360.odometry.loop_closure import LoopClosure, LoopOptions, close_loop
 from epi360.odometry.map_parts import Connection, PartOfMap
 from epi360.odometry.mapping import Noise
@@ -40,14 +40,13 @@ Array = NDArray[np.float64]
 
 _NUM_FEATURES = 800  # of a key frame, 45 kB
 _CANDIDATES = 4  # key frames that are tried when the map is lost
+_CANDIDATES_ELSEWHERE = 3  # of another map, which is asked again at a later key frame
 _NUM_NEIGHBOURS, _FARTHEST = 4, 4  # key frames whose rays place the features of one
 _THRESHOLD_PX = 2.0  # of a feature; small pictures need more than the angle that is the default
 _LOOP_GAP = 20  # key frames, before which a place that looks alike is no loop
 _SIMILAR = 0.5  # of the similarity to the key frame before, which a loop's must reach
 _FEWEST_COMMON = 30  # landmarks that two key frames share if nothing has drifted between them
-# Key frames after another map has seemed to show the same place, and the pictures were not sure; as
-# many more each time, for a corridor seems to show it all along.
-_REST_IN_DOUBT, _LONGEST_REST = 2, 16
+_JOINED_AROUND = 3  # key frames before and after one, whose landmarks tracks may be joined to
 _REST = 5  # key frames after a loop, or a try that failed, before the next is tried
 # A correction moves the whole map, in 0.3 ms for each key frame. After one, more key frames rest in
 # proportion: no key frame pays for moving more than so many, however often a place is seen again.
@@ -67,8 +66,6 @@ class Recognition:
         self._surroundings = Surroundings(camera, mask)
         self._loops: list[PoseGraphEdge] = []
         self._rest_until = 0  # key frame before which no loop is looked for
-        self._alone_until = 0  # and no other map with the same place
-        self._num_doubts = 0  # since the pictures were sure of one
         self._views: dict[int, MappedView] = {}  # of key frames while the map does not grow
 
     def features(self, gray: NDArray[np.uint8]) -> BinaryFeatures:
@@ -173,56 +170,53 @@ class Recognition:
         Nothing says where the maps are, so what surrounds it must make the place sure.
         """
         number = len(sparse_map.key_frames) - 1
-        gray = self._surroundings.picture(number)
-        if number not in self._features or gray is None or number < self._alone_until:
+        if number not in self._features or not self._surroundings.has_picture(number):
             return None
         features, new = self._features[number], None
-        for old, _ in other._index.most_similar(features.descriptors, _CANDIDATES):
+        for old in other._that_look_alike(features):
             view = other._view_at_rest(other_map, old)
-            if not locate(features, view, options=self._place, seed=0).success:
+            forth = locate(features, view, options=self._place, seed=0)
+            if not forth.success:
                 continue
             new = new or self._view(sparse_map, number)
-            loop = close_loop(new, view, options=LoopOptions(place=self._place))
+            loop = close_loop(new, view, forth=forth, options=LoopOptions(place=self._place))
             if loop.new_in_map is None:
                 continue
             shared = other._shared_view(other_map, loop.new_in_map, features)
             if not shared.has_parallax:  # another key frame says more
                 continue
-            if other._surroundings.deny(gray, shared, in_doubt=True):
-                self._num_doubts += 1
-                rest = min(_REST_IN_DOUBT * self._num_doubts, _LONGEST_REST)
-                self._alone_until = number + rest
-                return None
-            self._num_doubts = 0
-            return Connection.of(loop, new, view, self._place.threshold_rad)
+            gray = self._surroundings.picture(number)
+            assert gray is not None
+            is_sure = not other._surroundings.deny(gray, shared, in_doubt=True)
+            return Connection.of(loop, new, view, self._place.threshold_rad, is_sure=is_sure)
         return None
+
+    def _that_look_alike(self, features: BinaryFeatures) -> list[int]:
+        """Key frames that look nearly as much like a picture as like their own neighbours."""
+        found = self._index.most_similar(features.descriptors, _CANDIDATES_ELSEWHERE)
+        if not found:
+            return []
+        own = self._index.most_similar(self._features[found[0][0]].descriptors, 3)
+        return [number for number, similarity in found if similarity > _SIMILAR * own[-1][1]]
 
     def take_in(
         self,
         other: Recognition,
-        connection: Connection,
+        connections: Sequence[Connection],
         sparse_map: SparseMap,
         own_part: PartOfMap,
         other_part: PartOfMap,
     ) -> None:
         """Take in what another map's key frames look like, after the map has taken them in."""
         own, others = own_part.renumbered(self._features), other_part.renumbered(other._features)
+        self._index = _joint_index((self._index, own_part, own), (other._index, other_part, others))
         self._features = dict(sorted((own | others).items()))
-        self._index = PlaceIndex()
-        for number, features in self._features.items():
-            self._index.add(number, features.descriptors)
         self._surroundings.take_in(other._surroundings, own_part, other_part)
-        loop = connection.loop
-        assert loop.information is not None
         nodes = [Similarity.from_pose(each.cam_from_world) for each in sparse_map.key_frames]
         ends = [
             *(own_part.ends_of(each) for each in self._loops),
             *(other_part.ends_of(each) for each in other._loops),
-            (
-                other_part.numbers[loop.old],
-                own_part.numbers[loop.new],
-                own_part.grown(loop.information),
-            ),
+            *(each.ends(own_part, other_part) for each in connections),
         ]
         self._loops = [
             PoseGraphEdge(i, j, nodes_relative(nodes, i, j), information)
@@ -258,10 +252,15 @@ class Recognition:
         ]
 
     def join_tracks(
-        self, sparse_map: SparseMap, tracks: FrameTracks, pose: Pose, number: int, limit_rad: float
+        self,
+        sparse_map: SparseMap,
+        tracks: FrameTracks | KeyFrame,
+        pose: Pose,
+        number: int,
+        limit_rad: float,
     ) -> int:
         """Join tracks to the landmarks around a key frame that they must show; returns how many."""
-        near = sparse_map.key_frames[max(number - 3, 0) : number + 4]
+        near = [sparse_map.key_frames[each] for each in sparse_map.near(number, _JOINED_AROUND)]
         ids = np.unique(np.concatenate([each.ids[each.is_used] for each in near]))
         positions = sparse_map.positions_of(ids)
         seen = np.isfinite(positions[:, 0]) & ~np.isin(ids, sparse_map.landmarks_of(tracks.ids))
@@ -288,21 +287,41 @@ class Recognition:
             yield self._view(sparse_map, number)
 
     def _view_at_rest(self, sparse_map: SparseMap, number: int) -> MappedView:
-        """The same while nothing is added to the map."""
-        if number not in self._views:
-            self._views[number] = self._view(sparse_map, number)
-        return self._views[number]
+        """The same, which is kept as long as the key frame stays where it is."""
+        pose, kept = sparse_map.key_frames[number].cam_from_world, self._views.get(number)
+        if kept is None or not np.array_equal(kept.cam_from_world.matrix(), pose.matrix()):
+            kept = self._views[number] = self._view(sparse_map, number)
+        return kept
 
     def _view(self, sparse_map: SparseMap, number: int) -> MappedView:
         """Key frame with the places of its features, from the rays of its neighbours."""
-        around = (number + sign * offset for offset in range(_FARTHEST, 0, -1) for sign in (1, -1))
-        chosen = [other for other in around if other in self._features][:_NUM_NEIGHBOURS]
+        around = sorted(sparse_map.near(number, _FARTHEST), key=lambda each: -abs(each - number))
+        known = [other for other in around if other in self._features and other != number]
+        chosen = known[:_NUM_NEIGHBOURS]
         neighbours = [
             (sparse_map.key_frames[other].cam_from_world, self._features[other])
             for other in reversed(chosen)
         ]
         pose = sparse_map.key_frames[number].cam_from_world
         return map_view(number, pose, self._features[number], neighbours, self._place)
+
+
+_Indexed = tuple[PlaceIndex, PartOfMap, Mapping[int, BinaryFeatures]]
+
+
+def _joint_index(first: _Indexed, second: _Indexed) -> PlaceIndex:
+    """Index of the key frames of both maps, of which only those of the smaller are described."""
+    smaller, larger = sorted((first, second), key=lambda each: len(each[0]))
+    index, part, _ = larger
+    others = {number: features.descriptors for number, features in smaller[2].items()}
+    if index.has_learned:
+        index.take_in(part.numbers, others)
+        return index
+    joint = PlaceIndex()
+    own = {number: features.descriptors for number, features in larger[2].items()}
+    for number, descriptors in sorted((own | others).items()):
+        joint.add(number, descriptors)
+    return joint
 
 
 def nodes_relative(nodes: list[Similarity], i: int, j: int) -> Similarity:

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 _YOUNG = 0.5  # of the parallax between first and last key frame makes one while it is small
 _MOST_TOGETHER = 500  # key frames in one adjustment, whose time grows with their cube
+_MOST_AT_A_JOIN = 200  # of two maps, which the next key frame waits for
 _FEWEST_SHARED = 50  # points of two key frames whose parallax says something
 _FRAMES_BETWEEN = 4  # that become key frames between the two that the map begins with
 _NOISE_PX = (0.05, 0.5)  # limits of what the noise of tracks is taken to be
@@ -233,13 +234,13 @@ class Segment:
         if loop is None:
             return None
         recognition.correct(self.map, loop)
-        self._join_tracks(tracks, loop.old)
+        self._join_tracks(self.last_key_frame, loop.old)
         return self.map.key_frames[loop.old].index
 
-    def _join_tracks(self, tracks: FrameTracks, number: int) -> None:
-        """Join tracks of the newest key frame to the landmarks around another one."""
-        pose, limit = self.last_key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
-        self.recognition.join_tracks(self.map, tracks, pose, number, limit)
+    def _join_tracks(self, key_frame: KeyFrame, number: int) -> None:
+        """Join tracks of a key frame to the landmarks around another one."""
+        pose, limit = key_frame.cam_from_world, _JOIN_PX * self._pixel_rad
+        self.recognition.join_tracks(self.map, key_frame, pose, number, limit)
 
     def connection(self, other: Segment) -> Connection | None:
         """How the newest key frame is connected with another map; None if that is not known."""
@@ -248,14 +249,15 @@ class Segment:
     def take_in(
         self,
         other: Segment,
-        connection: Connection,
-        tracks: FrameTracks,
+        connections: tuple[Connection, Connection],
         new_identities: Callable[[int], Ids],
     ) -> None:
         """Make another map a part of this one; the world is that of the map that began first.
 
-        ``tracks`` are those of the newest key frame, by which they are connected.
+        The second one of two connections that agree is that of the newest key frame.
         """
+        before_it, newest = connections
+        connection = newest.with_scale_of_both(before_it)
         before = self.map.key_frames, other.map.key_frames
         if other.map.key_frames[0].index < self.map.key_frames[0].index:
             growths = connection.other_from_own.scale, 1.0
@@ -264,13 +266,15 @@ class Segment:
             own_from_other = connection.other_from_own.inverse()
             growths = 1.0, own_from_other.scale
             other.map.move_world(own_from_other)
-        renaming = self.map.take_in(other.map, new_identities)
+        waiting = [frame.ids for waited in other.waited.values() for frame in waited]
+        other_waited = np.concatenate([np.zeros(0, np.int64), *waiting])
+        renaming = self.map.take_in(other.map, other_waited, new_identities)
         number_of = {each.index: number for number, each in enumerate(self.map.key_frames)}
         own_part, other_part = (
             PartOfMap({row: number_of[each.index] for row, each in enumerate(key_frames)}, growth)
             for key_frames, growth in zip(before, growths, strict=True)
         )
-        self.recognition.take_in(other.recognition, connection, self.map, own_part, other_part)
+        self.recognition.take_in(other.recognition, connections, self.map, own_part, other_part)
         self.frames = other.frames | self.frames
         for chain, waited in other.waited.items():
             renamed = [replace(frame, ids=renaming.of(frame.ids)) for frame in waited]
@@ -278,7 +282,11 @@ class Segment:
         self._widest_rad = max(self._widest_rad, other._widest_rad)
         if self._gravity is not None:
             self._down = self._gravity.in_world(self.map.key_frames)
-        self._join_tracks(tracks, other_part.numbers[connection.loop.old])
+        for each in connections:
+            old, new, _ = each.ends(own_part, other_part)
+            self._join_tracks(self.map.key_frames[new], old)
+        if len(self.map.key_frames) <= _MOST_AT_A_JOIN:
+            adjust_all(self.map, self.noise, gravity=self._gravity)
 
     def denies(self, tracks: FrameTracks, pose: Pose, gray: NDArray[np.uint8]) -> bool:
         """Whether what surrounds the landmarks of a located frame says that it is elsewhere."""

@@ -26,7 +26,7 @@ from epi360.odometry.mapping import Noise
 from epi360.odometry.relocalization import Relocalization
 from epi360.places.corridor import shown_by_itself
 from epi360.places.own_evidence import grow_both
-from epi360.places.same_place import SURE, can_be_compared, same_place
+from epi360.places.same_place import SURE, can_be_compared, same_place, same_place_in_doubt
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, angles_of_units
 
@@ -36,7 +36,6 @@ Picture = NDArray[np.uint8]
 # Of a key frame that is asked: points in common, and their median parallax, also in units of their
 # noise. Without parallax there is no distance at which anything could be looked for.
 _FEWEST_COMMON, _LEAST_PARALLAX_DEG, _LEAST_PARALLAX_SIGMAS = 10, 0.5, 5.0
-_COPIES_IN_DOUBT = 0.5  # where only the pictures tell one of two places from the other
 _JPEG_QUALITY = 90  # 40 to 80 kB a key frame
 
 
@@ -88,9 +87,13 @@ class Surroundings:
         if self._is_used:
             self._pictures[number] = encode_picture(gray, ".jpg", jpeg_quality=_JPEG_QUALITY)
 
+    def has_picture(self, number: int) -> bool:
+        """Whether the picture of a key frame is remembered."""
+        return number in self._pictures
+
     def picture(self, number: int) -> Picture | None:
         """Picture of a key frame, if it is remembered."""
-        if number not in self._pictures:
+        if not self.has_picture(number):
             return None
         content = np.frombuffer(self._pictures[number], np.uint8)
         return np.asarray(cv2.imdecode(content, cv2.IMREAD_GRAYSCALE), np.uint8)
@@ -129,7 +132,8 @@ class Surroundings:
         """Whether a picture seems to show another place than its pose says.
 
         If nothing is known, it does not. ``in_doubt``, after another frame seemed to show another
-        place, it must be sure that it does not, even if all places look alike.
+        place, or where nothing else says where it is, it must be sure that it does not, though
+        another place and a copy are thought as probable as not.
         """
         old = None if view is None else self.picture(view.key_frame)
         if view is None or old is None or not view.has_parallax:
@@ -150,7 +154,7 @@ class Surroundings:
         if not own.is_known:
             return in_doubt
         if in_doubt:
-            return same_place(own, _COPIES_IN_DOUBT).here < SURE
+            return same_place_in_doubt(own).here < SURE
         return same_place(own).here < LEAST_PROBABILITY
 
     def _panorama(self, gray: Picture) -> Panorama:

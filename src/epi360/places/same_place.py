@@ -40,6 +40,7 @@ _MORE_IN_THE_OPEN = math.log(_INDOORS[1] / _IN_THE_OPEN[1])
 _ELSEWHERE_ON_FLOOR = 0.5  # printed floors repeat from room to room
 _AMONG_EQUAL_DOORS = 0.5  # of copies, whose share in corridors is in the ratio over them
 _ON_ONE_WALL = (0.5, 0.5)  # so do papered walls, and right pairs are rarely on one alone
+_IN_DOUBT = (0.5, 0.5)
 # Of what a pair shows, so much counts. Things that move look like a copy whose owners have put
 # other things there, and in photographed homes less grows than in the rendered ones of the fit.
 _MOST, _LEAST_OVER_COPIES = 10.0, -5.0
@@ -120,6 +121,16 @@ def same_place(own: OwnEvidence, copies_indoors: float = _INDOORS[1]) -> SamePla
         elsewhere = _ELSEWHERE_ON_FLOOR
     if own.on_one_wall:
         elsewhere, copy = _ON_ONE_WALL
+    return _weighed(own, elsewhere, copy)
+
+
+def same_place_in_doubt(own: OwnEvidence) -> SamePlace:
+    """The same where another place, and a copy, are as probable as not before the pictures."""
+    return _weighed(own, *_IN_DOUBT)
+
+
+def _weighed(own: OwnEvidence, elsewhere: float, copy: float) -> SamePlace:
+    """Probabilities from what was thought before the pictures were compared."""
     own = limited(own)
     weights = np.array(
         [

@@ -123,7 +123,9 @@ def _loop_words(results: Sequence[FrameResult]) -> list[str]:
     items = [f"frame {each.index} is where frame {each.loop_frame} was" for each in loops]
     more = f", and {len(loops) - _NAMED} more" if len(loops) > _NAMED else ""
     how_many = "One loop was" if len(loops) == 1 else f"{len(loops)} loops were"
-    return [f"{how_many} closed: {', '.join(items[:_NAMED])}{more}."]
+    joins = sum("joins map" in each.message for each in loops)
+    joined = f", {joins} of them by joining maps" if joins else ""
+    return [f"{how_many} closed{joined}: {', '.join(items[:_NAMED])}{more}."]
 
 
 def _stretch_words(results: Sequence[FrameResult]) -> list[str]:

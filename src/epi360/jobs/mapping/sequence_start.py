@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +26,6 @@ from epi360.jobs.pairs.pair_selection import NUMBERED
 from epi360.jobs.records.match_store import DIGESTS
 from epi360.odometry import Odometry
 from epi360.odometry.frame_result import FrameResult
-from epi360.odometry.key_frames import KeyFrame
 from epi360.odometry.options import OdometryOptions
 from epi360.odometry.pictures import joint_mask
 from epi360.poses import Pose
@@ -223,7 +221,7 @@ def _track(
         if num_jumps > most_jumps:
             reason = "points cannot be followed from image to image"
             return _given_up(reason, names, begun), None
-    past_gaps = unsure_gaps(past_gaps, odometry.key_frames())
+    past_gaps = [index for index in past_gaps if not odometry.began_past(index)]
     if past_gaps:
         reason = f"frames seem to be missing before {names[past_gaps[0]]}"
         told = tuple(names[index] for index in past_gaps)
@@ -232,20 +230,6 @@ def _track(
         progress(STAGE, len(names), len(names))
     odometry.finish()
     return _start_from(odometry, names, images, time.perf_counter() - begun), odometry
-
-
-def unsure_gaps(past_gaps: Sequence[int], key_frames: Sequence[KeyFrame]) -> list[int]:
-    """Frames past gaps but for those that began a map, which was joined with another later.
-
-    Maps are joined where places that are seen again make it sure that they belong together.
-    """
-    indices = [each.index for each in key_frames]
-
-    def is_sure(index: int) -> bool:
-        after = bisect_left(indices, index)
-        return 0 < after < len(indices) and key_frames[after].chain >= index
-
-    return [index for index in past_gaps if not is_sure(index)]
 
 
 def _given_up(reason: str, names: Sequence[str], begun: float) -> SequenceStart:
