@@ -4,6 +4,7 @@
 import json
 import re
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -114,6 +115,19 @@ def test_the_words_say_where_the_trajectory_starts_what_is_lost_and_where_loops_
         "Frames 20 to 23 are lost. The log says of frame 20: shows too little of the map."
     ) in sentences
     assert any(text.startswith("The way is 37 units long") for text in sentences)
+
+
+def test_the_words_tell_joined_parts_from_loops():
+    run = sequence()
+    results = list(run.results)
+    results[30] = replace(
+        results[30], loop_frame=4, message="frame 30: joins map 2 to map 1, by frame 4"
+    )
+    sentences = track_sentences(replace(run, results=tuple(results)))
+    assert "One loop was closed: frame 39 is where frame 5 was." in sentences
+    assert (
+        "The sequence fell into parts that were joined again: frame 30 is where frame 4 was."
+    ) in sentences
 
 
 def test_a_sequence_without_a_trajectory_says_why_and_draws_no_scene():

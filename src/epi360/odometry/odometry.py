@@ -331,7 +331,7 @@ class Odometry:
         if is_key_frame:
             pose = segment.add_key_frame(tracks, pose)
             segment.color(segment.last_key_frame, image, self._full_from_working)
-            frame = self._recognised(segment, tracks, frame, gray)
+            frame = self._recognised(segment, frame, gray)
             pose = segment.last_key_frame.cam_from_world
         segment.add_frame(tracks.index, pose, count)
         self._motion.follow(tracks.index)
@@ -373,7 +373,7 @@ class Odometry:
         said = start.message
         if self._num_begun > 1:
             said = f"another place, map {self._num_begun}: {said}"
-        frame = self._recognised(segment, tracks, replace(frame, message=said), gray)
+        frame = self._recognised(segment, replace(frame, message=said), gray)
         return replace(
             frame,
             status="tracked",
@@ -383,10 +383,10 @@ class Odometry:
         )
 
     def _recognised(
-        self, segment: Segment, tracks: FrameTracks, frame: FrameResult, gray: NDArray[np.uint8]
+        self, segment: Segment, frame: FrameResult, gray: NDArray[np.uint8]
     ) -> FrameResult:
         """Look where the place of the newest key frame was seen before, and say so."""
-        old = segment.recognise(gray, tracks)
+        old = segment.recognise(gray)
         if old is not None:
             said = joined(frame.message, f"closes a loop with frame {old}")
             return replace(frame, message=said, loop_frame=old)

@@ -226,7 +226,7 @@ class Segment:
         if gray is not None:
             self.recognition.add(0, self.recognition.features(gray), gray)
 
-    def recognise(self, gray: NDArray[np.uint8], tracks: FrameTracks) -> int | None:
+    def recognise(self, gray: NDArray[np.uint8]) -> int | None:
         """Remember what the newest key frame looks like; the frame with which it closes a loop."""
         recognition, number = self.recognition, len(self.map.key_frames) - 1
         recognition.add(number, recognition.features(gray), gray)

@@ -117,15 +117,23 @@ def _way_words(results: Sequence[FrameResult]) -> list[str]:
 
 
 def _loop_words(results: Sequence[FrameResult]) -> list[str]:
-    loops = [result for result in results if result.loop_frame is not None]
-    if not loops:
-        return ["No loop was closed."]
-    items = [f"frame {each.index} is where frame {each.loop_frame} was" for each in loops]
-    more = f", and {len(loops) - _NAMED} more" if len(loops) > _NAMED else ""
-    how_many = "One loop was" if len(loops) == 1 else f"{len(loops)} loops were"
-    joins = sum("joins map" in each.message for each in loops)
-    joined = f", {joins} of them by joining maps" if joins else ""
-    return [f"{how_many} closed{joined}: {', '.join(items[:_NAMED])}{more}."]
+    found = [result for result in results if result.loop_frame is not None]
+    joins = [each for each in found if "joins map" in each.message]
+    loops = [each for each in found if each not in joins]
+    sentences = ["No loop was closed."]
+    if loops:
+        how_many = "One loop was" if len(loops) == 1 else f"{len(loops)} loops were"
+        sentences = [f"{how_many} closed: {_where(loops)}."]
+    if joins:
+        sentences.append(f"The sequence fell into parts that were joined again: {_where(joins)}.")
+    return sentences
+
+
+def _where(found: Sequence[FrameResult]) -> str:
+    """Which frames are where others were, the first few of them."""
+    items = [f"frame {each.index} is where frame {each.loop_frame} was" for each in found]
+    more = f", and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    return f"{', '.join(items[:_NAMED])}{more}"
 
 
 def _stretch_words(results: Sequence[FrameResult]) -> list[str]:
