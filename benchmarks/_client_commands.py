@@ -121,9 +121,7 @@ def _bundle(project: Path, scene: Reconstruction) -> str:
     poses = [found[image.name] for image in scene.images]
     centers = [np.array([pose.inverse().translation for pose in each]) for each in (poses, exact)]
     fit = align(*centers, "sim3")
-    off = np.linalg.norm(
-        fit.scale * centers[0] @ fit.rotation.T + fit.translation - centers[1], axis=1
-    )
+    off = np.linalg.norm(fit.apply(centers[0]) - centers[1], axis=1)
     turns = [
         rotation_error_deg(one.rotation @ fit.rotation.T, other.rotation)
         for one, other in zip(poses, exact, strict=True)

@@ -180,8 +180,7 @@ def _joined(scene: Room | Home, poses: Sequence[Pose], seed: tuple[int, int]) ->
     if min(before, len(trajectory.indices) - before) < FEWEST:
         return "several maps"
     truth = np.array([poses[index].translation for index in trajectory.indices])
-    fit = align(trajectory.positions, truth, "sim3")
-    moved = fit.scale * trajectory.positions @ fit.rotation.T + fit.translation
+    moved = align(trajectory.positions, truth, "sim3").apply(trajectory.positions)
     off = np.linalg.norm(moved - truth, axis=1)
     return "one map, right" if off.max() < OFF_M else "one map, wrong"
 

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from epi360 import Odometry, OdometryOptions
 from epi360.cameras import Equirectangular
+from epi360.jobs.trajectories import align
 from epi360.odometry import segment
 from epi360.odometry.loop_closure import LoopClosure
 from epi360.odometry.map_parts import Connection
@@ -59,13 +59,9 @@ def two_maps():
 def metres_from(positions, indices):
     """Similarity from a world to the room, and how far positions are from the truth then."""
     truth = np.array([walk()[index].translation for index in indices])
-    a, b = positions - positions.mean(axis=0), truth - truth.mean(axis=0)
-    rotation, _ = Rotation.align_vectors(b, a)
-    turned = rotation.apply(a)
-    scale = np.sum(turned * b) / np.sum(turned * turned)
-    shift = truth.mean(axis=0) - scale * rotation.apply(positions.mean(axis=0))
-    errors = np.linalg.norm(scale * turned - b, axis=1)
-    return Similarity(scale, rotation.as_matrix(), shift), errors
+    fit = align(positions, truth, "sim3")
+    errors = np.linalg.norm(fit.apply(positions) - truth, axis=1)
+    return Similarity(fit.scale, fit.rotation, fit.translation), errors
 
 
 def test_the_way_back_joins_two_maps():

@@ -18,7 +18,7 @@ from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.base import FocalCamera
 from epi360.estimation.refinement import refine_pose
 from epi360.estimation.result import RelativePoseResult
-from epi360.poses import Pose, vector_from_rotation
+from epi360.poses import vector_from_rotation
 
 Array = NDArray[np.float64]
 
@@ -38,12 +38,16 @@ def with_focal_uncertainty(
     view = _view_of_lens(cameras)
     if view is None or not result.success or result.num_inliers < _FEWEST_INLIERS:
         return result
-    inliers = bearings[0][result.inlier_mask], bearings[1][result.inlier_mask]
+    seen = [bearings[0][result.inlier_mask], bearings[1][result.inlier_mask]]
     lens = cameras[view]
     assert isinstance(lens, FocalCamera)
-    longer, shorter = (
-        _refined(result, inliers, view, lens, 1.0 + sign * FOCAL_SIGMA) for sign in (1.0, -1.0)
-    )
+    pixels = lens.pixels_from_bearings(seen[view])
+    poses = []
+    for factor in (1.0 + FOCAL_SIGMA, 1.0 - FOCAL_SIGMA):
+        other = replace(lens, fx=factor * lens.fx, fy=factor * lens.fy)
+        seen[view] = other.bearings_from_pixels(pixels)
+        poses.append(refine_pose(seen[0], seen[1], result.cam2_from_cam1).pose)
+    longer, shorter = poses
     turn = 0.5 * vector_from_rotation(longer.rotation @ shorter.rotation.T)
     shift = 0.5 * result.translation_basis.T @ (longer.translation - shorter.translation)
     moved = np.concatenate([turn, shift])
@@ -65,17 +69,3 @@ def _view_of_lens(cameras: tuple[Camera, Camera]) -> int | None:
         if is_lens and isinstance(cameras[1 - view], Equirectangular):
             return view
     return None
-
-
-def _refined(
-    result: RelativePoseResult,
-    inliers: tuple[Array, Array],
-    view: int,
-    lens: FocalCamera,
-    factor: float,
-) -> Pose:
-    """Pose with another focal length of the lens."""
-    other = replace(lens, fx=factor * lens.fx, fy=factor * lens.fy)
-    seen = other.bearings_from_pixels(lens.pixels_from_bearings(inliers[view]))
-    first, second = (seen, inliers[1]) if view == 0 else (inliers[0], seen)
-    return refine_pose(first, second, result.cam2_from_cam1).pose

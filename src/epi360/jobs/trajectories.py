@@ -58,9 +58,13 @@ class Similarity:
     rotation: Floats
     translation: Floats
 
+    def apply(self, positions: Floats) -> Floats:
+        """Positions (N, 3) in the other world."""
+        return np.asarray(self.scale * positions @ self.rotation.T + self.translation)
+
     def of(self, frames: PosedFrames) -> PosedFrames:
         """Frames in the other world."""
-        positions = self.scale * frames.positions @ self.rotation.T + self.translation
+        positions = self.apply(frames.positions)
         return replace(frames, rotations=self.rotation @ frames.rotations, positions=positions)
 
 

@@ -97,8 +97,8 @@ def close_loop(
     The new camera is placed by points of the old key frame and the old one by those of the new;
     both must agree. The scale is the median ratio of distances to the points that both have.
     ``forth`` is the new camera's place by the old points, if that is known. ``path_length`` is the
-    way of the camera between them in units of the map, with which the
-    error is compared that the loop would take away.
+    way of the camera between them in units of the map, with which the error is compared that the
+    loop would take away.
     """
     place = options.place
     forth = forth or locate(new.features, old, options=place, seed=seed)

@@ -74,11 +74,12 @@ def adjust_last(
 ) -> float:
     """Adjust the last key frames and what they see; returns the noise that is left, in radians."""
     free = sparse_map.newest(window)
-    held = _held(sparse_map, free) if len(free) < len(sparse_map.key_frames) else []
+    are_all_free = len(free) == len(sparse_map.key_frames)
+    held = [] if are_all_free else _held(sparse_map, free)
     numbers = held + free
     fixed = np.zeros(len(numbers), np.bool_)
     fixed[: max(len(held), 1)] = True
-    if len(free) < len(sparse_map.key_frames) and len(held) < 2:  # nothing older holds the scale
+    if not are_all_free and len(held) < 2:  # nothing older holds the scale
         fixed[:2] = True
     return adjust(sparse_map, numbers, fixed, noise, gravity=gravity, max_iterations=max_iterations)
 

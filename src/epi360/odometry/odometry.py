@@ -264,8 +264,8 @@ class Odometry:
         main = self._main
         if main is None or not any(each < index for each in main.frames):
             return False
-        after = sorted(each for each in main.frames if each >= index)
-        return bool(after) and main.frames[after[0]].key_frame.chain >= index
+        after = [each for each in main.frames if each >= index]
+        return bool(after) and main.frames[min(after)].key_frame.chain >= index
 
     @property
     def num_segments(self) -> int:
@@ -274,8 +274,10 @@ class Odometry:
 
     @property
     def _main(self) -> Segment | None:
-        numbers = sorted(self._segments, key=lambda each: (-len(self._segments[each].frames), each))
-        return self._segments[numbers[0]] if numbers else None
+        sizes = {number: len(segment.frames) for number, segment in self._segments.items()}
+        if not sizes:
+            return None
+        return self._segments[min(sizes, key=lambda number: (-sizes[number], number))]
 
     @property
     def _segment(self) -> Segment | None:
@@ -390,9 +392,9 @@ class Odometry:
         if old is not None:
             said = joined(frame.message, f"closes a loop with frame {old}")
             return replace(frame, message=said, loop_frame=old)
-        found = None
-        if self._options.loop_closure:
-            found = self._connections.find(self._active, self._segments)
+        if not self._options.loop_closure:
+            return frame
+        found = self._connections.find(self._active, self._segments)
         if found is None:
             return frame
         number, connections = found

@@ -56,13 +56,11 @@ class PlaceIndex:
         if self._size and key_frame <= self._key_frames[self._size - 1]:
             last = self._key_frames[self._size - 1]
             raise ValueError(f"key_frame must be above the last one, {last}, got {key_frame}")
-        self._reserve()
-        self._key_frames[self._size] = key_frame
-        self._size += 1
+        row = self._new_row(key_frame)
         if len(self._learning) < _NUM_LEARNING_FRAMES and self._size == len(self._learning) + 1:
             self._learn(strongest)
         else:
-            self._describe(self._size - 1, strongest)
+            self._describe(row, strongest)
 
     @property
     def has_learned(self) -> bool:
@@ -74,10 +72,7 @@ class PlaceIndex:
         own = self._key_frames[: self._size]
         own[:] = [numbers[number] for number in own.tolist()]
         for number, descriptors in others.items():
-            self._reserve()
-            self._key_frames[self._size] = number
-            self._size += 1
-            self._describe(self._size - 1, _checked(descriptors))
+            self._describe(self._new_row(number), _checked(descriptors))
         order = np.argsort(self._key_frames[: self._size], kind="stable")
         for table in (self._key_frames, self._words, self._counts):
             table[: self._size] = table[order]
@@ -155,14 +150,17 @@ class PlaceIndex:
         weights[_NO_WORD] = 0.0
         return weights
 
-    def _reserve(self) -> None:
-        if self._size < len(self._key_frames):
-            return
-        more = max(64, self._size // 2)
-        self._key_frames = np.append(self._key_frames, np.zeros(more, np.int64))
-        padding = ((0, more), (0, 0))
-        self._words = np.pad(self._words, padding, constant_values=_NO_WORD)
-        self._counts = np.pad(self._counts, padding)
+    def _new_row(self, key_frame: int) -> int:
+        """Row of one more key frame, in tables that grow to hold it."""
+        if self._size == len(self._key_frames):
+            more = max(64, self._size // 2)
+            self._key_frames = np.append(self._key_frames, np.zeros(more, np.int64))
+            padding = ((0, more), (0, 0))
+            self._words = np.pad(self._words, padding, constant_values=_NO_WORD)
+            self._counts = np.pad(self._counts, padding)
+        self._key_frames[self._size] = key_frame
+        self._size += 1
+        return self._size - 1
 
 
 def _checked(descriptors: Descriptors) -> Descriptors:
