@@ -20,6 +20,7 @@ AngleModel to_model(const Model& model) {
   const auto& [name, longitude, down] = model;
   for (const auto& [known, angles] : {std::pair{"fixed", Angles::kFixed},
                                       {"radial", Angles::kRadial},
+                                      {"focal", Angles::kFocal},
                                       {"curved", Angles::kCurved},
                                       {"panorama", Angles::kPanorama}}) {
     if (name == known) return {angles, longitude, down};

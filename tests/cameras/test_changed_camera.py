@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Cameras whose angles are changed: their rays are those of the changed bearings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,22 @@ def test_other_lenses_and_curves_are_met_within_a_fraction_of_a_pixel(camera):
     changes, pixels = np.array([0.06, -0.02, 0.005]), pixels_of(camera)
     lens = changed_lens(camera, changes)
     apart = apart_deg(lens.bearings_from_pixels(pixels), expected(camera, changes, pixels))
+    assert apart.max() < 0.5 * np.degrees(1.0 / camera.fx)
+
+
+def test_another_focal_length_of_a_pinhole_is_a_pinhole():
+    camera = Pinhole(1000, 800, 500.0, 510.0, 490.0, 400.0)
+    assert changed_lens(camera, np.array([0.25])) == replace(camera, fx=400.0, fy=408.0)
+
+
+def test_another_focal_length_of_a_perspective_lens_is_met_within_a_fraction_of_a_pixel():
+    camera = UnifiedCamera(1000, 800, 500.0, 500.0, 500.0, 400.0, xi=0.0, k1=-0.1, k2=0.01)
+    pixels, factor = pixels_of(camera), 1.05
+    lens = changed_lens(camera, np.array([factor - 1.0]))
+    x, y, z = camera.bearings_from_pixels(pixels).T
+    longer = np.stack([factor * x, factor * y, z], axis=1)
+    longer /= np.linalg.norm(longer, axis=1)[:, None]
+    apart = apart_deg(lens.bearings_from_pixels(pixels), longer)
     assert apart.max() < 0.5 * np.degrees(1.0 / camera.fx)
 
 

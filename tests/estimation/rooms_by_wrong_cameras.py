@@ -5,7 +5,7 @@ import numpy as np
 
 import epi360
 from epi360 import estimate_relative_pose
-from epi360.cameras import Equirectangular, KannalaBrandt
+from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole
 from epi360.estimation.image_matches import IMAGE_OPTIONS
 from epi360.poses import Pose, rotation_from_vector
 
@@ -13,6 +13,7 @@ NOISE_RAD = np.radians(0.05)
 PANORAMA = Equirectangular(2048, 1024)
 LENS = KannalaBrandt(1000, 1000, 300.0, 300.0, 500.0, 500.0)
 OTHER_LENS = KannalaBrandt(1000, 1000, 310.0, 310.0, 500.0, 500.0)
+PINHOLE = Pinhole(1000, 1000, 400.0, 400.0, 500.0, 500.0)
 
 
 def unit(vectors):
@@ -33,6 +34,8 @@ def taken_for_smaller(bearings, camera, *changes):
         wider, higher, lowered = 1.0 + changes[0], 1.0 + changes[1], changes[2]
         down = (np.arctan2(y, np.hypot(x, z)) - lowered) / higher
         return by_longitude_and_latitude(np.arctan2(x, z) / wider, down)
+    if camera == PINHOLE:
+        return unit(bearings * [1.0, 1.0, 1.0 + changes[0]])
     angle, around = np.arctan2(np.hypot(x, y), z) / (1.0 + changes[0]), np.arctan2(y, x)
     out = np.stack([np.cos(around), np.sin(around), np.zeros_like(x)], axis=1)
     return np.sin(angle)[:, None] * out + np.cos(angle)[:, None] * [0.0, 0.0, 1.0]

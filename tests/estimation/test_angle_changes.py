@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Changes of the cameras' angles, fitted together with a pose or a turn, and their twins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from rooms_by_wrong_cameras import (
@@ -8,6 +10,7 @@ from rooms_by_wrong_cameras import (
     NOISE_RAD,
     OTHER_LENS,
     PANORAMA,
+    PINHOLE,
     errors_deg,
     estimated,
     seen,
@@ -17,7 +20,7 @@ from rooms_by_wrong_cameras import (
 import epi360
 from epi360 import estimate_relative_pose
 from epi360.cameras import Equirectangular, KannalaBrandt
-from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of
+from epi360.cameras.changed_angles import AngleModel, PairOfAngles, angles_of, with_curves
 from epi360.epipolar.residuals import tangent_basis
 from epi360.estimation.angle_changes import (
     MOST_OF_TURN,
@@ -35,6 +38,8 @@ from epi360.poses import Pose, rotation_from_vector
     [
         (LENS, [0.05]),
         (LENS, [-0.08]),
+        (PINHOLE, [0.05]),
+        (PINHOLE, [-0.08]),
         (PANORAMA, [-0.03, 0.0, 0.0]),
         (PANORAMA, [0.0, 0.1, 0.0]),
         (PANORAMA, [-0.02, -0.04, 0.0]),
@@ -84,7 +89,9 @@ def test_swapped_views_say_the_same():
     np.testing.assert_allclose(errors, 0.0, atol=1e-3)
 
 
-@pytest.mark.parametrize("camera", [LENS, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0)])
+@pytest.mark.parametrize(
+    "camera", [LENS, PINHOLE, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0)]
+)
 def test_derivatives_are_those_of_the_residuals(camera):
     bearings, truth = seen(0, LENS, [0.0], num=30, wrong=0)
     angles = PairOfAngles.of((camera, camera), bearings)
@@ -114,6 +121,8 @@ CAMERAS = [
     (LENS, OTHER_LENS),
     (PANORAMA, PANORAMA),
     (LENS, PANORAMA),
+    (PINHOLE, PINHOLE),
+    (PANORAMA, PINHOLE),
     (Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0), OTHER_LENS),
 ]
 
@@ -154,8 +163,9 @@ def test_the_core_fits_a_turn_as_its_twin_does(cameras, moved, only):
 
 def test_the_bearings_themselves_come_back_without_a_change():
     bearings, _ = seen(2, PANORAMA, [0.0, 0.0, 0.0], num=50)
-    for camera in (LENS, PANORAMA, Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0)):
-        model = AngleModel.of(camera, is_curved=True)
+    part = Equirectangular(900, 400, 180.0, 80.0, 40.0, -20.0)
+    models = [AngleModel.of(each, is_curved=True) for each in (LENS, PANORAMA, part)]
+    for model in (*models, AngleModel.of(PINHOLE)):
         changed = angles_of(model, bearings[0]).changed(np.zeros(len(model.directions)))
         np.testing.assert_allclose(changed.bearings, bearings[0], atol=1e-12)
         lengths = np.linalg.norm(changed.by_measured, axis=1)
@@ -177,6 +187,30 @@ def test_the_core_fits_from_changes_that_are_known_as_its_twin_does(cameras, onl
     assert found.names == angles.names
     np.testing.assert_allclose(found.sizes, twin.changes, atol=1e-8)
     np.testing.assert_allclose(found.cam2_from_cam1.matrix(), twin.pose.matrix(), atol=1e-8)
+
+
+@pytest.mark.parametrize("change", [0.02, -0.1])
+def test_a_shorter_focal_length_has_the_rays_of_that_camera(change):
+    pixels = np.random.default_rng(0).uniform(0.0, 1000.0, (50, 2))
+    shorter = replace(PINHOLE, fx=PINHOLE.fx / (1.0 + change), fy=PINHOLE.fy / (1.0 + change))
+    angles = angles_of(AngleModel.of(PINHOLE), PINHOLE.bearings_from_pixels(pixels))
+    changed = angles.changed(np.array([change])).bearings
+    np.testing.assert_allclose(changed, shorter.bearings_from_pixels(pixels), atol=1e-14)
+    assert not angles.beyond(np.array([change])).any()
+
+
+def test_a_focal_length_that_changes_little_is_a_curve_of_the_angles():
+    """Up to 60 degrees from the axis, to a hundredth of the change."""
+    angle, change = np.linspace(0.0, np.pi / 3.0, 20), 0.001
+    b = np.stack([np.sin(angle), np.zeros(20), np.cos(angle)], axis=1)
+    sizes = with_curves({(2, "focal"): change, (1, "radial"): 0.3})
+    assert sizes.pop((1, "radial")) == 0.3
+    bent = np.array([sizes.pop((2, each)) for each in ("radial", "curve", "edge")])
+    assert not sizes
+    as_focal = angles_of(AngleModel("focal"), b).changed(np.array([change])).bearings
+    as_bent = angles_of(AngleModel("bent"), b).changed(bent).bearings
+    assert np.abs(as_focal - as_bent).max() < 0.03 * change
+    assert np.abs(as_focal - b).max() > 0.3 * change
 
 
 def test_as_many_changes_must_be_known_as_the_cameras_have():

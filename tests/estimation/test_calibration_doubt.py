@@ -10,6 +10,7 @@ from rooms_by_wrong_cameras import (
     LENS,
     NOISE_RAD,
     PANORAMA,
+    PINHOLE,
     errors_deg,
     estimated,
     seen,
@@ -40,6 +41,7 @@ def doubted(result, bearings, camera):
     ("camera", "changes", "words"),
     [
         (LENS, [-0.08], r"angles from the axis of both images are [78]\.\d% smaller"),
+        (PINHOLE, [0.1], r"the focal length of both images is (8|9|10)\.\d% shorter"),
         (PANORAMA, [-0.0278, 0.0, 0.0], r"both images are 3(49|50)\.\d degrees around, not 360 "),
         (PANORAMA, [0.0, 0.1, 0.0], r"both images are 19[789]\.\d degrees high, not 180 "),
         (

@@ -27,6 +27,22 @@ ChangedBearing changed_radial(double angle, double around, double linear, double
   return changed;
 }
 
+// Tangents of the angle `angle` from the axis multiplied by `factor`.
+ChangedBearing changed_focal(double angle, double around, double factor) {
+  const double sine = std::sin(angle), cosine = std::cos(angle);
+  const double length = std::hypot(factor * sine, cosine);
+  const double sine_after = factor * sine / length, cosine_after = cosine / length;
+  const Eigen::Vector3d out(std::cos(around), std::sin(around), 0.0);
+  const Eigen::Vector3d across(-out.y(), out.x(), 0.0), axis = Eigen::Vector3d::UnitZ();
+  const Eigen::Vector3d away = cosine_after * out - sine_after * axis;
+  ChangedBearing changed;
+  changed.bearing = sine_after * out + cosine_after * axis;
+  changed.by_measured << (factor / (length * length)) * away, (factor / length) * across;
+  changed.by_changes << (sine * cosine / (length * length)) * away,
+      Eigen::Matrix<double, 3, 2>::Zero();
+  return changed;
+}
+
 ChangedBearing changed_panorama(const AngleModel& model, double right, double below,
                                 const double* changes) {
   const double wider = 1.0 + changes[0], higher = 1.0 + changes[1], lowered = changes[2];
@@ -68,6 +84,8 @@ ChangedBearing ViewAngles::changed(std::size_t i, const double* changes) const {
       return changed_radial(angles.first, angles.second, 0.0, 0.0);
     case Angles::kRadial:
       return changed_radial(angles.first, angles.second, changes[0], 0.0);
+    case Angles::kFocal:
+      return changed_focal(angles.first, angles.second, 1.0 + changes[0]);
     case Angles::kCurved:
       return changed_radial(angles.first, angles.second, changes[0], changes[1]);
     default:

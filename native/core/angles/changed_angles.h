@@ -13,6 +13,7 @@ namespace epi360 {
 enum class Angles {
   kFixed,   // nothing changes
   kRadial,  // the angle a from the axis is multiplied by 1 + the change
+  kFocal,   // its tangent is, as by a shorter focal length
   kCurved,  // by 1 + the first change + the second one times a^2
   // Longitudes by 1 + the first change, latitudes by 1 + the second one, after which the third one
   // is added, in radians downwards.
@@ -30,6 +31,7 @@ struct AngleModel {
       case Angles::kFixed:
         return 0;
       case Angles::kRadial:
+      case Angles::kFocal:
         return 1;
       case Angles::kCurved:
         return 2;

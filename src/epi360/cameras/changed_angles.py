@@ -7,7 +7,7 @@ Of a lens these are the angles from its optical axis, of a panorama its longitud
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 from epi360.cameras.base import Array, Camera
 from epi360.cameras.equirectangular import Equirectangular
+from epi360.cameras.pinhole import Pinhole
+from epi360.cameras.unified import UnifiedCamera
 
 Mask = NDArray[np.bool_]
+Direction = tuple[int, str]  # number of a camera, or of a view, and what changes
 
 _NEAR_POLE = 1e-6  # cosine of a latitude
 _EXPONENTS = np.array([0.0, 2.0, 4.0])  # of an angle, in what the changes of a lens multiply
@@ -25,9 +28,10 @@ _SLACK = np.radians(2.0)  # by which what lies at the end of a sphere may be bey
 
 
 class AngleModel(NamedTuple):
-    """Which angles of a camera change: "fixed" (none), "radial", "curved", "bent" or "panorama".
+    """Which angles of a camera change.
 
-    ``longitude`` and ``down`` are those of the middle of a panorama, in radians; 0 of a lens.
+    These are "fixed" (none), "radial", "focal", "curved", "bent" or "panorama". ``longitude`` and
+    ``down`` are those of the middle of a panorama, in radians; 0 of a lens.
     """
 
     angles: str
@@ -36,11 +40,16 @@ class AngleModel(NamedTuple):
 
     @classmethod
     def of(cls, camera: Camera, *, is_curved: bool = False, is_bent: bool = False) -> AngleModel:
-        """If ``is_curved``, the curve of a lens changes, too; if ``is_bent``, also at its edge."""
+        """If ``is_curved``, the curve of a lens changes, too; if ``is_bent``, also at its edge.
+
+        Or else what changes of a perspective camera is its focal length.
+        """
         if isinstance(camera, Equirectangular):
             middle = camera.center_longitude_deg, -camera.center_latitude_deg
             return cls("panorama", *map(math.radians, middle))
-        return cls("bent" if is_bent else "curved" if is_curved else "radial")
+        if is_bent or is_curved:
+            return cls("bent" if is_bent else "curved")
+        return cls("focal" if _is_perspective(camera) else "radial")
 
     @property
     def directions(self) -> tuple[str, ...]:
@@ -52,10 +61,31 @@ FIXED = AngleModel("fixed")
 _DIRECTIONS = {
     "fixed": (),
     "radial": ("radial",),
+    "focal": ("focal",),
     "curved": ("radial", "curve"),
     "bent": ("radial", "curve", "edge"),
     "panorama": ("horizontal", "vertical", "middle"),
 }
+
+
+# A small change of a focal length adds so much of an angle a, of its third power and of its fifth
+# one: the series of sin a cos a.
+_FOCAL_AS_CURVE = {"radial": 1.0, "curve": -2.0 / 3.0, "edge": 2.0 / 15.0}
+
+
+def _is_perspective(camera: Camera) -> bool:
+    return isinstance(camera, Pinhole) or (isinstance(camera, UnifiedCamera) and camera.xi == 0.0)
+
+
+def with_curves(sizes: Mapping[Direction, float]) -> dict[Direction, float]:
+    """The same changes, as those of lenses whose curves may change."""
+    others = {each: size for each, size in sizes.items() if each[1] != "focal"}
+    focal = {camera: size for (camera, direction), size in sizes.items() if direction == "focal"}
+    return others | {
+        (camera, direction): factor * size
+        for camera, size in focal.items()
+        for direction, factor in _FOCAL_AS_CURVE.items()
+    }
 
 
 def models_of(
@@ -131,6 +161,38 @@ class _Radial:
         return np.asarray(self._angle * (1.0 + powers @ changes) > np.pi)
 
 
+class _Focal:
+    """Bearings (N, 3) of a perspective camera.
+
+    The tangents of the angles from its axis are multiplied by 1 + the change.
+    """
+
+    def __init__(self, bearings: Array) -> None:
+        self._bearings = bearings
+
+    def changed(self, changes: Array) -> ChangedBearings:
+        """Bearings with another focal length."""
+        factor = 1.0 + changes[0]
+        x, y, z = self._bearings.T
+        longer = np.stack([factor * x, factor * y, z], axis=1)
+        lengths = np.linalg.norm(longer, axis=1)[:, None]
+        bearings = longer / lengths
+        radius, around = np.hypot(x, y)[:, None], np.arctan2(y, x)
+        zero = np.zeros_like(x)
+        out = np.stack([np.cos(around), np.sin(around), zero], axis=1)
+        across = np.stack([-np.sin(around), np.cos(around), zero], axis=1)
+        away = (z[:, None] * out - factor * radius * [0.0, 0.0, 1.0]) / lengths
+        return ChangedBearings(
+            bearings,
+            np.stack([factor / lengths**2 * away, factor / lengths * across], axis=2),
+            (radius * z[:, None] / lengths**2 * away)[:, :, None],
+        )
+
+    def beyond(self, changes: Array) -> Mask:
+        """None: what is before the camera stays there."""
+        return np.zeros(len(self._bearings), bool)
+
+
 class _LongitudesAndLatitudes:
     """Bearings by their longitudes and latitudes from the middle of a panorama."""
 
@@ -176,10 +238,15 @@ class _LongitudesAndLatitudes:
         return np.asarray(self._middle[1] + (1.0 + changes[1]) * self._latitudes + changes[2])
 
 
-def angles_of(model: AngleModel, bearings: Array) -> _Radial | _LongitudesAndLatitudes:
+Angles = _Radial | _Focal | _LongitudesAndLatitudes
+
+
+def angles_of(model: AngleModel, bearings: Array) -> Angles:
     """Bearings (N, 3) that a camera gave, as what changes with its calibration."""
     if model.angles == "panorama":
         return _LongitudesAndLatitudes(bearings, model)
+    if model.angles == "focal":
+        return _Focal(bearings)
     return _Radial(bearings)
 
 
@@ -191,7 +258,7 @@ class PairOfAngles:
     """
 
     names: tuple[tuple[int, str], ...]
-    _views: Sequence[_Radial | _LongitudesAndLatitudes]
+    _views: Sequence[Angles]
     columns: tuple[slice, slice]
 
     @classmethod

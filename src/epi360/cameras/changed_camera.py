@@ -12,6 +12,7 @@ from epi360.cameras.base import Array, Camera, FocalCamera
 from epi360.cameras.changed_angles import AngleModel, angles_of
 from epi360.cameras.equirectangular import Equirectangular
 from epi360.cameras.kannala_brandt import KannalaBrandt
+from epi360.cameras.pinhole import Pinhole
 
 _GRID = 41  # pixels along each side, of which some are in the circle of a fisheye
 _MOST_ERROR_PX = 0.5
@@ -38,19 +39,25 @@ def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular
     )
 
 
-def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
+def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | Pinhole | None:
     """Lens of the same principal point whose angles from the axis are changed, and their curve.
 
-    ``changes`` (1, 2 or 3,) are those of `AngleModel.directions` of a bent lens. It may end up to a
-    quarter before the given one, as that of a calibration that does not say where the lens ends.
-    None if no `KannalaBrandt` is within half a pixel of the changed rays, or the camera is no lens.
+    ``changes`` (1, 2 or 3,) are those of `AngleModel.directions`; two where the curve may change,
+    three where it may at the edge. Another focal length of a pinhole makes a pinhole. Other lenses
+    may end up to a quarter before the given one, as that of a calibration that does not say where
+    the lens ends. None if no `KannalaBrandt` is within half a pixel of the changed rays, or the
+    camera is no lens.
     """
     if not isinstance(camera, FocalCamera):
         return None
+    model = AngleModel.of(camera, is_curved=len(changes) == 2, is_bent=len(changes) == 3)
+    if model.angles == "focal" and isinstance(camera, Pinhole):
+        # Rounded to a millionth of a pixel, so that another processor makes no other camera.
+        fx, fy = (round(focal / (1.0 + float(changes[0])), 6) for focal in (camera.fx, camera.fy))
+        return replace(camera, fx=fx, fy=fy)
     pixels = _pixels_all_over(camera)
     bearings = camera.bearings_from_pixels(pixels)
     seen = np.isfinite(bearings).all(axis=1)
-    model = AngleModel.of(camera, is_bent=True)
     x, y, z = angles_of(model, bearings[seen]).changed(changes).bearings.T
     angles = np.arctan2(np.hypot(x, y), z)
     middle, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
@@ -64,7 +71,6 @@ def changed_lens(camera: Camera, changes: Array) -> KannalaBrandt | None:
             break
     else:
         return None
-    # Rounded to a millionth of a pixel, so that another processor makes no other camera.
     k1, k2, k3, k4 = np.round(solved[1:] / scale, 9).tolist()
     edge_deg = min(math.degrees(edge) + 1e-6, 180.0)
     return KannalaBrandt(

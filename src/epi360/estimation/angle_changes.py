@@ -38,10 +38,10 @@ _SINGULAR = 1e12  # condition of normal equations that determine no change
 class AngleChange(NamedTuple):
     """What would have to be multiplied by 1 + ``change``, with its standard deviation.
 
-    ``direction`` is "radial", the angle from the optical axis, or "curve" or "edge", by which times
-    its square or fourth power in radians that angle is larger; or "horizontal" or "vertical",
-    longitude and latitude of a panorama, or "middle", whose latitude is lower by ``change``
-    radians. ``view`` is 1 or 2, or 0 for one camera in both views.
+    ``direction`` is "radial", the angle from the optical axis, or "focal", the tangent of that
+    angle, or "curve" or "edge", by which times its square or fourth power in radians that angle is
+    larger; or "horizontal" or "vertical", longitude and latitude of a panorama, or "middle", whose
+    latitude is lower by ``change`` radians. ``view`` is 1 or 2, or 0 for one camera in both views.
     """
 
     view: int

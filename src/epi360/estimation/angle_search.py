@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera, Equirectangular
-from epi360.cameras.changed_angles import PairOfAngles, changes_of, models_of
+from epi360.cameras.changed_angles import PairOfAngles, changes_of, models_of, with_curves
 from epi360.estimation.angle_changes import (
     LARGEST_CHANGE,
     SMALLEST_NOISE_RAD,
@@ -26,6 +26,7 @@ from epi360.estimation.angle_changes import (
     robust_loss,
 )
 from epi360.estimation.copies import Indices
+from epi360.estimation.lens_beside_panorama import view_of_lens
 from epi360.estimation.result import RelativePoseResult
 
 Array = NDArray[np.float64]
@@ -42,6 +43,7 @@ LEAST_MIDDLE_RAD = 0.02  # of the latitude of the middle row
 _LEAST_GAIN, _LEAST_GAIN_OF_ALL = 8.0, 20.0
 # Panoramas, of which more may change, must gain more for each inlier.
 _GAIN_OF_PANORAMAS, _GAIN_OF_CURVES = 0.35, 0.1
+_GAIN_OF_LENS = 2.0  # for each inlier and a change by one, of a lens beside a panorama
 # What a fit from the pose must gain for each inlier to be worth a search; right cameras seldom do.
 _GAIN_NEAR, _GAIN_NEAR_OF_PANORAMAS = 0.05, 0.2
 # Where that fit goes astray, the panoramas may have lost such a share of their height at one end.
@@ -49,6 +51,7 @@ _CUT, _GAIN_OF_CUT = 0.15, 0.1
 # No panorama is wider or higher than a sphere, so that few of its key points are beyond one.
 MOST_BEYOND = 0.02
 _MOST_ROUNDS = 20
+_OF_LENS = (0.08, -0.08, 0.16, -0.16)
 _GAIN_OF_ROUND = 2.0  # less ends the search
 _MOST_LOSS_AT_START = 1.5  # for each inlier
 _MOST_MATCHES = 800
@@ -88,6 +91,8 @@ _BETTER = (
     _Better(former=-0.1, every=0.25, left=0.9, noise=1.1),  # many more agree
     _Better(former=-np.inf, every=0.1, left=0.9, noise=0.8),  # they agree much more closely
 )
+# Of one number of a lens that is right within a percent, matches gain up to 0.3 in rendered rooms.
+_BETTER_LENS = _Better(former=-np.inf, every=0.5, left=0.7, noise=1.3)
 
 
 class OtherAngles(NamedTuple):
@@ -118,8 +123,14 @@ class OtherAngles(NamedTuple):
 
 
 def views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
-    """Both (0), and of panoramas, either of which may be cut or stretched, one alone."""
-    return (0, 2, 1) if are_panoramas(cameras) else (0,)
+    """Both (0), or one alone: of two panoramas either may be cut or stretched.
+
+    Of a lens beside a panorama the lens is seldom known as well.
+    """
+    if are_panoramas(cameras):
+        return (0, 2, 1)
+    lens = view_of_lens(cameras)
+    return (0,) if lens is None else (lens + 1, 0)
 
 
 def are_panoramas(cameras: tuple[Camera, Camera]) -> bool:
@@ -216,8 +227,9 @@ class _Search:
     def is_better(self, other: OtherAngles) -> bool:
         """Whether former inliers agree better, or many more do, or all do much more closely."""
         count = self._count
-        least = _GAIN_OF_PANORAMAS * count if self._are_panoramas else 0.0
-        if other.gain < least or not (other.is_possible and other.clear_changes()):
+        if other.gain < self._least_gain(other) or not (
+            other.is_possible and other.clear_changes()
+        ):
             return False
         angles = PairOfAngles.of(
             self._cameras, self._bearings, is_curved=other.is_curved, only=other.only
@@ -227,7 +239,16 @@ class _Search:
         former = self._gain(other.answer.residuals_rad, self._noise_deg, self._agree)
         left = other.answer.num_inliers / count
         noise = other.answer.noise_deg / self._noise_deg
-        return any(each.holds(former, other.gain, count, left, noise) for each in _BETTER)
+        enough = (*_BETTER, _BETTER_LENS) if self._is_of_lens(other.only) else _BETTER
+        return any(each.holds(former, other.gain, count, left, noise) for each in enough)
+
+    def _least_gain(self, other: OtherAngles) -> float:
+        """What changes must gain at least, panoramas and lenses beside them more than lenses."""
+        lens = view_of_lens(self._cameras)
+        if lens is not None:
+            largest = np.abs(other.sizes_of(lens + 1)).max(initial=0.0)
+            return _GAIN_OF_LENS * float(largest) * self._count
+        return _GAIN_OF_PANORAMAS * self._count if self._are_panoramas else 0.0
 
     def _starts(self, only: int) -> Iterator[Array]:
         """Changes that may be near the true ones, if these are not small."""
@@ -235,6 +256,7 @@ class _Search:
         near = fit_angle_changes(
             given.cam2_from_cam1, self._bearings, self._cameras, given.noise_deg, only=only
         )
+        yield from self._of_lens(only)
         if not _is_large(near.names, near.sizes):
             return
         gain = self._gain(near.residuals, self._noise_deg) / self._count
@@ -259,11 +281,21 @@ class _Search:
         if turned is not None and _is_large(near.names, turned):
             yield turned
 
+    def _of_lens(self, only: int) -> Iterator[Array]:
+        """Changes of a lens beside a panorama; of few of its pictures the pose finds the way."""
+        if self._is_of_lens(only):
+            yield from (np.array([change]) for change in _OF_LENS)
+
+    def _is_of_lens(self, only: int) -> bool:
+        """Whether what changes is one lens beside a panorama."""
+        return view_of_lens(self._cameras) == only - 1
+
     def _with_curves(self, straight: OtherAngles) -> OtherAngles:
         """The same, or what is found if the curves of lenses change too, if that gains clearly."""
         models, is_one = models_of(self._cameras, is_curved=True, only=straight.only)
         names, _ = changes_of(models, is_one)
-        sizes = dict(zip(straight.found.names, straight.found.sizes.tolist(), strict=True))
+        found = zip(straight.found.names, straight.found.sizes.tolist(), strict=True)
+        sizes = with_curves(dict(found))
         start = np.array([sizes.get(name, 0.0) for name in names])
         bent = self.from_start(start, straight.only, is_curved=True)
         least = straight.gain + max(_LEAST_GAIN, _GAIN_OF_CURVES * self._count)

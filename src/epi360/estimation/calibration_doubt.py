@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_angles import PairOfAngles
 from epi360.cameras.changed_camera import changed_lens, changed_panorama
-from epi360.estimation.angle_changes import LARGEST_CHANGE, AngleChange, changed_by_a_turn
+from epi360.estimation.angle_changes import LARGEST_CHANGE, changed_by_a_turn
 from epi360.estimation.angle_search import (
     LEAST_CHANGE,
     LEAST_MIDDLE_RAD,
@@ -24,7 +24,9 @@ from epi360.estimation.angle_search import (
     find_other_angles,
     views_that_may_change,
 )
+from epi360.estimation.angle_words import angles_in_words, change_in_words
 from epi360.estimation.copies import Indices, distinct_rows
+from epi360.estimation.lens_beside_panorama import view_of_lens
 from epi360.estimation.result import RelativePoseResult, pose_sigmas_deg
 from epi360.poses import Pose, rotation_error_deg, translation_error_deg, vector_from_rotation
 
@@ -38,7 +40,7 @@ _LEAST_MOVE, _MOST_MOVE_DEG = 1.0, 10.0
 _FEWEST_INLIERS = 20
 _MOST_CLAMPED_DEG = 1.0  # by which the middle of a panorama may miss the change: it ends at a pole
 _THEIR_POSE = "this is the pose that they say then"
-_IMAGES, _VERBS = ("both images", "image 1", "image 2"), ("are", "is", "is")
+_IMAGES = ("both images", "image 1", "image 2")
 
 
 class _Turn(NamedTuple):
@@ -77,10 +79,12 @@ def with_calibration_doubt(
     """Return the result, or another one with a warning, if the cameras' angles seem to be wrong.
 
     ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
-    If with other angles a rotation explains as many matches, by ``estimate``, that is the result.
-    Or else, if they agree clearly better with a pose and other angles, that pose is an alternative,
-    and what it differs by is added to the covariance, for the result belongs to the cameras that
-    were given. Where it would say nothing of the pose then, the other pose is the result.
+    If with other angles a rotation explains as many matches, by ``estimate``, that is the result;
+    of a lens beside a panorama, whose noise a wrong focal length makes large, only if it does so as
+    well as any pose with other angles. Or else, if they agree clearly better with a pose and other
+    angles, that pose is an alternative, and what it differs by is added to the covariance, for the
+    result belongs to the cameras that were given. Where it would say nothing of the pose then, the
+    other pose is the result.
     """
     given = Doubted(result, cameras)
     if not result.success:
@@ -89,10 +93,14 @@ def with_calibration_doubt(
     if result.inlier_mask[distinct].sum() < _FEWEST_INLIERS:
         return given
     turned = _turned(result, bearings, distinct, cameras, estimate)
-    if turned is not None:
+    if turned is not None and view_of_lens(cameras) is None:
         return turned
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
-    return given if other is None else _with_other_angles(result, other, cameras)
+    if other is None:
+        return given if turned is None else turned
+    if turned and _is_as_good(turned.result, other.answer, _inliers(other.answer, distinct)):
+        return turned
+    return _with_other_angles(result, other, cameras)
 
 
 def _changed(
@@ -121,7 +129,7 @@ def _turned(
     estimate: Estimate,
 ) -> Doubted | None:
     """The answer with other angles, if these show that the camera has only turned."""
-    inliers = distinct[result.inlier_mask[distinct]]
+    inliers = _inliers(result, distinct)
     agreeing = bearings[0][inliers], bearings[1][inliers]
     rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
     for only in views_that_may_change(cameras):
@@ -144,6 +152,11 @@ def _turned(
     return None
 
 
+def _inliers(result: RelativePoseResult, distinct: Indices) -> Indices:
+    """Rows of the inliers that are no copies."""
+    return distinct[result.inlier_mask[distinct]]
+
+
 def _may_be_of_a_cut(changes: Array, camera: Camera) -> bool:
     """Whether a panorama may have been cut so that its angles change so; lenses may change anyhow.
 
@@ -157,9 +170,7 @@ def _may_be_of_a_cut(changes: Array, camera: Camera) -> bool:
     return bool(lowered <= max(most, LEAST_MIDDLE_RAD))
 
 
-def _is_as_good(
-    turn: RelativePoseResult, step: RelativePoseResult, inliers: NDArray[np.intp]
-) -> bool:
+def _is_as_good(turn: RelativePoseResult, step: RelativePoseResult, inliers: Indices) -> bool:
     """Whether a turn explains the inliers of a step as well, or nearly so and their parallax."""
     left = np.median(turn.residuals_rad[inliers]) / np.radians(step.noise_deg)
     has_much = step.parallax_deg > _MUCH_PARALLAX * step.noise_deg
@@ -174,7 +185,9 @@ def _with_turn(
 ) -> RelativePoseResult:
     views = dict.fromkeys(view for view, _ in angles.names)
     own = {0: changes, 1: changes[angles.columns[0]], 2: changes[angles.columns[1]]}
-    words = " and ".join(_meant(view, cameras[max(view, 1) - 1], own[view]) for view in views)
+    words = " and ".join(
+        angles_in_words(_IMAGES[view], cameras[max(view, 1) - 1], own[view]) for view in views
+    )
     sentence = (
         f"the camera has only turned if {words}; with the angles as they were given, the matches "
         f"agree with a step: {CALIBRATION_QUESTION}"
@@ -192,7 +205,12 @@ def _with_other_angles(
     turn_sigma, direction_sigma = pose_sigmas_deg(given)
     if turned < _LEAST_MOVE * turn_sigma and moved < _LEAST_MOVE * direction_sigma:
         return Doubted(given, cameras)
-    changes = " and ".join(dict.fromkeys(_in_words(each, other, cameras) for each in doubts))
+    own = other.found.changes
+    words = [
+        change_in_words(each, own, _IMAGES[each.view], cameras[max(each.view, 1) - 1])
+        for each in doubts
+    ]
+    changes = " and ".join(dict.fromkeys(words))
     distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
     if max(turned, moved) > _MOST_MOVE_DEG:
         sentence = (
@@ -224,46 +242,3 @@ def _second_moment(given: RelativePoseResult, pose: Pose) -> Array:
     turn = vector_from_rotation(pose.rotation @ given.cam2_from_cam1.rotation.T)
     moved = np.concatenate([turn, given.translation_basis.T @ pose.translation])
     return np.outer(moved, moved)
-
-
-def _in_words(each: AngleChange, other: OtherAngles, cameras: tuple[Camera, Camera]) -> str:
-    """What is changed, and by how much, of one or both images."""
-    images, camera = _IMAGES[each.view], cameras[max(each.view, 1) - 1]
-    own = [one for one in other.found.changes if one.view == each.view]
-    if any(one.direction == "curve" for one in own):
-        return _meant(each.view, camera, np.array([one.change for one in own]))
-    if not isinstance(camera, Equirectangular):
-        what = "larger" if each.change > 0.0 else "smaller"
-        amount = f"{abs(each.change):.1%} {what} (1 sigma {each.sigma:.1%})"
-        return f"angles from the axis of {images} are {amount}"
-    if each.direction == "middle":
-        latitude = camera.center_latitude_deg - np.degrees(each.change)
-        return (
-            f"the middle row of {images} is at a latitude of {latitude:.1f} degrees, not "
-            f"{camera.center_latitude_deg:.6g} (1 sigma {np.degrees(each.sigma):.1f})"
-        )
-    is_wide = each.direction == "horizontal"
-    degrees = camera.horizontal_fov_deg if is_wide else camera.vertical_fov_deg
-    spans = f"{degrees * (1.0 + each.change):.1f} degrees {'around' if is_wide else 'high'}"
-    verb = _VERBS[each.view]
-    return f"{images} {verb} {spans}, not {degrees:.6g} (1 sigma {degrees * each.sigma:.1f})"
-
-
-def _meant(view: int, camera: Camera, changes: Array) -> str:
-    """What all angles of one or both images must be."""
-    images = _IMAGES[view]
-    if isinstance(camera, Equirectangular):
-        given = np.array([camera.horizontal_fov_deg, camera.vertical_fov_deg])
-        around, high = given * (1.0 + changes[:2])
-        middle = camera.center_latitude_deg - np.degrees(changes[2])
-        return (
-            f"{images} {_VERBS[view]} {around:.1f} degrees around and {high:.1f} high, with the "
-            f"middle at a latitude of {middle:.1f}"
-        )
-    given = np.array([30.0, 60.0])
-    powers = np.radians(given)[:, None] ** np.array([0.0, 2.0])
-    first, second = given * (1.0 + powers @ changes)
-    return (
-        f"what is taken for 30 and 60 degrees from the axis of {images} is {first:.1f} and "
-        f"{second:.1f} degrees"
-    )

@@ -35,7 +35,7 @@ def with_focal_uncertainty(
     ``bearings``, (N, 3) each, are those that it was estimated from. Only of a lens beside a
     panorama; a warning says so where the pose depends on the focal length by much.
     """
-    view = _view_of_lens(cameras)
+    view = view_of_lens(cameras)
     if view is None or not result.success or result.num_inliers < _FEWEST_INLIERS:
         return result
     seen = [bearings[0][result.inlier_mask], bearings[1][result.inlier_mask]]
@@ -62,7 +62,7 @@ def with_focal_uncertainty(
     return replace(told, warnings=(*told.warnings, warning))
 
 
-def _view_of_lens(cameras: tuple[Camera, Camera]) -> int | None:
+def view_of_lens(cameras: tuple[Camera, Camera]) -> int | None:
     """Which of two images, 0 or 1, is of a lens, if the other is a panorama."""
     for view in (0, 1):
         is_lens = isinstance(cameras[view], FocalCamera)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.changed_angles import Direction, with_curves
 from epi360.estimation.angle_changes import AngleChange
 from epi360.estimation.angle_search import least_change, most_change
 from epi360.estimation.shared_angles_fit import (
-    Direction,
     Estimate,
     PosedMatches,
     SharedFit,
@@ -144,7 +144,8 @@ def fit_shared_angles(
     if bent.directions == straight.directions:
         return tied.told(straight, fit)
     sizes = dict(zip(straight.directions, fit.changes.tolist(), strict=True))
-    later = bent.refined(SharedFit(bent.changes_of(sizes), fit.poses, fit.noises), estimate)
+    begun_bent = SharedFit(bent.changes_of(with_curves(sizes)), fit.poses, fit.noises)
+    later = bent.refined(begun_bent, estimate)
     if bent.gain(later) > straight.gain(fit) + _SHARE_OF_CURVES * limits.gain:
         return tied.told(bent, later)
     return tied.told(straight, fit)
@@ -203,5 +204,5 @@ def _free_changes(camera: Camera | None, changes: Array) -> Array:
 
 
 def _most_change(direction: str) -> float:
-    is_of_lens = direction in ("radial", "curve", "edge")
+    is_of_lens = direction in ("radial", "focal", "curve", "edge")
     return _MOST_CHANGE_OF_LENS if is_of_lens else most_change(direction)

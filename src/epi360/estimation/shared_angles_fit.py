@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
-from epi360.cameras.changed_angles import FIXED, AngleModel, PairOfAngles
+from epi360.cameras.changed_angles import FIXED, AngleModel, Direction, PairOfAngles
 from epi360.estimation.angle_changes import REACH, SMALLEST_NOISE_RAD, robust_loss
 from epi360.estimation.angle_residuals import linearised, moved
 from epi360.estimation.result import RelativePoseResult
@@ -21,7 +21,6 @@ from epi360.poses import Pose
 Array = NDArray[np.float64]
 Bearings = tuple[Array, Array]
 Estimate = Callable[..., RelativePoseResult]
-Direction = tuple[int, str]  # number of a camera, and what changes
 
 _NUM_STEPS, _ANNEALED, _WIDEST = 9, 6, 4.0  # all steps of a fit, and those of a wider loss
 _MOST_MATCHES = 500  # of a pair

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from epi360.cameras import Camera, Equirectangular
+from epi360.cameras.changed_angles import AngleModel, Direction
 from epi360.cameras.changed_camera import changed_lens, changed_panorama, what_changed
 from epi360.cameras.resizing import smallest_pixel_deg
 from epi360.estimation import estimate_relative_pose
@@ -28,7 +29,7 @@ from epi360.estimation.shared_angles import (
     SharedAngles,
     fit_shared_angles,
 )
-from epi360.estimation.shared_angles_fit import Direction, PosedMatches
+from epi360.estimation.shared_angles_fit import PosedMatches
 from epi360.jobs.matching.verified_folder import VerifiedFolder
 from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict
@@ -233,7 +234,7 @@ def _are_doubted(finished: Mapping[Keys, Verdict]) -> bool:
 def _all_larger(cameras: Sequence[Camera | None], change: float) -> dict[Direction, float]:
     """The angles of all lenses larger by so much."""
     return {
-        (number, "radial"): change
+        (number, AngleModel.of(camera).directions[0]): change
         for number, camera in enumerate(cameras)
         if camera is not None and not isinstance(camera, Equirectangular)
     }
