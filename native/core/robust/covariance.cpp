@@ -120,8 +120,7 @@ Uncertainty pose_uncertainty(const Matches& m, Residual residual,
   leave_out_most_telling(m, std::lround(num_wrong), at);
   const double freedom = count / degrees_of_freedom(count);
   const double efficiency = slope > 0.0 ? square * count / (slope * slope) : variance;
-  const double inflated =
-      std::max({efficiency * freedom, variance, m.least_scale * m.least_scale});
+  const double inflated = std::max({efficiency * freedom, variance, m.least_scale * m.least_scale});
   Matrix5 errors =
       errors_in_variables(noisy_information(m, residual, cam2_from_cam1, at, inflated));
   if (least_shared_error > 0.0 || result.clustering > kSuspicious) {

@@ -19,10 +19,10 @@ constexpr double kLeastShare = 0.03;
 constexpr double kCentral = 0.9;  // of the coordinates lie in the range that is taken
 constexpr int kRounds = 60;
 constexpr double kSmallest = 0.02;  // share of the gaps that may be smaller than those of a grid
-// ORB finds points in a picture and in seven smaller ones, each 1.2 times smaller, with as many times
-// fewer points (Rublee et al. 2011; the numbers of OpenCV and of ORB-SLAM). They share rows as often
-// as those of a picture with 4.6 times as many rows; that rows near the horizon have more points
-// makes it 3.5 times. The cells of the largest picture are the smallest.
+// ORB finds points in a picture and in seven smaller ones, each 1.2 times smaller, with as many
+// times fewer points (Rublee et al. 2011; the numbers of OpenCV and of ORB-SLAM). They share rows
+// as often as those of a picture with 4.6 times as many rows; that rows near the horizon have more
+// points makes it 3.5 times. The cells of the largest picture are the smallest.
 constexpr double kPyramid = 3.5;
 constexpr double kLargestCell = 0.06;  // radians: 10 pixels of 1024
 // An answer is doubted if its noise is less than this share of that of rounding, and matches that
@@ -68,8 +68,8 @@ double spacing(const Coordinate& rows, const Coordinate& columns) {
     return 0.0;
   }
   if (columns.num_shared() < kFewestInColumns) return 0.0;  // as of points and their mirror images
-  const double range = quantile(rows.values, 0.5 + 0.5 * kCentral) -
-                       quantile(rows.values, 0.5 - 0.5 * kCentral);
+  const double range =
+      quantile(rows.values, 0.5 + 0.5 * kCentral) - quantile(rows.values, 0.5 - 0.5 * kCentral);
   const double by_number = range / kCentral / rows_of_grid(rows.size(), rows.num_rows());
   const double by_gaps = quantile(rows.gaps, kSmallest);
   return by_gaps > kOneGrid * by_number ? by_gaps : kPyramid * by_number;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Key points on a grid of pixels or cells, as of FAST, ORB and coarse matchers of patches. Where the
-// camera hardly moves many of them agree exactly on a pose, which may be a wrong one, and with a
-// rotation where it moved: their noise is not what residuals say.
+// Key points on a grid of pixels or cells, as of FAST, ORB and coarse matchers of patches. Where
+// the camera hardly moves many of them agree exactly on a pose, which may be a wrong one, and with
+// a rotation where it moved: their noise is not what residuals say.
 #pragma once
 
 #include "core/matches.h"
@@ -10,9 +10,9 @@
 
 namespace epi360 {
 
-// Standard deviation (radians) of bearings on a grid, that of rounding to its cells; 0 unless points
-// of both views share rows and columns: of a panorama latitudes and longitudes, of a pinhole camera
-// slopes.
+// Standard deviation (radians) of bearings on a grid, that of rounding to its cells; 0 unless
+// points of both views share rows and columns: of a panorama latitudes and longitudes, of a pinhole
+// camera slopes.
 double grid_noise(const Matches& m);
 
 // The scale of residuals that an answer should have been found with at least, because the bearings

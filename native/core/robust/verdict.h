@@ -38,8 +38,8 @@ const char* name_of(WarningCode code);
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
 // matches of a mirrored turn and inliers;
 // tilt against gravity and its standard deviation; matches that a rotation leaves displaced and
-// those that it explains; copies that were left out of all; matches of a motion and those that stand
-// still beside it; matches that are fixed to the camera of all.
+// those that it explains; copies that were left out of all; matches of a motion and those that
+// stand still beside it; matches that are fixed to the camera of all.
 struct Warning {
   WarningCode code;
   double value, reference;
