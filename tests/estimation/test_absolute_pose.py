@@ -307,3 +307,19 @@ def test_a_result_prints_as_one_line_without_its_arrays():
     assert f"rotation_sigma_deg={result.rotation_sigma_deg!r}" in text
     assert "array(" not in text.replace(repr(result.cam_from_world), "")
     assert "rotation_sigma_deg=nan" in repr(estimate_absolute_pose(bearings[:2], points[:2]))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_photograph_of_which_nine_matches_of_ten_are_wrong_has_its_pose(seed):
+    """What most matches agree with roughly leads far away from it."""
+    rng = np.random.default_rng(seed)
+    pose = random_pose(rng)
+    seen = directions(rng, 4000)
+    seen = seen[seen[:, 2] > np.cos(np.radians(45.0))][:400]
+    places = (seen * rng.uniform(1.5, 5.0, (400, 1)) - pose.translation) @ pose.rotation
+    bearings = noisy(rng, seen, np.radians(0.05))
+    bearings[40:] = bearings[40 + rng.permutation(360)]
+    result = estimate_absolute_pose(bearings, places)
+    assert result.success and result.inlier_mask[:40].sum() >= 35
+    away = pose.inverse().translation - result.cam_from_world.inverse().translation
+    assert np.linalg.norm(away) < 0.05

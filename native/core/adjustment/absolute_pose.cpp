@@ -67,15 +67,21 @@ class AbsoluteProblem {
   }
 
   // From a pose that may be far off: losses that become narrower until they are half the
-  // threshold wide, then one that suits the noise of the inliers.
-  void settle(AbsolutePose& pose) {
+  // threshold wide. Where most matches are wrong, they lead away from a pose that is near.
+  void approach(AbsolutePose& pose) {
     const double narrowest = 0.5 * options_.threshold;
     double scale = std::max(narrowest, median_length(pose, 4.0));
     while (scale > narrowest) {
       descend(pose, scale, kStageSteps);
       scale = std::max(narrowest, std::min(0.5 * scale, median_length(pose, 4.0)));
     }
-    descend(pose, scale, kStageSteps);
+  }
+
+  // From a pose that is near, by a loss that is half the threshold wide, then by one that suits the
+  // noise of the inliers.
+  void settle(AbsolutePose& pose) {
+    const double narrowest = 0.5 * options_.threshold;
+    descend(pose, narrowest, kStageSteps);
     const double noise = median_length(pose, gate_) / kMedianLength;
     descend(pose, std::min(std::max(kLossScale * noise, kSmallestLossScale), narrowest),
             kLastSteps);
@@ -133,12 +139,18 @@ std::optional<AbsolutePose> absolute_pose(const double* bearings, const double* 
   AbsoluteProblem problem(bearings, points, n, options);
   LoopResult<AbsolutePose> best;
   if (guess) {
-    best.model = *guess;
-    problem.settle(best.model);
-    best.score = problem.score(best.model, 0.0);
-    const std::size_t count = problem.num_inliers(best.model);
-    if (count >= options.min_num_inliers && count >= kAgreement * static_cast<double>(n)) {
-      return best.model;
+    for (const bool is_far : {true, false}) {
+      AbsolutePose pose = *guess;
+      if (is_far) problem.approach(pose);
+      problem.settle(pose);
+      const double score = problem.score(pose, 0.0);
+      if (best.found() && score >= best.score) continue;
+      best.model = pose;
+      best.score = score;
+      const std::size_t count = problem.num_inliers(pose);
+      if (count >= options.min_num_inliers && count >= kAgreement * static_cast<double>(n)) {
+        return best.model;
+      }
     }
   }
   Sampler sampler(static_cast<std::uint32_t>(n), 3);
