@@ -115,6 +115,19 @@ def test_a_photograph_at_the_place_of_the_panorama_has_not_moved():
     assert steps >= 3
 
 
+@pytest.mark.parametrize("is_first", [False, True])
+def test_a_step_before_a_wall_by_a_right_focal_length_is_no_turn(is_first):
+    estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS, max_noise_deg=0.5)
+    for seed in range(12):
+        panorama, photograph = seen(count=250, seed=seed)
+        photograph[:60] = photograph[np.random.default_rng(seed).permutation(60)]
+        bearings, cameras = (panorama, photograph), (PANORAMA, PHOTOGRAPH)
+        if is_first:
+            bearings, cameras = bearings[::-1], cameras[::-1]
+        told = with_calibration_doubt(estimated(bearings), bearings, cameras, estimate)
+        assert told.result.status == "ok"
+
+
 def test_a_right_focal_length_leaves_no_doubt():
     estimate = partial(estimate_relative_pose, options=IMAGE_OPTIONS, max_noise_deg=0.5)
     for seed in range(10):

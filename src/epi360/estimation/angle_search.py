@@ -51,7 +51,7 @@ _CUT, _GAIN_OF_CUT = 0.15, 0.1
 # No panorama is wider or higher than a sphere, so that few of its key points are beyond one.
 MOST_BEYOND = 0.02
 _MOST_ROUNDS = 20
-_OF_LENS = (0.08, -0.08, 0.16, -0.16)
+STARTS_OF_LENS = (0.08, -0.08, 0.16, -0.16)
 _GAIN_OF_ROUND = 2.0  # less ends the search
 _MOST_LOSS_AT_START = 1.5  # for each inlier
 _MOST_MATCHES = 800
@@ -181,7 +181,7 @@ class _Search:
         self._least_gain_near = _GAIN_NEAR_OF_PANORAMAS if self._are_panoramas else _GAIN_NEAR
 
     def best(self) -> OtherAngles | None:
-        """What gains most of all that is better, from any start."""
+        """The first that is better from the starts of each view, and of these what gains most."""
         best: OtherAngles | None = None
         for only in views_that_may_change(self._cameras):
             for start in self._starts(only):
@@ -284,7 +284,7 @@ class _Search:
     def _of_lens(self, only: int) -> Iterator[Array]:
         """Changes of a lens beside a panorama; of few of its pictures the pose finds the way."""
         if self._is_of_lens(only):
-            yield from (np.array([change]) for change in _OF_LENS)
+            yield from (np.array([change]) for change in STARTS_OF_LENS)
 
     def _is_of_lens(self, only: int) -> bool:
         """Whether what changes is one lens beside a panorama."""

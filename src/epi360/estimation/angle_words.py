@@ -26,10 +26,9 @@ def change_in_words(
         return angles_in_words(images, camera, np.array([one.change for one in own]))
     if each.direction == "focal":
         longer = 1.0 / (1.0 + each.change) - 1.0
+        sigma = each.sigma / (1.0 + each.change) ** 2
         what = "longer" if longer > 0.0 else "shorter"
-        return (
-            f"the focal length of {images} is {abs(longer):.1%} {what} (1 sigma {each.sigma:.1%})"
-        )
+        return f"the focal length of {images} is {abs(longer):.1%} {what} (1 sigma {sigma:.1%})"
     if not isinstance(camera, Equirectangular):
         what = "larger" if each.change > 0.0 else "smaller"
         amount = f"{abs(each.change):.1%} {what} (1 sigma {each.sigma:.1%})"

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera, Equirectangular
 from epi360.cameras.changed_angles import PairOfAngles
 from epi360.cameras.changed_camera import changed_lens, changed_panorama
-from epi360.estimation.angle_changes import LARGEST_CHANGE, changed_by_a_turn
+from epi360.estimation.angle_changes import (
+    LARGEST_CHANGE,
+    SMALLEST_NOISE_RAD,
+    changed_by_a_turn,
+    robust_loss,
+)
 from epi360.estimation.angle_search import (
     LEAST_CHANGE,
     LEAST_MIDDLE_RAD,
@@ -39,7 +44,8 @@ CALIBRATION_QUESTION = "is the field of view, or the calibration, right?"
 _LEAST_MOVE, _MOST_MOVE_DEG = 1.0, 10.0
 _FEWEST_INLIERS = 20
 _MOST_CLAMPED_DEG = 1.0  # by which the middle of a panorama may miss the change: it ends at a pole
-_THEIR_POSE = "this is the pose that they say then"
+THEIR_POSE = "this is the pose that they say then"
+AS_GIVEN = "with the angles as they were given"
 _IMAGES = ("both images", "image 1", "image 2")
 
 
@@ -61,6 +67,8 @@ _MOST_OF_CUT = 1.3
 # leaves 1.6 and more. Where the parallax is so many times the noise, no turn leaves little of a
 # step among things at different distances.
 _MOST_LEFT, _MUCH_PARALLAX, _MOST_LEFT_OF_MUCH = 1.35, 50.0, 3.0
+# Of the robust log-likelihood, for each inlier of a step: turns lose up to 0.2, steps at walls 0.6.
+_MOST_LOSS_OF_TURN = 0.35
 
 
 class Doubted(NamedTuple):
@@ -81,10 +89,10 @@ def with_calibration_doubt(
     ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
     If with other angles a rotation explains as many matches, by ``estimate``, that is the result;
     of a lens beside a panorama, whose noise a wrong focal length makes large, only if it does so as
-    well as any pose with other angles. Or else, if they agree clearly better with a pose and other
-    angles, that pose is an alternative, and what it differs by is added to the covariance, for the
-    result belongs to the cameras that were given. Where it would say nothing of the pose then, the
-    other pose is the result.
+    well as the given pose, and as any pose with other angles. Or else, if they agree clearly better
+    with a pose and other angles, that pose is an alternative, and what it differs by is added to
+    the covariance, for the result belongs to the cameras that were given. Where it would say
+    nothing of the pose then, the other pose is the result.
     """
     given = Doubted(result, cameras)
     if not result.success:
@@ -95,6 +103,8 @@ def with_calibration_doubt(
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None and view_of_lens(cameras) is None:
         return turned
+    if turned is not None and _loses(turned.result, result, distinct):
+        turned = None
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
     if other is None:
         return given if turned is None else turned
@@ -152,6 +162,15 @@ def _turned(
     return None
 
 
+def _loses(turn: RelativePoseResult, step: RelativePoseResult, distinct: Indices) -> bool:
+    """Whether a turn explains the matches less well than a step, by the noise of the step."""
+    noise = max(float(np.radians(step.noise_deg)), SMALLEST_NOISE_RAD)
+    # The residuals of a turn have two components, those of a step one.
+    after = robust_loss(turn.residuals_rad[distinct] / np.sqrt(2.0), noise)
+    lost = float(np.nansum(after - robust_loss(step.residuals_rad[distinct], noise)))
+    return lost > _MOST_LOSS_OF_TURN * step.num_inliers
+
+
 def _inliers(result: RelativePoseResult, distinct: Indices) -> Indices:
     """Rows of the inliers that are no copies."""
     return distinct[result.inlier_mask[distinct]]
@@ -201,7 +220,7 @@ def _with_other_angles(
     """The result with the other pose as an alternative, or that pose, if it is far away."""
     answer, doubts = other.answer, other.clear_changes()
     poses = given.cam2_from_cam1, answer.cam2_from_cam1
-    turned, moved = rotation_error_deg(*poses), translation_error_deg(*poses)
+    turned, moved = rotation_error_deg(*poses), _moved_deg(*poses)
     turn_sigma, direction_sigma = pose_sigmas_deg(given)
     if turned < _LEAST_MOVE * turn_sigma and moved < _LEAST_MOVE * direction_sigma:
         return Doubted(given, cameras)
@@ -214,8 +233,8 @@ def _with_other_angles(
     distance = f"{turned:.1f} degrees away in rotation and {moved:.1f} in direction"
     if max(turned, moved) > _MOST_MOVE_DEG:
         sentence = (
-            f"the matches agree better if {changes}, and {_THEIR_POSE}; with the angles as they "
-            f"were given it would be {distance}: {CALIBRATION_QUESTION}"
+            f"the matches agree better if {changes}, and {THEIR_POSE}; {AS_GIVEN} it "
+            f"would be {distance}: {CALIBRATION_QUESTION}"
         )
         uncertain = other.found.pose_covariance(answer.translation_basis)
         told = replace(
@@ -235,6 +254,12 @@ def _with_other_angles(
         alternatives=(*given.alternatives, answer.cam2_from_cam1),
     )
     return Doubted(told, cameras)
+
+
+def _moved_deg(pose: Pose, other: Pose) -> float:
+    """Angle between the directions of two poses, seen from the view where it is larger."""
+    there = translation_error_deg(pose, other)
+    return max(there, translation_error_deg(pose.inverse(), other.inverse()))
 
 
 def _second_moment(given: RelativePoseResult, pose: Pose) -> Array:
