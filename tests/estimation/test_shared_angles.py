@@ -5,7 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rooms_by_wrong_cameras import LENS, OTHER_LENS, PANORAMA, errors_deg, estimated, seen
+from rooms_by_wrong_cameras import (
+    LENS,
+    OTHER_LENS,
+    PANORAMA,
+    PINHOLE,
+    errors_deg,
+    estimated,
+    seen,
+)
 
 from epi360 import estimate_relative_pose
 from epi360.cameras.changed_angles import PairOfAngles
@@ -18,7 +26,11 @@ from epi360.estimation.shared_angles import (
 )
 from epi360.estimation.shared_angles_fit import PosedMatches
 
-NO_CHANGES = {"panorama": (PANORAMA, (0.0, 0.0, 0.0)), "lens": (LENS, (0.0,))}
+NO_CHANGES = {
+    "panorama": (PANORAMA, (0.0, 0.0, 0.0)),
+    "lens": (LENS, (0.0,)),
+    "photograph": (PINHOLE, (0.0,)),
+}
 
 
 MAX_NOISE_DEG = 1.0
@@ -52,11 +64,14 @@ def sizes(shared, camera=0):
         (PANORAMA, (0.0, -0.05, 0.0785), 0.005),
         (LENS, (0.05,), 0.002),
         (LENS, (-0.1,), 0.002),
+        (PINHOLE, (0.06,), 0.002),
+        (PINHOLE, (-0.1,), 0.002),
     ],
 )
 def test_pairs_say_what_their_camera_is(camera, changes, tolerance):
     shared = fit_shared_angles(pairs_of(camera, changes), [camera], estimate)
     assert sizes(shared)[: len(changes)] == pytest.approx(changes, abs=tolerance)
+    assert len(sizes(shared)) == len(changes)
     assert shared.is_clear(0, OF_GIVEN)
 
 

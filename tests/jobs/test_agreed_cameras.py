@@ -10,7 +10,7 @@ import pytest
 from mapped_room import room_poses, write_picture
 
 from epi360.cameras import Equirectangular, KannalaBrandt, Pinhole, load_cameras
-from epi360.cameras.changed_camera import changed_lens, what_changed
+from epi360.cameras.changed_camera import OF_LENS, changed_lens, what_changed
 from epi360.cli import SUCCESS, main
 from epi360.estimation.angle_changes import AngleChange
 from epi360.estimation.shared_angles import OF_GIVEN, SharedAngles
@@ -214,6 +214,13 @@ SOME_LENSES = [
 def test_a_lens_is_told_by_angles_that_it_sees(given):
     now = changed_lens(given, np.array([0.05, 0.0, 0.0]))
     assert "degrees from the axis, not" in what_changed(given, now)
+
+
+def test_a_photograph_is_told_by_its_focal_length():
+    photograph = Pinhole(800, 600, 424.0, 424.0, 400.0, 300.0)
+    words = what_changed(photograph, changed_lens(photograph, np.array([0.06])))
+    assert words == "a focal length of 400.0 pixels, not 424"
+    assert any(each in words for each in OF_LENS)
 
 
 def changes_of(**sizes):

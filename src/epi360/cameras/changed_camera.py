@@ -19,7 +19,7 @@ _MOST_ERROR_PX = 0.5
 _EDGES = (1.0, 0.9, 0.8, 0.75)  # of the widest angle
 _ANGLES_DEG = (90, 60, 30, 15, 5)  # from the axis of a lens, to say what they are
 _SAME_DEG = 1e-9
-FROM_THE_AXIS = "from the axis"  # in what is said of a lens, and of no panorama
+OF_LENS = ("degrees from the axis", "focal length")  # in what is said of a lens, and of no panorama
 
 
 def changed_panorama(camera: Equirectangular, changes: Array) -> Equirectangular:
@@ -103,6 +103,8 @@ def what_changed(given: Camera, now: Camera) -> str:
         return ", ".join(
             words.format(*both) for *both, words in parts if abs(both[0] - both[1]) > _SAME_DEG
         )
+    if isinstance(given, Pinhole) and isinstance(now, Pinhole):
+        return f"a focal length of {now.fx:.1f} pixels, not {given.fx:.6g}"
     bearings = given.bearings_from_pixels(_pixels_all_over(given))
     widest = bearings[np.nanargmin(bearings[:, 2])]  # towards there most angles are in the picture
     out = np.array([*widest[:2], 0.0]) / np.hypot(*widest[:2])
@@ -112,7 +114,7 @@ def what_changed(given: Camera, now: Camera) -> str:
     seen = np.degrees(np.arctan2(np.hypot(x, y), z))
     shown = [each for each in zip(seen, _ANGLES_DEG, strict=True) if np.isfinite(each[0])][1::-1]
     are = " and ".join(f"{angle:.1f}" for angle, _ in shown)
-    return f"{are} degrees {FROM_THE_AXIS}, not {' and '.join(str(angle) for _, angle in shown)}"
+    return f"{are} degrees from the axis, not {' and '.join(str(angle) for _, angle in shown)}"
 
 
 def _pixels_all_over(camera: Camera) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from epi360.cameras.changed_camera import FROM_THE_AXIS
+from epi360.cameras.changed_camera import OF_LENS
 from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
 from epi360.estimation.verdict import NOISE_QUESTION
 from epi360.jobs.graph.graph_check import groups_by
@@ -179,7 +179,7 @@ def describe_agreed(judged: JudgedPairs) -> list[str]:
     """Lines that say which cameras are other ones than were given."""
     if not judged.agreed:
         return []
-    is_of_lens = any(FROM_THE_AXIS in what for what in judged.agreed)
+    is_of_lens = any(word in what for what in judged.agreed for word in OF_LENS)
     who = "tracks" if judged.with_agreed == "tracked" else "pairs"
     return [
         *(f"The {who} agree on other angles of {what}." for what in judged.agreed),
