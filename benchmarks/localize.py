@@ -3,11 +3,12 @@
 
 Each image of a set is left out of the map once: its observations are removed, the points are
 triangulated again from the other images, whose poses stay, and the image is localized. The rendered
-set has new images with exact truth instead, panoramas and a fisheye of 200 degrees.
+set has new images with exact truth instead, panoramas and a fisheye of 200 degrees. "focal" has
+photographs of 90 degrees in the same map, whose focal length is given right, and too large.
 
 pycolmap gets the same matches (our features, matched with the same images of the map), its
-EQUIRECTANGULAR camera for panoramas, and estimates and refines the pose; it has no model for a
-fisheye beyond 180 degrees.
+EQUIRECTANGULAR or PINHOLE camera, and estimates and refines the pose, of photographs with and
+without the focal length; it has no model for a fisheye beyond 180 degrees.
 
     python benchmarks/localize.py room theta_flat --data /path/to/data --work scratch
 """
@@ -21,7 +22,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -30,13 +31,16 @@ from _left_out import model_without, poses_in_world
 from numpy.typing import NDArray
 
 import epi360
-from epi360.cameras import Camera, Equirectangular, KannalaBrandt
+from epi360.cameras import Camera, Equirectangular, KannalaBrandt, Pinhole
+from epi360.estimation.calibration_doubt import CALIBRATION_QUESTION
 from epi360.jobs.localization.map_matches import joined, matches_with
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.poses import Pose, pose_from_quaternion, rotation_from_vector
 
 FISHEYE = KannalaBrandt(720, 720, 206.0, 206.0, 360.0, 360.0, 0.0, 0.0, 0.0, 0.0, max_angle_deg=100)
 PANORAMA = Equirectangular(1024, 512)
+PHOTOGRAPH = Pinhole(1000, 750, 500.0, 500.0, 500.0, 375.0)
+FACTORS = (1.0, 1.01, 1.02, 1.05, 1.15)  # of its focal length
 REAL = ("theta_flat", "Tram", "Walking_Girl")
 MATCHED_VIEWS = 4  # for pycolmap, as in our first look
 COLMAP_GATE_PX = 12.0  # its default; 4 and 2 px are tried too
@@ -63,6 +67,7 @@ class Row:
     rotation_deg: list[float] = field(default_factory=list)
     position: list[float] = field(default_factory=list)
     sigmas: list[tuple[float, float]] = field(default_factory=list)
+    num_told: int = 0  # by a warning about the camera
     cpu_s: list[float] = field(default_factory=list)
 
 
@@ -106,12 +111,12 @@ def real_queries(name: str, data: Path, work: Path, every: int) -> Iterator[Quer
         yield Query(image.name, images / image.name, None, moved[image.name], left, unit)
 
 
-def room_queries(work: Path, camera: Camera, kind: str) -> Iterator[Query]:
+def room_queries(work: Path, seed: int, camera: Camera, kind: str) -> Iterator[Query]:
     """New images of a rendered room."""
     from epi360_scenes import furnished_room
 
-    room, rng = furnished_room(0), np.random.default_rng(0)
-    images = work / "room-images"
+    room, rng = furnished_room(seed), np.random.default_rng(seed)
+    images = work / f"room{seed}-images"
     poses = {}
     for number in range(10):
         place = np.array([-0.9 + 0.2 * number, -1.5, 0.25 * np.sin(number) - 0.3])
@@ -121,13 +126,20 @@ def room_queries(work: Path, camera: Camera, kind: str) -> Iterator[Query]:
         if not path.is_file():
             images.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), room.render(PANORAMA, pose).image[..., ::-1])
-    world = map_of(images, work / "room-map")
+    world = map_of(images, work / f"room{seed}-map")
     for number in range(8):
         place = np.array([rng.uniform(-0.9, 0.9), rng.uniform(-1.65, -1.3), rng.uniform(-0.6, 0)])
         pose = Pose(rotation_from_vector(rng.normal(size=3) * [0.1, 2.0, 0.1]), place)
         moved, unit = poses_in_world({**poses, "new": pose.inverse()}, world.model, {"new"})
         picture = room.render(camera, pose).image
         yield Query(f"{kind} {number}", picture, camera, moved["new"], world, unit)
+
+
+def photograph_queries(work: Path, seed: int, factor: float) -> Iterator[Query]:
+    """Photographs of the room, by a focal length that is too large."""
+    wrong = replace(PHOTOGRAPH, fx=factor * PHOTOGRAPH.fx, fy=factor * PHOTOGRAPH.fy)
+    for query in room_queries(work, seed, PHOTOGRAPH, "photograph"):
+        yield replace(query, camera=wrong)
 
 
 def add(row: Row, query: Query, pose: Pose | None, cpu_s: float) -> None:
@@ -147,11 +159,12 @@ def ours(query: Query, row: Row) -> None:
     result = epi360.localize_image(query.picture, query.world, camera=query.camera)
     cpu_s = time.process_time() - begun
     add(row, query, result.cam_from_world if result.success else None, cpu_s)
+    row.num_told += any(CALIBRATION_QUESTION in each for each in result.warnings)
     if result.success:
         row.sigmas.append((result.rotation_sigma_deg, result.position_sigma * query.unit))
 
 
-def colmap(query: Query, row: Row, gate_px: float) -> None:
+def colmap(query: Query, row: Row, gate_px: float, *, refine_focal: bool = False) -> None:
     """Estimate and refine with pycolmap from the same kind of matches."""
     import pycolmap
 
@@ -162,14 +175,18 @@ def colmap(query: Query, row: Row, gate_px: float) -> None:
     features = world.source.of_new(query.picture, camera, None, 0.0)
     views = world.similar_views(features)[:MATCHED_VIEWS]
     matches = joined([matches_with(world.view(k), k, features) for k in views])
-    model = pycolmap.Camera(
-        model="EQUIRECTANGULAR", width=camera.width, height=camera.height,
-        params=[camera.width, camera.height],
-    )  # fmt: skip
+    size = {"width": camera.width, "height": camera.height}
+    if isinstance(camera, Pinhole):
+        numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+        model = pycolmap.Camera(model="PINHOLE", params=numbers, **size)
+    else:
+        model = pycolmap.Camera(model="EQUIRECTANGULAR", params=[*size.values()], **size)
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = gate_px
+    refinement = pycolmap.AbsolutePoseRefinementOptions()
+    refinement.refine_focal_length = refine_focal
     found = pycolmap.estimate_and_refine_absolute_pose(
-        features.keypoints[matches.rows], matches.points, model, options
+        features.keypoints[matches.rows], matches.points, model, options, refinement
     )
     pose = None
     if found is not None:
@@ -195,38 +212,52 @@ def table(name: str, rows: list[Row]) -> None:
             if len(sigmas)
             else "| none "
         )
-        print(f"{line}| {np.median(row.cpu_s):.2f} |", flush=True)
+        told = row.num_told if len(sigmas) else "–"
+        print(f"{line}| {told} | {np.median(row.cpu_s):.2f} |", flush=True)
 
 
 def main() -> None:
     """Run the sets and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sets", nargs="+", choices=["room", *REAL])
+    parser.add_argument("sets", nargs="+", choices=["room", "focal", *REAL])
     parser.add_argument("--data", type=Path)
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--every", type=int, default=1, help="leave out every so many images only")
+    parser.add_argument("--room", type=int, default=0, help="seed of the rendered room (0)")
     given = parser.parse_args()
     given.work.mkdir(exist_ok=True)
     print(
         "| set | method | poses | rotation error, deg: median / worst | position error: median / "
-        "worst | sigma: rotation, deg / position | CPU s |"
+        "worst | sigma: rotation, deg / position | camera doubted | CPU s |"
     )
-    print("| --- " * 7 + "|")
+    print("| --- " * 8 + "|")
     for name in given.sets:
         if name == "room":
             kinds = {"panoramas": PANORAMA, "fisheye 200°": FISHEYE}
-            groups = {f"room, {k}": room_queries(given.work, c, k) for k, c in kinds.items()}
+            groups = {
+                f"room, {k}": room_queries(given.work, given.room, c, k) for k, c in kinds.items()
+            }
+        elif name == "focal":
+            groups = {
+                f"room, focal length times {factor}": photograph_queries(
+                    given.work, given.room, factor
+                )
+                for factor in FACTORS
+            }
         else:
             groups = {name: real_queries(name, given.data, given.work, given.every)}
         for title, queries in groups.items():
             gates = (COLMAP_GATE_PX, 4.0)
             mine, peers = Row("epi360"), [Row(f"pycolmap, {gate:.0f} px") for gate in gates]
+            refined = Row(f"pycolmap, {COLMAP_GATE_PX:.0f} px, with focal length")
             for query in queries:
                 ours(query, mine)
                 if query.camera is not FISHEYE:
                     for row, gate in zip(peers, gates, strict=True):
                         colmap(query, row, gate)
-            table(title, [mine, *peers])
+                if isinstance(query.camera, Pinhole):
+                    colmap(query, refined, COLMAP_GATE_PX, refine_focal=True)
+            table(title, [mine, *peers, refined])
 
 
 if __name__ == "__main__":

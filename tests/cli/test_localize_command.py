@@ -5,6 +5,7 @@ import csv
 import json
 import shutil
 
+import cv2
 import numpy as np
 import pytest
 from command_line import assert_help_names, assert_wrong_use
@@ -199,3 +200,23 @@ def test_the_folder_of_an_image_names_its_camera(room_run, new_folder, tmp_path,
     capsys.readouterr()
     said = "1.png must lie in a sub-folder that is called as its camera, one of top, rig/left"
     assert_wrong_use(capsys, [*words, str(tmp_path / "new")], said)
+
+
+def test_a_panorama_without_its_lowest_part_stops_nothing(room_run, new_folder, tmp_path, capsys):
+    from epi360 import read_image
+
+    whole = read_image(new_folder / "0.png")
+    cut = cv2.resize(whole[:225], (512, 256), interpolation=cv2.INTER_AREA)
+    write_picture(tmp_path / "cut.png", cut)
+    outputs = [tmp_path / "a.json", tmp_path / "model"]
+    words = ["localize", str(room_run[0]), str(tmp_path / "cut.png"), str(new_folder / "1.png")]
+    words += ["--report", str(tmp_path / "page.html")]
+    for path in outputs:
+        words += ["--out", str(path)]
+    assert cli.main(words) == 0
+    assert all(path.exists() for path in (*outputs, tmp_path / "page.html"))
+    first, second = json.loads(outputs[0].read_text(encoding="utf-8"))["images"]
+    assert first["camera"] == second["camera"]
+    if first["success"]:
+        (warning,) = [each for each in first["warnings"] if "points of the map agree" in each]
+        assert "degrees high, not 180" in warning and "with a pose that is" in warning

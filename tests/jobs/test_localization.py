@@ -3,6 +3,7 @@
 
 import dataclasses
 import pickle
+import re
 import shutil
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import pytest
 from mapped_room import CAMERA, write_picture
 
 import epi360
-from epi360.cameras import KannalaBrandt
+from epi360.cameras import KannalaBrandt, Pinhole
 from epi360.interop import write_colmap_model
 from epi360.jobs.localization.outputs import model_with
 from epi360.poses import Pose, rotation_error_deg, rotation_from_vector
@@ -21,6 +22,7 @@ from epi360_scenes import furnished_room, scene
 pytest.importorskip("pycolmap")
 
 WORLD_FROM_NEW = Pose(rotation_from_vector([0.05, 2.0, -0.04]), np.array([-0.35, -1.47, -0.42]))
+PHOTOGRAPH = Pinhole(400, 300, 140.0, 140.0, 200.0, 150.0)
 FISHEYE = KannalaBrandt(360, 360, 103.0, 103.0, 180.0, 180.0, 0.0, 0.0, 0.0, 0.0, max_angle_deg=100)
 
 
@@ -76,6 +78,56 @@ def test_a_fisheye_that_sees_200_degrees_is_found_in_a_map_of_panoramas(world, r
     assert_right(result, world, room_folder[1], largest_deg=1.0, largest_m=0.05)
     beyond = FISHEYE.bearings_from_pixels(result.keypoints[result.inlier_mask])[:, 2]
     assert beyond.min() < 0.2  # also points at the rim of the lens are used
+
+
+class TestAPhotograph:
+    @pytest.fixture
+    def picture(self):
+        return furnished_room(0).render(PHOTOGRAPH, WORLD_FROM_NEW).image
+
+    @staticmethod
+    def wrong(factor):
+        return dataclasses.replace(PHOTOGRAPH, fx=factor * PHOTOGRAPH.fx, fy=factor * PHOTOGRAPH.fy)
+
+    def test_it_keeps_a_right_focal_length(self, world, picture, room_folder):
+        result = epi360.localize_image(picture, world, camera=PHOTOGRAPH)
+        assert_right(result, world, room_folder[1], largest_deg=0.5, largest_m=0.03)
+        assert result.camera == PHOTOGRAPH and result.warnings == ()
+
+    @pytest.mark.parametrize("factor", [0.9, 1.15])
+    def test_a_wrong_focal_length_is_found_and_said(self, world, picture, room_folder, factor):
+        result = epi360.localize_image(picture, world, camera=self.wrong(factor))
+        assert_right(result, world, room_folder[1], largest_deg=0.5, largest_m=0.03)
+        assert result.camera.fx == pytest.approx(PHOTOGRAPH.fx, rel=0.01)
+        (warning,) = result.warnings
+        how = "longer" if factor < 1.0 else "shorter"
+        assert re.search(rf"focal length of the image is 1[0-4]\.\d% {how} ", warning)
+        again = epi360.localize_image(picture, world, camera=result.camera)
+        away = again.cam_from_world.translation - result.cam_from_world.translation
+        assert np.linalg.norm(away) < result.position_sigma and again.warnings == ()
+
+    def test_a_focal_length_without_a_pose_is_named(self, world):
+        narrow = Pinhole(480, 360, 180.0, 180.0, 240.0, 180.0)
+        picture = furnished_room(0).render(
+            dataclasses.replace(narrow, fx=200.0, fy=200.0), WORLD_FROM_NEW
+        )
+        found = epi360.localize_image(picture.image, world, camera=narrow)
+        assert found.status == "ok" and found.camera.fx == pytest.approx(200.0, rel=0.01)
+        assert "with the angles as they were given there is none to rely on" in found.warnings[-1]
+        options = epi360.LocalizationOptions(keep_cameras=True)
+        kept = epi360.localize_image(picture.image, world, camera=narrow, options=options)
+        assert kept.status == "too_few_inliers" and kept.camera == narrow
+        assert "with the angles as they were given there is no pose" in kept.warnings[-1]
+
+    def test_it_may_stay_as_it_is_given(self, world, picture, room_folder):
+        given = self.wrong(1.15)
+        options = epi360.LocalizationOptions(keep_cameras=True)
+        kept = epi360.localize_image(picture, world, camera=given, options=options)
+        assert kept.camera == given
+        assert any("agree better if the focal length" in each for each in kept.warnings)
+        pose, _ = true_pose(world, room_folder[1])
+        away = pose.inverse().translation - kept.cam_from_world.inverse().translation
+        assert np.linalg.norm(away) < 3.0 * kept.position_sigma
 
 
 def test_another_room_and_noise_have_no_pose_in_the_map(world):

@@ -55,6 +55,7 @@ def localize(
     max_views: int = 16,
     seed: int = 0,
     known_place: Annotated[bool, Parameter(negative=())] = False,
+    keep_cameras: Annotated[bool, Parameter(negative=())] = False,
     keep: Path | None = None,
     out: Annotated[list[Path] | None, Parameter(name=OUT_NAMES, negative=())] = None,
     report: Path | None = None,
@@ -89,6 +90,9 @@ def localize(
         The map has every place that the images show: poses are accepted even where most of a place
         has changed. Without it such a pose is ambiguous, because it may be that of a room that
         looks alike.
+    keep_cameras
+        Lenses stay as they are given, also where the points of the map agree better with another
+        focal length.
     keep
         Folder that keeps the result of each image. A run that was stopped, or has new images, takes
         from there what is done and unchanged.
@@ -107,7 +111,7 @@ def localize(
         check_report(report)
     if keep is not None and (keep.is_file() or not keep.parent.is_dir()):
         raise ValueError(f"keep must be a folder, or the name of a new one, got {keep}")
-    options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place)
+    options = LocalizationOptions(max_views, mask_nadir_deg, seed, known_place, keep_cameras)
     world = load_map(
         model, images=of_map.images, features=of_map.features, database=of_map.database
     )

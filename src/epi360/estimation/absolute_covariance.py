@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last refinement of a pose in a map, which knows how uncertain each point is, and its sigma.
 
-The parameters are (w, d): R' = exp([w]x) R, t' = exp([w]x) t + d, at the camera.
+The parameters are (w, d): R' = exp([w]x) R, t' = exp([w]x) t + d, at the camera; and changes of the
+camera's angles, if these are refined, too.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.cameras.changed_angles import Angles
 from epi360.epipolar.essential import skew
 from epi360.estimation.absolute_pose_fit import Gravity
+from epi360.estimation.angle_changes import LARGEST_CHANGE
 from epi360.poses import Pose, angles_of_units, rotation_from_vector
 
 Array = NDArray[np.float64]
@@ -27,6 +30,7 @@ _SINGULAR, _ROUNDING_STEPS = 1e-11, 10.0
 # Of the error that neighbouring bearings share, as with pairs of views: it falls to 1 / e.
 _REACH = np.radians(45.0)
 _SHARED_SAMPLE, _SIGNIFICANT = 400, 4.0
+_NO_CHANGES = np.zeros(0)
 _FEWEST_SHARED = 20  # bearings that it is estimated from; of fewer, the least is assumed
 
 
@@ -34,7 +38,8 @@ _FEWEST_SHARED = 20  # bearings that it is estimated from; of fewer, the least i
 class Refined:
     """A pose, the noise of the bearings per axis and the covariance (6, 6) at the camera.
 
-    It is not ``determined`` if only rounding speaks for it in some direction, as where all points
+    With ``changes`` (k,) of the camera's angles the covariance is that of both, (6 + k, 6 + k). The
+    pose is not ``determined`` if only rounding speaks for it in some direction, as where all points
     lie on a line. The covariance is then large, not infinite, and too small.
     """
 
@@ -42,12 +47,13 @@ class Refined:
     noise_rad: float
     covariance: Array
     determined: bool
+    changes: Array
 
 
 @dataclass(frozen=True)
 class _Linearised:
     residuals: Array  # (N, 2) in the tangent plane of each direction
-    jacobian: Array  # (N, 2, 6)
+    jacobian: Array  # (N, 2, 6), or (N, 2, 6 + k) with changes of the angles
     basis: Array  # (N, 3, 2)
     per_point: Array  # (N, 2, 3): derivative by the point
 
@@ -59,28 +65,35 @@ def refined_pose(
     point_covariances: Array | None,
     level: Gravity,
     shared_error: float,
+    angles: Angles | None = None,
+    changes: Array = _NO_CHANGES,
 ) -> Refined:
-    """Most likely pose of inliers under their own noise, that of the points and Cauchy's loss."""
+    """Most likely pose of inliers under their own noise, that of the points and Cauchy's loss.
+
+    With ``angles`` of the bearings these are refined together with the pose, from ``changes`` on.
+    """
     noise = _SMALLEST_NOISE
     for _ in range(_STEPS):
-        at = _linearised(pose, bearings, points)
+        at = _linearised(pose, bearings, points, angles, changes)
         spread = _point_spread(at, point_covariances)
         noise = _noise(at.residuals, spread)
         weights = _weights(noise, spread)
         information, gradient = _normal_equations(at, weights, _robust(at.residuals, weights))
-        prior, prior_gradient = _prior(pose, level)
+        prior, prior_gradient = _prior(pose, level, len(changes))
         step = -_solved(information + prior, gradient + prior_gradient)
         turn = rotation_from_vector(step[:3])
-        pose = Pose(turn @ pose.rotation, turn @ pose.translation + step[3:])
+        pose = Pose(turn @ pose.rotation, turn @ pose.translation + step[3:6])
+        changes = np.clip(changes + step[6:], -LARGEST_CHANGE, LARGEST_CHANGE)
         if np.abs(step[:3]).max() < 1e-10:
             break
-    at = _linearised(pose, bearings, points)
+    at = _linearised(pose, bearings, points, angles, changes)
     weights = _weights(noise, spread)
     information = _information(pose, at, weights, level)
     own = bounded_inverse(information)
     if shared_error > 0.0:
         own = own + _shared(bearings, at, weights, own, noise, shared_error)
-    return Refined(pose, noise, own, _is_determined(information, _rounding(pose, points)))
+    determined = _is_determined(information, _rounding(pose, points))
+    return Refined(pose, noise, own, determined, changes)
 
 
 def at_world(pose: Pose, at_camera: Array) -> Array:
@@ -90,7 +103,11 @@ def at_world(pose: Pose, at_camera: Array) -> Array:
     return np.asarray(to_world @ at_camera @ to_world.T)
 
 
-def _linearised(pose: Pose, bearings: Array, points: Array) -> _Linearised:
+def _linearised(
+    pose: Pose, bearings: Array, points: Array, angles: Angles | None, changes: Array
+) -> _Linearised:
+    changed = None if angles is None else angles.changed(changes)
+    bearings = bearings if changed is None else changed.bearings
     x = points @ pose.rotation.T + pose.translation
     distances = np.maximum(np.linalg.norm(x, axis=1), 1e-300)
     u = x / distances[:, None]
@@ -103,9 +120,11 @@ def _linearised(pose: Pose, bearings: Array, points: Array) -> _Linearised:
     # A direction u at distance r moves by w x u + (1 - u u^T) d / r.
     turned = np.cross(u[:, None, :], np.swapaxes(basis, 1, 2))  # (w x u) . e = w . (u x e)
     moved = np.swapaxes(basis, 1, 2) / distances[:, None, None]
-    return _Linearised(
-        residuals, -np.concatenate([turned, moved], axis=2), basis, moved @ pose.rotation
-    )
+    jacobian = -np.concatenate([turned, moved], axis=2)
+    if changed is not None:
+        by_changes = np.swapaxes(basis, 1, 2) @ changed.by_changes
+        jacobian = np.concatenate([jacobian, by_changes], axis=2)
+    return _Linearised(residuals, jacobian, basis, moved @ pose.rotation)
 
 
 def _tangent_bases(u: Array) -> Array:
@@ -162,9 +181,10 @@ def _normal_equations(at: _Linearised, weights: Array, robust: Array) -> tuple[A
     return information, np.einsum("nij,ni->j", weighted, at.residuals)
 
 
-def _prior(pose: Pose, level: Gravity) -> tuple[Array, Array]:
+def _prior(pose: Pose, level: Gravity, num_changes: int) -> tuple[Array, Array]:
     """Information and gradient of what is known of gravity."""
-    information, gradient = np.zeros((6, 6)), np.zeros(6)
+    count = 6 + num_changes
+    information, gradient = np.zeros((count, count)), np.zeros(count)
     if level.in_camera is not None:
         down = pose.rotation @ level.in_world
         information[:3, :3] = (np.eye(3) - np.outer(down, down)) / level.sigma**2
@@ -203,11 +223,12 @@ def _information(pose: Pose, at: _Linearised, weights: Array, level: Gravity) ->
     squares = _squares(at.residuals, weights)
     robust = 1.0 / (1.0 + squares / _LOSS_SCALE**2)
     # A Cauchy weight w of a length in the plane has psi' = w^2 on average over the directions.
-    spare = max(2.0 * len(squares) - 6.0, 1.0)
+    count = at.jacobian.shape[2]
+    spare = max(2.0 * len(squares) - count, 1.0)
     factor = float(robust**2 @ squares) / spare / float(np.mean(robust**2)) ** 2
-    factor *= 1.0 + 6.0 / len(squares)  # the noise comes from the same few residuals
+    factor *= 1.0 + count / len(squares)  # the noise comes from the same few residuals
     full, _ = _normal_equations(at, weights, np.ones(len(squares)))
-    return np.asarray(full / max(factor, 1e-4) + _prior(pose, level)[0])
+    return np.asarray(full / max(factor, 1e-4) + _prior(pose, level, count - 6)[0])
 
 
 def _shared(
@@ -225,11 +246,11 @@ def _shared(
     K = np.exp(-np.sqrt(np.maximum(2.0 - 2.0 * cosines, 0.0)) / _REACH)
     np.fill_diagonal(K, 0.0)
     residuals = np.einsum("nij,nj->ni", basis, at.residuals[::step])
-    J = np.einsum("nij,njk->nik", basis, at.jacobian[::step])  # (M, 3, 6)
+    J = np.einsum("nij,njk->nik", basis, at.jacobian[::step])  # (M, 3, 6 + k)
     KJ = np.einsum("mn,nik->mik", K, J)
     A = np.einsum("mik,mil->kl", J, KJ)
     G = bounded_inverse(np.einsum("mik,mil->kl", J, J))
-    variance = float(np.sum(residuals**2)) / max(2.0 * count - 6.0, 1.0)
+    variance = float(np.sum(residuals**2)) / max(2.0 * count - J.shape[2], 1.0)
     observed = float(np.einsum("mi,mn,ni->", residuals, K, residuals))
     expected = -variance * float(np.trace(G @ A))
     # The tangent planes at two bearings share 1 + cos^2 of their two dimensions.

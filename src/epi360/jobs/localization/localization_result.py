@@ -31,12 +31,16 @@ class LocalizationOptions:
     known_place : bool
         The map has the place that the image shows, so that it is no room that looks alike. Poses
         are accepted even where most of the place has changed since the map was made.
+    keep_cameras : bool
+        The camera stays as it is given, also where the points of the map agree clearly better with
+        other angles. A warning says so then, and the covariance has how far their pose is away.
     """
 
     max_views: int = 16
     mask_nadir_deg: float = 0.0
     seed: int = 0
     known_place: bool = False
+    keep_cameras: bool = False
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -58,7 +62,8 @@ class LocalizationResult(AbsolutePoseResult):
     Attributes
     ----------
     camera : Camera
-        Camera of the image.
+        Camera of the image: that which was given, or if the points of the map agree better with
+        another focal length, the lens that has it; a warning says so then.
     keypoints : ndarray, shape (N, 2)
         Continuous pixels of the image.
     points : ndarray, shape (N, 3)

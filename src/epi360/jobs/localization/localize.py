@@ -17,12 +17,12 @@ from epi360.estimation.absolute_result import no_pose
 from epi360.features import Features, ImageSource
 from epi360.features.image_cameras import find_camera
 from epi360.features.images import read_masked_image
+from epi360.jobs.localization.camera_by_map import Place, place_and_camera
 from epi360.jobs.localization.localization_result import LocalizationOptions, LocalizationResult
 from epi360.jobs.localization.map_matches import MapMatches, SecondLook, joined, look_again
 from epi360.jobs.localization.map_search import FIRST_VIEWS, Found, MapSearch
 from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.localization.new_image import NewImage
-from epi360.jobs.localization.other_places import find_place
 
 Mask = NDArray[np.bool_]
 
@@ -130,11 +130,11 @@ def localize_features(
 ) -> LocalizationResult:
     """`localize_image` for an image whose features are known."""
     new = NewImage.of(features, camera, mask)
-    search = MapSearch(world, new, without, options)
-    found = find_place(search)
+    place = place_and_camera(MapSearch(world, new, without, options))
+    search, found = place.search, place.found
     if not found.result.success:
         return _as_result(search, found)
-    return _refined(search, found, _second_look(search, found))
+    return _refined(place, _second_look(search, found))
 
 
 def _second_look(search: MapSearch, found: Found) -> SecondLook:
@@ -148,8 +148,9 @@ def _second_look(search: MapSearch, found: Found) -> SecondLook:
     return look_again(views, search.new, result.cam_from_world, search.radius_rad(result))
 
 
-def _refined(search: MapSearch, found: Found, second: SecondLook) -> LocalizationResult:
+def _refined(place: Place, second: SecondLook) -> LocalizationResult:
     """Pose from the matches of both looks, with the verdict on the first."""
+    search, found = place.search, place.found
     result, matches = found.result, found.matches
     if second.seen_share < _LEAST_LIFT * second.chance_share:
         refused = dataclasses.replace(found, result=_refused(result, second))
@@ -160,6 +161,7 @@ def _refined(search: MapSearch, found: Found, second: SecondLook) -> Localizatio
         final = dataclasses.replace(final, probability=result.probability, warnings=result.warnings)
     else:
         final, used = result, matches
+    final = place.with_camera_uncertainty(final, used)
     shown = _as_result(search, dataclasses.replace(found, result=final), used)
     return _with_shares(shown, second)
 

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from epi360.cameras import Camera
 from epi360.estimation import AbsolutePoseResult, estimate_absolute_pose
 from epi360.estimation.absolute_evidence import directions_of
 from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX
@@ -18,6 +21,8 @@ from epi360.jobs.localization.map_views import LocalizationMap
 from epi360.jobs.localization.new_image import NewImage
 from epi360.jobs.localization.surroundings import Surroundings, surroundings_at
 from epi360.poses import Pose, angles_of_units
+
+Array = NDArray[np.float64]
 
 # Points of a map are less certain than key points: their own errors come on top.
 _MAX_NOISE_PX = 2.0 * MAX_NOISE_PX
@@ -54,7 +59,8 @@ class MapSearch:
         self.left_out = frozenset(k for k, image in enumerate(images) if image.name in without)
         similar = world.similar_views(new.features)
         self.ranked = [k for k in similar if k not in self.left_out][: options.max_views]
-        self._parts: dict[int, MapMatches] = {}
+        self._parts: dict[int, MapMatches] = {}  # of the images that were looked at
+        self._known: dict[int, MapMatches] = {}  # by the same features in another search
 
     @property
     def looked_at(self) -> list[int]:
@@ -64,15 +70,30 @@ class MapSearch:
     def matched(self, numbers: Sequence[int]) -> list[MapMatches]:
         """Matches with each of some images."""
         for number in numbers:
+            if number in self._known:
+                self._parts.setdefault(number, self._known[number])
             if number not in self._parts:
                 view = self.world.view(number)
                 self._parts[number] = matches_with(view, number, self.new.features)
         return [self._parts[number] for number in numbers]
 
-    def pose_of(self, matches: MapMatches, guess: Pose | None = None) -> AbsolutePoseResult:
-        """Pose of matches, from a guess on where there is one."""
+    def by_camera(self, camera: Camera) -> MapSearch:
+        """The search from its beginning, if the image is one of another camera.
+
+        Nothing is matched twice, unless that camera does not see all features.
+        """
+        other = copy.copy(self)
+        other.new = NewImage.of(self.new.features, camera, self.new.mask)
+        sees_all = len(other.new.bearings) == len(self.new.bearings)
+        other._known, other._parts = dict(self._parts) if sees_all else {}, {}
+        return other
+
+    def pose_of(
+        self, matches: MapMatches, guess: Pose | None = None, bearings: Array | None = None
+    ) -> AbsolutePoseResult:
+        """Pose of matches, from a guess where there is one; by other bearings (N, 3), if given."""
         return estimate_absolute_pose(
-            self.new.bearings[matches.rows],
+            self.new.bearings[matches.rows] if bearings is None else bearings,
             matches.points,
             point_covariances=matches.covariances,
             guess=guess,
@@ -101,7 +122,7 @@ class MapSearch:
         The first says what the matches say. If they are ambiguous, each of their two poses follows.
         """
         found = [Found(self.pose_of(no_matches()), no_matches())]
-        with_pose = found
+        with_pose: list[Found] = []
         while len(self._parts) < len(self.ranked) and not any(f.is_confirmed for f in found):
             parts = self.matched(self.ranked[: max(2 * len(self._parts), FIRST_VIEWS)])
             matches = joined(parts)
@@ -110,7 +131,7 @@ class MapSearch:
             if any(each.result.success for each in found):
                 with_pose = found
         # More images may bring so many wrong matches that a pose of fewer ones is lost.
-        return found if any(each.result.success for each in found) else with_pose
+        return with_pose or found
 
     def _robust_pose(self, matches: MapMatches, parts: Sequence[MapMatches]) -> AbsolutePoseResult:
         """Pose from all matches; where that fails, from where the best single image leads."""

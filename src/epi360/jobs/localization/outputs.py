@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.cameras import Camera
+from epi360.cameras.calibration.own import camera_record
 from epi360.extras import package_version
 from epi360.interop.reconstruction import Observations, PosedImage, Reconstruction
 from epi360.jobs.localization.localization_result import LocalizationResult
@@ -157,6 +158,7 @@ def _record(result: LocalizationResult) -> dict[str, Any]:
         "rotation_sigma_deg": rotation_sigma_deg,
         "position_sigma": position_sigma,
         "covariance": result.covariance,
+        "camera": camera_record(result.camera),
         "alternatives": [_pose_record(pose) for pose in result.alternatives],
         "num_matches": result.num_matches,
         "num_inliers": result.num_inliers,
