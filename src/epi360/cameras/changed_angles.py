@@ -124,6 +124,14 @@ class ChangedBearings(NamedTuple):
     by_changes: Array
 
 
+def _out_and_across(bearings: Array) -> tuple[Array, Array]:
+    """Unit vectors (N, 3) away from the optical axis, and around it, where bearings lie."""
+    x, y, _ = bearings.T
+    around, zero = np.arctan2(y, x), np.zeros_like(x)
+    cosine, sine = np.cos(around), np.sin(around)
+    return np.stack([cosine, sine, zero], axis=1), np.stack([-sine, cosine, zero], axis=1)
+
+
 class _Radial:
     """Bearings by their angles from the optical axis.
 
@@ -134,9 +142,7 @@ class _Radial:
     def __init__(self, bearings: Array) -> None:
         x, y, z = bearings.T
         self._angle = np.arctan2(np.hypot(x, y), z)
-        around = np.arctan2(y, x)
-        self._out = np.stack([np.cos(around), np.sin(around), np.zeros_like(x)], axis=1)
-        self._across = np.stack([-np.sin(around), np.cos(around), np.zeros_like(x)], axis=1)
+        self._out, self._across = _out_and_across(bearings)
 
     def changed(self, changes: Array) -> ChangedBearings:
         """Bearings with other angles."""
@@ -169,6 +175,7 @@ class _Focal:
 
     def __init__(self, bearings: Array) -> None:
         self._bearings = bearings
+        self._out, self._across = _out_and_across(bearings)
 
     def changed(self, changes: Array) -> ChangedBearings:
         """Bearings with another focal length."""
@@ -176,16 +183,12 @@ class _Focal:
         x, y, z = self._bearings.T
         longer = np.stack([factor * x, factor * y, z], axis=1)
         lengths = np.linalg.norm(longer, axis=1)[:, None]
-        bearings = longer / lengths
-        radius, around = np.hypot(x, y)[:, None], np.arctan2(y, x)
-        zero = np.zeros_like(x)
-        out = np.stack([np.cos(around), np.sin(around), zero], axis=1)
-        across = np.stack([-np.sin(around), np.cos(around), zero], axis=1)
-        away = (z[:, None] * out - factor * radius * [0.0, 0.0, 1.0]) / lengths
+        radius, depth = np.hypot(x, y)[:, None], z[:, None]
+        away = (depth * self._out - factor * radius * [0.0, 0.0, 1.0]) / lengths
         return ChangedBearings(
-            bearings,
-            np.stack([factor / lengths**2 * away, factor / lengths * across], axis=2),
-            (radius * z[:, None] / lengths**2 * away)[:, :, None],
+            longer / lengths,
+            np.stack([factor / lengths**2 * away, factor / lengths * self._across], axis=2),
+            (radius * depth / lengths**2 * away)[:, :, None],
         )
 
     def beyond(self, changes: Array) -> Mask:

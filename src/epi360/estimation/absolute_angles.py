@@ -24,11 +24,11 @@ from epi360.cameras.changed_camera import changed_lens
 from epi360.estimation.absolute_covariance import Refined, at_world, refined_pose
 from epi360.estimation.absolute_pose_fit import Gravity
 from epi360.estimation.absolute_result import AbsolutePoseResult
-from epi360.estimation.angle_changes import SMALLEST_NOISE_RAD, AngleChange, robust_loss
+from epi360.estimation.angle_changes import AngleChange, robust_gain
 from epi360.estimation.angle_search import (
     MOST_BEYOND,
     STARTS_OF_LENS,
-    least_change,
+    is_clear,
     most_change,
 )
 from epi360.estimation.lens_beside_panorama import FOCAL_SIGMA
@@ -39,7 +39,7 @@ Estimate = Callable[[Array, Pose | None], AbsolutePoseResult]
 
 _FEWEST_INLIERS = 20
 _MOST_ROUNDS, _SETTLED = 6, 5e-4
-_WORTH_A_WORD, _CLEAR = 3.0, 5.0  # standard deviations
+_SURE = 5.0  # standard deviations
 # Of the robust log-likelihood, and of panoramas for each inlier, as in pairs of them.
 _CLEAR_GAIN, _GAIN_OF_PANORAMA = 8.0, 0.35
 _NEAR = 3.0  # gates, within which matches are refined with the angles
@@ -91,7 +91,7 @@ class AnglesByPoints(NamedTuple):
 
     changes: tuple[AngleChange, ...]
     answer: AbsolutePoseResult
-    camera: Camera | None
+    camera: Camera | None = None
     is_certain: bool = False
 
     @property
@@ -102,7 +102,7 @@ class AnglesByPoints(NamedTuple):
     @property
     def clear(self) -> tuple[AngleChange, ...]:
         """Those of the changes that are worth a word."""
-        return tuple(each for each in self.changes if _is_large(each, _WORTH_A_WORD))
+        return tuple(filter(is_clear, self.changes))
 
     @property
     def is_possible(self) -> bool:
@@ -117,23 +117,22 @@ class AnglesByPoints(NamedTuple):
             before, noise_deg = np.full(len(after), np.pi), self.answer.noise_deg
         else:
             before, noise_deg = other.residuals_rad, min(self.answer.noise_deg, other.noise_deg)
-        noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
-        return float(np.nansum(robust_loss(before, noise) - robust_loss(after, noise)))
+        return robust_gain(before, after, noise_deg)
 
     def explains_more_than(self, given: AbsolutePoseResult, camera: Camera) -> bool:
         """Whether points agree better than with a pose by the camera as it is.
 
-        Of a lens a clear change must gain something, and another one must be known to a percent
-        and gain clearly.
+        Of a lens a sure change must gain something, and another one must be known to a percent and
+        gain clearly.
         """
         if not self.is_possible:
             return False
-        is_clear = any(_is_large(each, _CLEAR) for each in self.changes)
+        is_sure = any(is_clear(each, _SURE) for each in self.changes)
         gain = self.gain_over(given)
         if isinstance(camera, FocalCamera):
             is_known = max(each.sigma for each in self.changes) < FOCAL_SIGMA
-            return gain > 0.0 if is_clear else is_known and gain > _CLEAR_GAIN
-        return is_clear and gain > max(_CLEAR_GAIN, _GAIN_OF_PANORAMA * given.num_inliers)
+            return gain > 0.0 if is_sure else is_known and gain > _CLEAR_GAIN
+        return is_sure and gain > max(_CLEAR_GAIN, _GAIN_OF_PANORAMA * given.num_inliers)
 
     def is_near(self, changes: Array) -> bool:
         """Whether other changes (k,) are the same, but for what these are uncertain by."""
@@ -172,7 +171,10 @@ def angles_by_points(
         return None
     others = [each for each in tried if not best.is_near(each.sizes)]
     is_certain = all(best.gain_over(each.answer) > _CLEAR_GAIN for each in others)
-    return best._replace(is_certain=is_certain)
+    # One factor of angles is the focal length of these lenses alone.
+    is_one_factor = seen.model.angles == "focal" or isinstance(seen.camera, KannalaBrandt)
+    camera = changed_lens(seen.camera, best.sizes) if is_one_factor else None
+    return best._replace(camera=camera, is_certain=is_certain)
 
 
 def _in_turn(
@@ -206,10 +208,7 @@ def _in_turn(
         AngleChange(1, name, float(change), float(sigma))
         for name, change, sigma in zip(directions, changes, sigmas, strict=True)
     )
-    # One factor of angles is the focal length of these lenses alone.
-    is_one_factor = seen.model.angles == "focal" or isinstance(seen.camera, KannalaBrandt)
-    camera = changed_lens(seen.camera, changes) if is_one_factor else None
-    return AnglesByPoints(found, answer, camera)
+    return AnglesByPoints(found, answer)
 
 
 def with_focal_uncertainty_by_points(
@@ -229,8 +228,3 @@ def with_focal_uncertainty_by_points(
     moved = refined.covariance[:6, 6] / variance
     open_still = at_world(refined.pose, second_moment * np.outer(moved, moved))
     return replace(result, covariance=result.covariance + open_still)
-
-
-def _is_large(each: AngleChange, deviations: float) -> bool:
-    """Whether a change is larger than nothing, by so many of its standard deviations."""
-    return abs(each.change) > max(least_change(each.direction), deviations * each.sigma)

@@ -147,6 +147,17 @@ def robust_loss(residuals: Array, noise: float) -> Array:
     return np.asarray(0.5 * REACH**2 * squares / (1.0 + squares))
 
 
+def robust_gain(before: Array, after: Array, noise_deg: float) -> float:
+    """Robust log-likelihood that residuals (N,) in radians gain, but for those that are NaN."""
+    noise = noise_in_radians(noise_deg)
+    return float(np.nansum(robust_loss(before, noise) - robust_loss(after, noise)))
+
+
+def noise_in_radians(noise_deg: float) -> float:
+    """Noise in radians; exact matches have the smallest one."""
+    return max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+
+
 def fit_angle_changes(
     cam2_from_cam1: Pose,
     bearings: tuple[Array, Array],
@@ -187,7 +198,7 @@ def fit_angle_changes(
     some = np.flatnonzero(known)
     some = some[:: 1 + len(some) // _MOST_MATCHES]
     models, is_one = models_of(cameras, is_curved=is_curved, only=only)
-    noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+    noise = noise_in_radians(noise_deg)
     names, _ = changes_of(models, is_one)
     translation = cam2_from_cam1.translation
     R, t, sizes, gain, residuals, J, gradients, changed = _core.fit_angle_changes(
@@ -227,7 +238,7 @@ def changed_by_a_turn(
     """
     some = slice(None, None, 1 + len(bearings[0]) // MOST_OF_TURN)
     models, is_one = models_of(cameras, is_curved=is_curved, only=only)
-    noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
+    noise = noise_in_radians(noise_deg)
     return _core.changed_by_a_turn(
         np.ascontiguousarray(bearings[0][some]),
         np.ascontiguousarray(bearings[1][some]),

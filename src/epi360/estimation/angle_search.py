@@ -23,7 +23,7 @@ from epi360.estimation.angle_changes import (
     ChangedAngles,
     changed_by_a_turn,
     fit_angle_changes,
-    robust_loss,
+    robust_gain,
 )
 from epi360.estimation.copies import Indices
 from epi360.estimation.lens_beside_panorama import view_of_lens
@@ -51,6 +51,7 @@ _CUT, _GAIN_OF_CUT = 0.15, 0.1
 # No panorama is wider or higher than a sphere, so that few of its key points are beyond one.
 MOST_BEYOND = 0.02
 _MOST_ROUNDS = 20
+# The pose by a wrong focal length is often in a valley of its own.
 STARTS_OF_LENS = (0.08, -0.08, 0.16, -0.16)
 _GAIN_OF_ROUND = 2.0  # less ends the search
 _MOST_LOSS_AT_START = 1.5  # for each inlier
@@ -119,7 +120,7 @@ class OtherAngles(NamedTuple):
 
     def clear_changes(self) -> list[AngleChange]:
         """Those of the changes that are worth a word."""
-        return [each for each in self.found.changes if _is_clear(each)]
+        return [each for each in self.found.changes if is_clear(each)]
 
 
 def views_that_may_change(cameras: tuple[Camera, Camera]) -> tuple[int, ...]:
@@ -253,10 +254,11 @@ class _Search:
     def _starts(self, only: int) -> Iterator[Array]:
         """Changes that may be near the true ones, if these are not small."""
         given = self._given
+        if self._is_of_lens(only):
+            yield from (np.array([change]) for change in STARTS_OF_LENS)
         near = fit_angle_changes(
             given.cam2_from_cam1, self._bearings, self._cameras, given.noise_deg, only=only
         )
-        yield from self._of_lens(only)
         if not _is_large(near.names, near.sizes):
             return
         gain = self._gain(near.residuals, self._noise_deg) / self._count
@@ -281,11 +283,6 @@ class _Search:
         if turned is not None and _is_large(near.names, turned):
             yield turned
 
-    def _of_lens(self, only: int) -> Iterator[Array]:
-        """Changes of a lens beside a panorama; of few of its pictures the pose finds the way."""
-        if self._is_of_lens(only):
-            yield from (np.array([change]) for change in STARTS_OF_LENS)
-
     def _is_of_lens(self, only: int) -> bool:
         """Whether what changes is one lens beside a panorama."""
         return view_of_lens(self._cameras) == only - 1
@@ -303,9 +300,8 @@ class _Search:
 
     def _gain(self, residuals: Array, noise_deg: float, some: Mask | None = None) -> float:
         """Robust log-likelihood that all matches gain, or some, by such a noise."""
-        noise = max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)
-        gained = robust_loss(self._residuals, noise) - robust_loss(residuals, noise)
-        return float(np.nansum(gained if some is None else gained[some]))
+        rows = slice(None) if some is None else some
+        return robust_gain(self._residuals[rows], residuals[rows], noise_deg)
 
 
 def _is_large(names: Names, changes: Array) -> bool:
@@ -327,9 +323,10 @@ def _cuts(names: Names) -> Iterator[Array]:
         yield _CUT * np.array([parts[direction] for _, direction in names])
 
 
-def _is_clear(each: AngleChange) -> bool:
+def is_clear(each: AngleChange, deviations: float = _LEAST_DEVIATIONS) -> bool:
+    """Whether a change is worth a word, and so many of its standard deviations."""
     size = abs(each.change)
-    return size > least_change(each.direction) and size > _LEAST_DEVIATIONS * each.sigma
+    return size > least_change(each.direction) and size > deviations * each.sigma
 
 
 def most_change(direction: str) -> float:

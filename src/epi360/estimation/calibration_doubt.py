@@ -15,9 +15,8 @@ from epi360.cameras.changed_angles import PairOfAngles
 from epi360.cameras.changed_camera import changed_lens, changed_panorama
 from epi360.estimation.angle_changes import (
     LARGEST_CHANGE,
-    SMALLEST_NOISE_RAD,
     changed_by_a_turn,
-    robust_loss,
+    robust_gain,
 )
 from epi360.estimation.angle_search import (
     LEAST_CHANGE,
@@ -164,11 +163,10 @@ def _turned(
 
 def _loses(turn: RelativePoseResult, step: RelativePoseResult, distinct: Indices) -> bool:
     """Whether a turn explains the matches less well than a step, by the noise of the step."""
-    noise = max(float(np.radians(step.noise_deg)), SMALLEST_NOISE_RAD)
     # The residuals of a turn have two components, those of a step one.
-    after = robust_loss(turn.residuals_rad[distinct] / np.sqrt(2.0), noise)
-    lost = float(np.nansum(after - robust_loss(step.residuals_rad[distinct], noise)))
-    return lost > _MOST_LOSS_OF_TURN * step.num_inliers
+    after = turn.residuals_rad[distinct] / np.sqrt(2.0)
+    gained = robust_gain(step.residuals_rad[distinct], after, step.noise_deg)
+    return gained < -_MOST_LOSS_OF_TURN * step.num_inliers
 
 
 def _inliers(result: RelativePoseResult, distinct: Indices) -> Indices:

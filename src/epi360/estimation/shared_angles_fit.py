@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.cameras.changed_angles import FIXED, AngleModel, Direction, PairOfAngles
-from epi360.estimation.angle_changes import REACH, SMALLEST_NOISE_RAD, robust_loss
+from epi360.estimation.angle_changes import REACH, noise_in_radians, robust_loss
 from epi360.estimation.angle_residuals import linearised, moved
 from epi360.estimation.result import RelativePoseResult
 from epi360.poses import Pose
@@ -68,7 +68,7 @@ class _Pair:
         first, second = given.bearings
         self.every = PairOfAngles.shared(own, own_columns, given.bearings)
         self.some = PairOfAngles.shared(own, own_columns, (first[some], second[some]))
-        self.pose, self.noise = given.cam2_from_cam1, _in_radians(given.noise_deg)
+        self.pose, self.noise = given.cam2_from_cam1, noise_in_radians(given.noise_deg)
         unchanged = np.zeros(max(each.stop for each in columns))
         self._residuals = linearised(self.some, unchanged, self.pose, self.noise).residuals
         self._num_inliers = max(int(np.sum(np.abs(self._residuals) < REACH * self.noise)), 1)
@@ -146,7 +146,10 @@ class SharedProblem:
             views = pair.every.changed(fit.changes)
             result = estimate(*(view.bearings for view in views), max_noise_deg=pair.max_noise_deg)
             if result.success:
-                poses[index], noises[index] = result.cam2_from_cam1, _in_radians(result.noise_deg)
+                poses[index], noises[index] = (
+                    result.cam2_from_cam1,
+                    noise_in_radians(result.noise_deg),
+                )
         return SharedFit(fit.changes, poses, noises)
 
     def _together(self, fit: SharedFit) -> SharedFit:
@@ -222,7 +225,3 @@ class _Eliminated(NamedTuple):
     def step(self, change: Array) -> Array:
         """What the pose moves by while the changes do so."""
         return -self.pose_step - self.pose_by_changes @ change
-
-
-def _in_radians(noise_deg: float) -> float:
-    return max(float(np.radians(noise_deg)), SMALLEST_NOISE_RAD)

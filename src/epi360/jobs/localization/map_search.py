@@ -59,23 +59,18 @@ class MapSearch:
         self.left_out = frozenset(k for k, image in enumerate(images) if image.name in without)
         similar = world.similar_views(new.features)
         self.ranked = [k for k in similar if k not in self.left_out][: options.max_views]
-        self._parts: dict[int, MapMatches] = {}  # of the images that were looked at
-        self._known: dict[int, MapMatches] = {}  # by the same features in another search
-
-    @property
-    def looked_at(self) -> list[int]:
-        """Images that were matched."""
-        return list(self._parts)
+        self._matches: dict[int, MapMatches] = {}  # of images, also if they were not looked at
+        self.looked_at: list[int] = []  # images whose matches were asked for
 
     def matched(self, numbers: Sequence[int]) -> list[MapMatches]:
         """Matches with each of some images."""
         for number in numbers:
-            if number in self._known:
-                self._parts.setdefault(number, self._known[number])
-            if number not in self._parts:
+            if number not in self._matches:
                 view = self.world.view(number)
-                self._parts[number] = matches_with(view, number, self.new.features)
-        return [self._parts[number] for number in numbers]
+                self._matches[number] = matches_with(view, number, self.new.features)
+            if number not in self.looked_at:
+                self.looked_at.append(number)
+        return [self._matches[number] for number in numbers]
 
     def by_camera(self, camera: Camera) -> MapSearch:
         """The search from its beginning, if the image is one of another camera.
@@ -84,8 +79,9 @@ class MapSearch:
         """
         other = copy.copy(self)
         other.new = NewImage.of(self.new.features, camera, self.new.mask)
-        sees_all = len(other.new.bearings) == len(self.new.bearings)
-        other._known, other._parts = dict(self._parts) if sees_all else {}, {}
+        if len(other.new.bearings) != len(self.new.bearings):
+            other._matches = {}
+        other.looked_at = []
         return other
 
     def pose_of(
@@ -123,8 +119,8 @@ class MapSearch:
         """
         found = [Found(self.pose_of(no_matches()), no_matches())]
         with_pose: list[Found] = []
-        while len(self._parts) < len(self.ranked) and not any(f.is_confirmed for f in found):
-            parts = self.matched(self.ranked[: max(2 * len(self._parts), FIRST_VIEWS)])
+        while len(self.looked_at) < len(self.ranked) and not any(f.is_confirmed for f in found):
+            parts = self.matched(self.ranked[: max(2 * len(self.looked_at), FIRST_VIEWS)])
             matches = joined(parts)
             result = self._robust_pose(matches, parts)
             found = [self.with_surroundings(result, matches), *self._apart(result, matches)]
