@@ -314,3 +314,29 @@ def test_a_camera_that_rises_in_a_round_hall_has_moved(distance_m, height_m, spr
         bearings = tuple(unit(b + rng.normal(0.0, 2.0 * NOISE_RAD, b.shape)) for b in pair)
         result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS)
         assert result.success and doubted(result, bearings, PANORAMA).success
+
+
+@pytest.mark.parametrize("seed", [75, 111, 321, 495, 693])
+def test_a_step_before_a_wall_is_no_turn_with_other_angles(seed):
+    """Nearer by a fifth, one wall looks as in a panorama that is narrower by a fifth."""
+    rng = np.random.default_rng(seed)
+    num_on_wall, half_m = int(rng.uniform(100, 220)), rng.uniform(0.4, 1.2)
+    rough_m, noise_deg, away_m = (
+        rng.uniform(*each) for each in ((0, 0.15), (0.05, 0.25), (1.5, 3.5))
+    )
+    size = num_on_wall
+    sides = rng.uniform(-half_m, half_m, size), rng.uniform(-0.7, 0.7, size)
+    wall = np.column_stack([*sides, away_m + rough_m * rng.normal(size=size)])
+    to_wall = rotation_from_vector([0.0, rng.uniform(-3.0, 3.0), 0.0])
+    num_around = int(rng.uniform(30, 120))
+    around = unit(rng.normal(size=(num_around, 3))) * rng.uniform(1.5, 5.0, (num_around, 1))
+    points = np.concatenate([wall @ to_wall.T, around])
+    turn = rotation_from_vector([0.0, rng.uniform(-1.5, 1.5), 0.0])
+    ahead = to_wall @ [rng.normal(), 0.0, rng.choice([-1, 1])]
+    step = rng.uniform(0.1, 0.35) * away_m * ahead / np.linalg.norm(ahead)
+    views = [unit(points), unit((points - step) @ turn.T)]
+    views = [unit(b + np.radians(noise_deg) * rng.normal(size=b.shape)) for b in views]
+    bearings = tuple(np.concatenate([b, unit(rng.normal(size=(60, 3)))]) for b in views)
+    result = estimate_relative_pose(*bearings, options=IMAGE_OPTIONS, max_noise_deg=0.5)
+    assert result.status == "ok"
+    assert doubted(result, bearings, PANORAMA).status == "ok"

@@ -66,8 +66,11 @@ _MOST_OF_CUT = 1.3
 # leaves 1.6 and more. Where the parallax is so many times the noise, no turn leaves little of a
 # step among things at different distances.
 _MOST_LEFT, _MUCH_PARALLAX, _MOST_LEFT_OF_MUCH = 1.35, 50.0, 3.0
-# Of the robust log-likelihood, for each inlier of a step: turns lose up to 0.2, steps at walls 0.6.
-_MOST_LOSS_OF_TURN = 0.35
+# Of the robust log-likelihood, for each inlier of a step. Turns of a lens beside a panorama lose up
+# to 0.2, steps at walls 0.6. Turns of real panoramas one of which was cut and made smaller lose up
+# to 0.72; two steps of more than a metre, which other angles turned into turns at one wall, 1.7.
+_MOST_LOSS_BESIDE_PANORAMA, _MOST_LOSS_OF_TURN = 0.35, 1.1
+_WIDER_THAN_SPHERE = 1.02  # as a factor, to which a change of a whole panorama is known
 
 
 class Doubted(NamedTuple):
@@ -86,12 +89,12 @@ def with_calibration_doubt(
     """Return the result, or another one with a warning, if the cameras' angles seem to be wrong.
 
     ``bearings``, (N, 3) each, are those that the result was estimated from, wrong matches included.
-    If with other angles a rotation explains as many matches, by ``estimate``, that is the result;
-    of a lens beside a panorama, whose noise a wrong focal length makes large, only if it does so as
-    well as the given pose, and as any pose with other angles. Or else, if they agree clearly better
-    with a pose and other angles, that pose is an alternative, and what it differs by is added to
-    the covariance, for the result belongs to the cameras that were given. Where it would say
-    nothing of the pose then, the other pose is the result.
+    If with other angles a rotation explains the matches, by ``estimate``, about as well as the
+    given pose does, that is the result; of a lens beside a panorama, whose noise a wrong focal
+    length makes large, only if no pose with other angles does so better. Or else, if they agree
+    clearly better with a pose and other angles, that pose is an alternative, and what it differs by
+    is added to the covariance, for the result belongs to the cameras that were given. Where it
+    would say nothing of the pose then, the other pose is the result.
     """
     given = Doubted(result, cameras)
     if not result.success:
@@ -102,8 +105,6 @@ def with_calibration_doubt(
     turned = _turned(result, bearings, distinct, cameras, estimate)
     if turned is not None and view_of_lens(cameras) is None:
         return turned
-    if turned is not None and _loses(turned.result, result, distinct):
-        turned = None
     other = find_other_angles(result, bearings, distinct, cameras, estimate)
     if other is None:
         return given if turned is None else turned
@@ -141,6 +142,8 @@ def _turned(
     inliers = _inliers(result, distinct)
     agreeing = bearings[0][inliers], bearings[1][inliers]
     rotation, noise_deg = result.cam2_from_cam1.rotation, result.noise_deg
+    is_beside = view_of_lens(cameras) is not None
+    most_loss = _MOST_LOSS_BESIDE_PANORAMA if is_beside else _MOST_LOSS_OF_TURN
     for only in views_that_may_change(cameras):
         limits = _TURN_OF_ONE if only else _TURN_OF_BOTH
         if result.parallax_deg > limits.parallax_deg:
@@ -155,18 +158,22 @@ def _turned(
         if not all(map(_may_be_of_a_cut, own, cameras)):
             continue
         answer = estimate(*(view.bearings for view in angles.changed(changes)))
-        if answer.status == "pure_rotation" and _is_as_good(answer, result, inliers):
+        if answer.status != "pure_rotation" or not _is_as_good(answer, result, inliers):
+            continue
+        if _loss(answer, result, distinct) < most_loss:
             told = _with_turn(answer, angles, changes, cameras)
             return Doubted(told, _changed(cameras, own))
     return None
 
 
-def _loses(turn: RelativePoseResult, step: RelativePoseResult, distinct: Indices) -> bool:
-    """Whether a turn explains the matches less well than a step, by the noise of the step."""
+def _loss(turn: RelativePoseResult, step: RelativePoseResult, distinct: Indices) -> float:
+    """How much less well a turn explains the matches than a step, by the noise of the step.
+
+    Of the robust log-likelihood, for each inlier of the step.
+    """
     # The residuals of a turn have two components, those of a step one.
     after = turn.residuals_rad[distinct] / np.sqrt(2.0)
-    gained = robust_gain(step.residuals_rad[distinct], after, step.noise_deg)
-    return gained < -_MOST_LOSS_OF_TURN * step.num_inliers
+    return -robust_gain(step.residuals_rad[distinct], after, step.noise_deg) / step.num_inliers
 
 
 def _inliers(result: RelativePoseResult, distinct: Indices) -> Indices:
@@ -178,10 +185,13 @@ def _may_be_of_a_cut(changes: Array, camera: Camera) -> bool:
     """Whether a panorama may have been cut so that its angles change so; lenses may change anyhow.
 
     What is cut off at one end moves the middle and shrinks the height; a camera that rises moves
-    the middle alone, where all is at about one distance.
+    the middle alone, where all is at about one distance. No panorama shows more than a sphere.
     """
     if not len(changes) or not isinstance(camera, Equirectangular):
         return True
+    spans = np.array([camera.horizontal_fov_deg / 360.0, camera.vertical_fov_deg / 180.0])
+    if np.any(spans * (1.0 + changes[:2]) > _WIDER_THAN_SPHERE):
+        return False
     _, higher, lowered = np.abs(changes)
     most = _MOST_OF_CUT * higher * np.radians(camera.vertical_fov_deg) / 2.0
     return bool(lowered <= max(most, LEAST_MIDDLE_RAD))
