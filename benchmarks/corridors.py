@@ -73,7 +73,7 @@ def main() -> int:
             seed = options.seed + number
             walk = rendered_walk(rendered, floor, seed, photos=options.photographed)
             print(f"{walk.name}: {len(walk.poses)} panoramas", flush=True)
-            for what, verdict in (*_of_pairs(walk), *_of_folder(walk, Path(temporary) / "work")):
+            for what, verdict in (*of_pairs(walk), *of_folder(walk, Path(temporary) / "work")):
                 counts.setdefault((floor, what), Counter())[verdict] += 1
     columns = ("right", "wrong", "not accepted")
     rows = [("corridors", "", *columns)]
@@ -106,7 +106,8 @@ def rendered_walk(folder: Path, floor: str, seed: int, *, photos: bool) -> Walk:
     return Walk(name, pictures, poses)
 
 
-def _of_pairs(walk: Walk) -> Iterator[tuple[str, str]]:
+def of_pairs(walk: Walk) -> Iterator[tuple[str, str]]:
+    """What pairs are, and what `pair` makes of each."""
     for first, second, apart_m in walk.pairs():
         result = relative_pose_of_images(walk.folder / first, walk.folder / second)
         what = f"pairs, {'up to' if apart_m <= NEAR_M else 'more than'} {NEAR_M:g} m"
@@ -114,7 +115,7 @@ def _of_pairs(walk: Walk) -> Iterator[tuple[str, str]]:
         yield what, walk.verdict(first, second, found)
 
 
-def _of_folder(walk: Walk, work: Path) -> Iterator[tuple[str, str]]:
+def of_folder(walk: Walk, work: Path) -> Iterator[tuple[str, str]]:
     """Every pair of the folder, the far ones too."""
     run = match_images(find_images(walk.folder), work / walk.folder.name)
     for pair in run.verdicts:

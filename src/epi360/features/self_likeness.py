@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -15,12 +16,31 @@ from epi360.features.warped_patches import Panorama
 
 Array = NDArray[np.float64]
 
-_MOST, _FEWEST = 1000, 50  # key points
+_MOST, _FEWEST = 1000, 50  # key points above the floor
 _BELOW_HORIZON = np.sin(np.radians(10.0))  # y of what lies lower: floors repeat in any room
 _APART, _BESIDE = np.cos(np.radians([8.0, 3.0]))  # cosines: other parts, and one and the same
 _RATIO = 0.9  # of the distances of descriptors, to the nearest and to one that is not beside it
 
-_known: WeakKeyDictionary[Panorama, float] = WeakKeyDictionary()
+_keypoints: WeakKeyDictionary[Panorama, SeenKeypoints] = WeakKeyDictionary()
+_shares: WeakKeyDictionary[Panorama, float] = WeakKeyDictionary()
+
+
+class SeenKeypoints(NamedTuple):
+    """Bearings (N, 3) and unit descriptors (N, 128) of key points, the strongest first."""
+
+    bearings: Array
+    descriptors: NDArray[np.float32]
+
+    def some(self, rows: slice | NDArray[np.int64]) -> SeenKeypoints:
+        """Some of them."""
+        return SeenKeypoints(self.bearings[rows], self.descriptors[rows])
+
+
+def keypoints_of(panorama: Panorama) -> SeenKeypoints:
+    """Key points of a panorama, which are found once."""
+    if panorama not in _keypoints:
+        _keypoints[panorama] = _found(panorama)
+    return _keypoints[panorama]
 
 
 def share_like_itself(panorama: Panorama) -> float:
@@ -29,21 +49,27 @@ def share_like_itself(panorama: Panorama) -> float:
     Two match that are each other's nearest more than 8 degrees away, and much nearer than any that
     is not beside these. 0 where there are too few key points to say so.
     """
-    if panorama not in _known:
-        _known[panorama] = _share(panorama)
-    return _known[panorama]
+    if panorama not in _shares:
+        _shares[panorama] = _share(keypoints_of(panorama))
+    return _shares[panorama]
 
 
-def _share(panorama: Panorama) -> float:
+def _found(panorama: Panorama) -> SeenKeypoints:
     grey, usable = panorama.levels[0], panorama.usable
     camera = Equirectangular(grey.shape[1], grey.shape[0])
     mask = None if usable is None else (255 * usable).astype(np.uint8)
     features = extract_features(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), camera, mask)
-    bearings = camera.bearings_from_pixels(features.keypoints)
-    above = np.flatnonzero(bearings[:, 1] < _BELOW_HORIZON)[:_MOST]
-    if len(above) < _FEWEST:
+    found = SeenKeypoints(camera.bearings_from_pixels(features.keypoints), features.descriptors)
+    above = found.bearings[:, 1] < _BELOW_HORIZON
+    some = np.cumsum(above) <= _MOST  # with those of the floor among them
+    return found.some(np.flatnonzero(some))
+
+
+def _share(found: SeenKeypoints) -> float:
+    above = found.some(np.flatnonzero(found.bearings[:, 1] < _BELOW_HORIZON))
+    if len(above.bearings) < _FEWEST:
         return 0.0
-    return float(np.mean(_has_its_like(bearings[above], features.descriptors[above])))
+    return float(np.mean(_has_its_like(above.bearings, above.descriptors)))
 
 
 def _has_its_like(bearings: Array, descriptors: NDArray[np.float32]) -> NDArray[np.bool_]:

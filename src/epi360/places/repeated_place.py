@@ -3,7 +3,8 @@
 
 In a corridor with equal doors each pose that puts one door upon another looks right around all
 doors. What is left of the matches of a right pair are wrong ones: where these agree on a pose of
-their own, hardly anything around it looks as it says.
+their own, hardly anything around it looks as it says. Nor do key points that merely look alike
+agree on another direction (`look_alikes`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from epi360.estimation.result import ImagePairResult
 from epi360.features.shared_surfaces import SharedSurfaces
 from epi360.features.warped_patches import Panorama
 from epi360.places.corridor import repeats_itself
+from epi360.places.look_alikes import rival_direction
 from epi360.places.own_evidence import OwnEvidence, grow_both
+from epi360.places.same_place import pair_of_images
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, poses_agree
 
@@ -36,6 +39,10 @@ REPEATED = (
     "repeats itself, as a corridor with equal doors does"
 )
 
+LOOK_ALIKES = (
+    "things that look alike agree as well on another direction: the place has many that are equal, "
+    "as an office with equal desks does"
+)
 MANY_OTHERS = (
     "many other matches agree on another pose, around which less looks right: something large may "
     "move, or the place repeat itself"
@@ -84,11 +91,17 @@ def with_rival_pose(
 ) -> ImagePairResult:
     """Return an accepted result, or both poses, if the other matches say one that looks as right.
 
-    Which of the two is right nothing tells, so that the status is "planar_ambiguous", as that of
-    other pairs with two poses. A second pose of many matches that looks less right is a warning.
+    Or if key points that look alike agree as well on another direction. Which of the two poses is
+    right nothing tells, so that the status is "planar_ambiguous", as that of other pairs with two
+    poses. A second pose of many matches that looks less right is a warning.
     """
+    if not result.success:
+        return result
+    elsewhere = rival_direction(pair_of_images(result, cameras), panoramas, num_threads=2)
+    if elsewhere is not None:
+        return _with_both(result, elsewhere, LOOK_ALIKES)
     left = ~result.inlier_mask
-    if not result.success or np.count_nonzero(left) < IMAGE_OPTIONS.min_num_inliers:
+    if np.count_nonzero(left) < IMAGE_OPTIONS.min_num_inliers:
         return result
     bearings = [
         camera.bearings_from_pixels(keypoints)
@@ -111,10 +124,15 @@ def with_rival_pose(
         if not are_many(*counts):
             return result
         return replace(result, warnings=(*result.warnings, MANY_OTHERS))
+    return _with_both(result, other.cam2_from_cam1, REPEATED)
+
+
+def _with_both(result: ImagePairResult, other: Pose, warning: str) -> ImagePairResult:
+    """Both poses, of which nothing tells which is right."""
     return replace(
         result,
         status="planar_ambiguous",
-        alternatives=(other.cam2_from_cam1, *result.alternatives),
+        alternatives=(other, *result.alternatives),
         probability=0.5 * result.probability,
-        warnings=(*result.warnings, REPEATED),
+        warnings=(*result.warnings, warning),
     )

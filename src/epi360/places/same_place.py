@@ -80,15 +80,7 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
 
     The result is returned as it is if they show too little.
     """
-    bearings = [
-        camera.bearings_from_pixels(keypoints[result.inlier_mask])
-        for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)
-    ]
-    rows = np.arange(result.num_inliers)
-    matches = np.column_stack([rows, rows])
-    pair = PosedPair.of(
-        (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
-    )
+    pair = pair_of_images(result, cameras)
     own = shown_by_itself(pair, grow_both(pair, panoramas, num_threads=2), panoramas)
     if not own.is_known:
         return result
@@ -98,6 +90,20 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     if probability < LEAST_PROBABILITY:
         told = _refused(told, looks_wrong=place.here <= result.probability)
     return replace(told, warnings=(*told.warnings, *doubts(own, place)))
+
+
+def pair_of_images(result: ImagePairResult, cameras: Cameras) -> PosedPair:
+    """The accepted pose of two images with its inliers, as a pair of images 0 and 1."""
+    keypoints = (result.keypoints1, result.keypoints2)
+    bearings = [
+        camera.bearings_from_pixels(each[result.inlier_mask])
+        for camera, each in zip(cameras, keypoints, strict=True)
+    ]
+    rows = np.arange(result.num_inliers)
+    matches = np.column_stack([rows, rows])
+    return PosedPair.of(
+        (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg
+    )
 
 
 def doubts(own: OwnEvidence, place: SamePlace) -> tuple[str, ...]:

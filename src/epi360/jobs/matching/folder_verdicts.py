@@ -24,7 +24,7 @@ from epi360.jobs.matching.pair_verdicts import (
     without_copies,
 )
 from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
-from epi360.jobs.matching.rival_poses import find_rivals
+from epi360.jobs.matching.rival_poses import find_look_alikes, find_rivals
 from epi360.jobs.matching.second_poses import find_second
 from epi360.jobs.matching.verified_folder import (
     SettledPairs,
@@ -108,8 +108,9 @@ def judge_folder(
     rivals: set[Keys] = set()
     if places is not None and places.can_judge_more:
         believed = {each for each, place in by_place.items() if not place.refused}
-        own = {each for each in believed if told[each].accepted}
-        by_rivals = find_rivals(settled, places, own)
+        by_rivals = find_look_alikes(settled, places, believed)
+        own = {each for each in believed - by_rivals.keys() if told[each].accepted}
+        by_rivals |= find_rivals(settled, places, own)
         by_place = {**by_place, **by_rivals}
         rivals = {each for each, place in by_rivals.items() if place.refused}
     judged = [None if each is None else by_place.get(each) for each in keys]
@@ -121,7 +122,12 @@ def judge_folder(
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.images.keys()
     found = find_implied(settled, accepted, posed)
-    implied = {each: pair for each, pair in found.items() if each not in rivals}
+    implied = {
+        each: pair
+        for each, pair in found.items()
+        if each not in rivals
+        and not (places is not None and places.has_rival(settled.posed(pair.verified)))
+    }
     verdicts = without_copies(with_implied(verdicts, keys, implied))
     posed |= {each: pair.verified for each, pair in implied.items() if each not in accepted}
     num_comparable = sum(told[each].accepted for each in settled.images)

@@ -17,6 +17,7 @@ from epi360.jobs.graph.surface_evidence import KnownView, SurfaceWitnesses
 from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder
 from epi360.jobs.records.match_store import Keys
 from epi360.jobs.threads import on_threads
+from epi360.places.look_alikes import rival_direction
 from epi360.places.shared_points import PosedPair
 from epi360.progress import Progress, no_progress
 
@@ -51,6 +52,17 @@ class Places:
     def can_judge_more(self) -> bool:
         """Whether surfaces were asked for: nothing else speaks for a pose that is not accepted."""
         return bool(self.views)
+
+    def has_rival(self, pair: PosedPair) -> bool:
+        """Whether what looks alike in both pictures agrees as well on another direction.
+
+        Nothing is known of a picture that is gone.
+        """
+        try:
+            panoramas = [self.known.panorama_of(image) for image in pair.images]
+        except PictureGoneError:
+            return False
+        return rival_direction(pair, panoramas) is not None
 
     def on_more(self, posed: Sequence[PosedPair]) -> Sequence[PlaceVerdict | None]:
         """Verdicts on poses that are not accepted, which say nothing about each other.

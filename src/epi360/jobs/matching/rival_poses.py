@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Accepted pairs whose other matches agree on another pose that looks right as well."""
+"""Accepted pairs whose other matches, or look-alikes, agree as well on another pose."""
 
 from __future__ import annotations
 
@@ -24,9 +24,13 @@ from epi360.places.repeated_place import (
 from epi360.places.shared_points import PosedPair
 
 _PRIOR = "rival"
-_REFUSED = (
+_REPEATED = (
     "shows a place that repeats itself, for other matches agree on another pose, around which the "
     "pictures look as right"
+)
+_ALIKE = (
+    "shows things that look alike, such as equal desks, and as many of their key points agree on "
+    "another direction"
 )
 _MOST_PROBABLE = 0.5  # which of two poses it is nothing tells
 
@@ -52,10 +56,24 @@ def find_rivals(
         for keys, is_right in on_threads(look, list(rivals), settled.folder.num_threads):
             place = places.verdicts[keys]
             if is_right:
-                found[keys] = _refused(place)
+                found[keys] = _refused(place, _REPEATED)
             elif keys in many:
                 found[keys] = replace(place, warnings=(*place.warnings, MANY_OTHERS))
     return found
+
+
+def find_look_alikes(
+    settled: SettledPairs, places: Places, believed: Set[Keys]
+) -> dict[Keys, PlaceVerdict]:
+    """Verdicts on those of the believed pairs that equal things refuse; see `rival_direction`."""
+    posed = {pair.images: pair for pair in places.known.pairs}
+
+    def has_rival(keys: Keys) -> bool:
+        return places.has_rival(posed[settled.images[keys]])
+
+    in_order = sorted(believed, key=lambda keys: settled.images[keys])
+    told = on_threads(has_rival, in_order, settled.folder.num_threads)
+    return {keys: _refused(places.verdicts[keys], _ALIKE) for keys, has_one in told if has_one}
 
 
 def _looks_right(
@@ -70,7 +88,7 @@ def _looks_right(
     return looks_right(OwnEvidence.of(pair, views)) and competes(*counts, views, panoramas)
 
 
-def _refused(place: PlaceVerdict) -> PlaceVerdict:
+def _refused(place: PlaceVerdict, why: str) -> PlaceVerdict:
     """The verdict on a pair of which nothing tells which of two poses is right."""
     probability = min(place.probability, _MOST_PROBABLE)
-    return replace(place, probability=probability, refused=_REFUSED, by_itself=True)
+    return replace(place, probability=probability, refused=why, by_itself=True)

@@ -80,7 +80,9 @@ def find_second(
         second = [verified for verified in told if verified is not None]
         verdicts = places.on_more([settled.posed(each) for each in second])
         for verified, place in zip(second, verdicts, strict=True):
-            if place is not None and not place.refused:
+            if place is None or place.refused:
+                continue
+            if not places.has_rival(settled.posed(verified)):
                 found[verified.keys] = SecondPair(verified, place)
     return found
 
