@@ -7,13 +7,14 @@ those that would tell are missing. Here a key point may have any partner that lo
 the rotation given, each such match says that the second camera moved along one half of a great
 circle, and the direction is that on which most key points agree. A right pose has more of them than
 any other direction, for what there is only once agrees with it alone, and after a small step most
-key points are where the rotation alone takes them. In a corridor that is little,
-and the other direction must have clearly more; what else tells there is left to `corridor`.
+key points are where the rotation alone takes them. In a corridor little is there only once, and the
+other direction must have clearly more; what else tells there is left to `corridor`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def rival_direction(
     repeats is small, as the texture of a floor, and agrees with many directions by chance. If both
     show a corridor, more must agree on the other direction.
     """
-    if max(map(share_like_itself, panoramas)) <= _LIKE_ITSELF:
+    if max(_on_threads(share_like_itself, panoramas, num_threads)) <= _LIKE_ITSELF:
         return None
     pose = pair.cam2_from_cam1
     first, second = (keypoints_of(each).some(slice(_MOST_KEYPOINTS)) for each in panoramas)
@@ -74,6 +75,15 @@ def rival_direction(
         if all(map(is_long_and_narrow, views)):
             return None
     return Pose(pose.rotation, other)
+
+
+def _on_threads(
+    work: Callable[[Panorama], float], panoramas: Sequence[Panorama], num_threads: int
+) -> list[float]:
+    if num_threads == 1:
+        return [work(each) for each in panoramas]
+    with ThreadPoolExecutor(num_threads) as pool:
+        return list(pool.map(work, panoramas))
 
 
 class _Alike:
