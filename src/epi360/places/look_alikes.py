@@ -13,8 +13,7 @@ other direction must have clearly more; what else tells there is left to `corrid
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,7 @@ from epi360.features.self_likeness import SeenKeypoints, keypoints_of, share_lik
 from epi360.features.sphere_cells import even_directions
 from epi360.features.warped_patches import Panorama
 from epi360.places.corridor import is_long_and_narrow
-from epi360.places.own_evidence import grow_both
+from epi360.places.own_evidence import grow_both, of_both
 from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose
 
@@ -59,7 +58,7 @@ def rival_direction(
     repeats is small, as the texture of a floor, and agrees with many directions by chance. If both
     show a corridor, more must agree on the other direction.
     """
-    if max(_on_threads(share_like_itself, panoramas, num_threads)) <= _LIKE_ITSELF:
+    if max(of_both(share_like_itself, panoramas, num_threads)) <= _LIKE_ITSELF:
         return None
     pose = pair.cam2_from_cam1
     first, second = (keypoints_of(each).some(slice(_MOST_KEYPOINTS)) for each in panoramas)
@@ -75,15 +74,6 @@ def rival_direction(
         if all(map(is_long_and_narrow, views)):
             return None
     return Pose(pose.rotation, other)
-
-
-def _on_threads(
-    work: Callable[[Panorama], float], panoramas: Sequence[Panorama], num_threads: int
-) -> list[float]:
-    if num_threads == 1:
-        return [work(each) for each in panoramas]
-    with ThreadPoolExecutor(num_threads) as pool:
-        return list(pool.map(work, panoramas))
 
 
 class _Alike:

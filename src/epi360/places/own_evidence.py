@@ -15,12 +15,12 @@ writes ``own_evidence.json``; and once more to the homes alone, for folders in w
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 WEIGHTS = "own_evidence.json"  # beside this file
 EVERY, HOMES = "homes_and_tours", "homes"  # what its weights were fitted to
@@ -183,10 +185,18 @@ def grow_both(
         here, there = panoramas[side], panoramas[1 - side]
         return grow_surfaces(here, there, pair.other_from(side), points)
 
+    return of_both(grown, (0, 1), num_threads)
+
+
+def of_both(
+    work: Callable[[Item], Found], both: Sequence[Item], num_threads: int
+) -> tuple[Found, Found]:
+    """What is found of each of two, one after the other or on threads."""
     if num_threads == 1:
-        return grown(0), grown(1)
-    with ThreadPoolExecutor(num_threads) as pool:
-        first, second = pool.map(grown, (0, 1))
+        first, second = map(work, both)
+    else:
+        with ThreadPoolExecutor(num_threads) as pool:
+            first, second = pool.map(work, both)
     return first, second
 
 

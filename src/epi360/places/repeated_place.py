@@ -23,8 +23,7 @@ from epi360.features.warped_patches import Panorama
 from epi360.places.corridor import repeats_itself
 from epi360.places.look_alikes import rival_direction
 from epi360.places.own_evidence import OwnEvidence, grow_both
-from epi360.places.same_place import pair_of_images
-from epi360.places.shared_points import PosedPair
+from epi360.places.same_place import bearings_of, pair_of_images
 from epi360.poses import Pose, poses_agree
 
 # What is left of narrow views, near misses of the right pose, gives its direction to 15 degrees.
@@ -97,27 +96,17 @@ def with_rival_pose(
     """
     if not result.success:
         return result
-    elsewhere = rival_direction(pair_of_images(result, cameras), panoramas, num_threads=2)
+    bearings = bearings_of(result, cameras)
+    elsewhere = rival_direction(pair_of_images(result, bearings), panoramas, num_threads=2)
     if elsewhere is not None:
         return _with_both(result, elsewhere, LOOK_ALIKES)
     left = ~result.inlier_mask
     if np.count_nonzero(left) < IMAGE_OPTIONS.min_num_inliers:
         return result
-    bearings = [
-        camera.bearings_from_pixels(keypoints)
-        for camera, keypoints in zip(cameras, (result.keypoints1, result.keypoints2), strict=True)
-    ]
     other = estimate(*(np.where(left[:, None], each, np.nan) for each in bearings))
     if not other.success or not is_another(result.cam2_from_cam1, other.cam2_from_cam1):
         return result
-    rows = np.flatnonzero(other.inlier_mask)
-    pair = PosedPair.of(
-        (0, 1),
-        other.cam2_from_cam1,
-        np.column_stack([rows, rows]),
-        bearings,
-        noise_deg=other.noise_deg,
-    )
+    pair = pair_of_images(other, bearings)
     views = grow_both(pair, panoramas, num_threads=2)
     counts = other.num_inliers, result.num_inliers
     if not (looks_right(OwnEvidence.of(pair, views)) and competes(*counts, views, panoramas)):

@@ -8,16 +8,19 @@ with a pose of its own. So matches may agree on a pose that is wrong. What surro
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from epi360.cameras import Camera
 from epi360.cameras.resizing import pixels_per_radian
 from epi360.estimation.result import (
     LEAST_PROBABILITY,
     ImagePairResult,
+    RelativePoseResult,
     SamePlace,
     with_pose_refused,
 )
@@ -27,6 +30,7 @@ from epi360.places.corridor import shown_by_itself
 from epi360.places.own_evidence import OwnEvidence, grow_both
 from epi360.places.shared_points import PosedPair
 
+Array = NDArray[np.float64]
 Cameras = tuple[Camera, Camera]
 Panoramas = tuple[Panorama, Panorama]
 
@@ -80,7 +84,7 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
 
     The result is returned as it is if they show too little.
     """
-    pair = pair_of_images(result, cameras)
+    pair = pair_of_images(result, bearings_of(result, cameras))
     own = shown_by_itself(pair, grow_both(pair, panoramas, num_threads=2), panoramas)
     if not own.is_known:
         return result
@@ -92,14 +96,18 @@ def look_around(result: ImagePairResult, cameras: Cameras, panoramas: Panoramas)
     return replace(told, warnings=(*told.warnings, *doubts(own, place)))
 
 
-def pair_of_images(result: ImagePairResult, cameras: Cameras) -> PosedPair:
-    """The accepted pose of two images with its inliers, as a pair of images 0 and 1."""
-    keypoints = (result.keypoints1, result.keypoints2)
-    bearings = [
-        camera.bearings_from_pixels(each[result.inlier_mask])
-        for camera, each in zip(cameras, keypoints, strict=True)
-    ]
-    rows = np.arange(result.num_inliers)
+def bearings_of(result: ImagePairResult, cameras: Cameras) -> tuple[Array, Array]:
+    """Where all matched key points of both images look, (N, 3) each."""
+    first, second = cameras
+    return (
+        first.bearings_from_pixels(result.keypoints1),
+        second.bearings_from_pixels(result.keypoints2),
+    )
+
+
+def pair_of_images(result: RelativePoseResult, bearings: Sequence[Array]) -> PosedPair:
+    """An accepted pose of the matches of two images with its inliers, as of images 0 and 1."""
+    rows = np.flatnonzero(result.inlier_mask)
     matches = np.column_stack([rows, rows])
     return PosedPair.of(
         (0, 1), result.cam2_from_cam1, matches, bearings, noise_deg=result.noise_deg

@@ -53,16 +53,20 @@ class Places:
         """Whether surfaces were asked for: nothing else speaks for a pose that is not accepted."""
         return bool(self.views)
 
+    def panoramas_of(self, pair: PosedPair) -> list[Panorama] | None:
+        """Both pictures of a pair; None if one is gone."""
+        try:
+            return [self.known.panorama_of(image) for image in pair.images]
+        except PictureGoneError:
+            return None
+
     def has_rival(self, pair: PosedPair) -> bool:
         """Whether what looks alike in both pictures agrees as well on another direction.
 
         Nothing is known of a picture that is gone.
         """
-        try:
-            panoramas = [self.known.panorama_of(image) for image in pair.images]
-        except PictureGoneError:
-            return False
-        return rival_direction(pair, panoramas) is not None
+        panoramas = self.panoramas_of(pair)
+        return panoramas is not None and rival_direction(pair, panoramas) is not None
 
     def on_more(self, posed: Sequence[PosedPair]) -> Sequence[PlaceVerdict | None]:
         """Verdicts on poses that are not accepted, which say nothing about each other.

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 
 from epi360.jobs.graph.place_verdict import PlaceVerdict
-from epi360.jobs.matching.place_job import PictureGoneError, Places
+from epi360.jobs.matching.place_job import Places
 from epi360.jobs.matching.second_poses import asked_anew
 from epi360.jobs.matching.verified_folder import SettledPairs
 from epi360.jobs.records.match_store import Keys
@@ -80,9 +80,8 @@ def _looks_right(
     places: Places, rivals: Mapping[Keys, tuple[PosedPair, tuple[int, int]]], keys: Keys
 ) -> bool:
     pair, counts = rivals[keys]
-    try:
-        panoramas = [places.known.panorama_of(image) for image in pair.images]
-    except PictureGoneError:
+    panoramas = places.panoramas_of(pair)
+    if panoramas is None:
         return False
     views = grow_both(pair, panoramas)
     return looks_right(OwnEvidence.of(pair, views)) and competes(*counts, views, panoramas)
