@@ -7,6 +7,7 @@ of workers nor an interruption changes a number. A part is a chunk of trials of 
 
 import os
 import signal
+import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -139,7 +140,8 @@ def _compute(chunks: Sequence[_Chunk], num_workers: int) -> Iterator[int]:
             yield chunk.compute()
         return
     with _one_thread_each(), _workers(num_workers) as pool:
-        futures: list[Future[int]] = [pool.submit(chunk.compute) for chunk in chunks]
+        with _interrupts_held():  # submitting starts the workers
+            futures: list[Future[int]] = [pool.submit(chunk.compute) for chunk in chunks]
         try:
             for future in as_completed(futures):
                 yield future.result()
@@ -165,6 +167,22 @@ def _workers(num_workers: int) -> Iterator[ProcessPoolExecutor]:
         pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C waits for the end of this; processes started in it never get it, even while loading.
+
+    They inherit what is held, and can ignore it themselves only when they have loaded.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _leave_interrupts() -> None:

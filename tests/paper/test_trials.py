@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -195,6 +196,12 @@ def test_generators_differ_between_experiments_cells_and_trials():
 INTERRUPTED_SCRIPT = """
 import sys, time
 from pathlib import Path
+
+if __name__ != "__main__":  # a worker, which loads this script before it works
+    Path(sys.argv[1]).mkdir(exist_ok=True)
+    Path(sys.argv[1], "loading").touch()
+    time.sleep(float(sys.argv[2]))
+
 from epi360 import cli
 from epi360_paper.options import Outcome
 from epi360_paper.trials import run_trials
@@ -213,21 +220,33 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT, which Windows has not")
-def test_ctrl_c_ends_the_command_with_130_and_keeps_finished_chunks(tmp_path):
-    script = tmp_path / "run.py"
+def interrupted(folder: Path, until: Callable[[], object], loading_s: float) -> tuple[int, str]:
+    """Exit status and messages of a run that gets Ctrl-C as soon as there is what `until` finds."""
+    script = folder / "run.py"
     script.write_text(INTERRUPTED_SCRIPT, encoding="utf-8")
-    parts = tmp_path / "out" / "fig1" / "parts"
-    command = [sys.executable, str(script), str(tmp_path / "out")]
+    command = [sys.executable, str(script), str(folder / "out"), str(loading_s)]
     # A session of its own: like a terminal, the signal goes to the command and to its workers.
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 30  # a few seconds; margin for a busy machine
-    while not list(parts.glob("*.csv")) and time.monotonic() < deadline:
+    while not until() and time.monotonic() < deadline:
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     errors = process.communicate(timeout=30)[1]
-    assert process.returncode == 130
+    return process.returncode, errors
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT, which Windows has not")
+def test_ctrl_c_ends_the_command_with_130_and_keeps_finished_chunks(tmp_path):
+    parts = tmp_path / "out" / "fig1" / "parts"
+    status, errors = interrupted(tmp_path, lambda: list(parts.glob("*.csv")), loading_s=0.0)
+    assert status == 130
     assert errors == f"epi360: interrupted; {GOES_ON}\n"
     assert all(part.read_text().count("\n") == 7 for part in parts.glob("*.csv"))
     assert list(parts.glob("*.csv"))
-    assert Path(parts).is_dir()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT, which Windows has not")
+def test_ctrl_c_while_the_workers_load_is_answered_once(tmp_path):
+    status, errors = interrupted(tmp_path, (tmp_path / "out" / "loading").exists, loading_s=2.0)
+    assert status == 130
+    assert errors == f"epi360: interrupted; {GOES_ON}\n"
