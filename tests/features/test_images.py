@@ -16,6 +16,7 @@ from epi360.features.image_cameras import find_camera
 from epi360.features.images import (
     looks_like_dual_fisheye,
     looks_like_photograph,
+    looks_like_two_eyes,
     nadir_mask,
     read_image,
     read_mask,
@@ -23,7 +24,8 @@ from epi360.features.images import (
     read_transparent_image,
     require_panorama,
 )
-from epi360_scenes.room import demo_pair
+from epi360.poses import Pose
+from epi360_scenes.room import demo_pair, scene
 
 
 def random_image(height=32, width=64, channels=3, dtype=np.uint8, seed=0):
@@ -412,7 +414,35 @@ def test_panoramas_of_which_something_was_cut_are_no_photographs(panorama):
         assert not looks_like_photograph(cut_panorama(panorama, *parts))
 
 
-def test_no_real_panorama_is_taken_for_a_photograph(data_dir: Path):
+@pytest.fixture(scope="module")
+def vr180():
+    """Both eyes of a camera in a room, the hemisphere in front of each."""
+    room, camera = scene("living_room", 5), Equirectangular(512, 256)
+    pose = room.sample_pose(np.random.default_rng(5))
+    centers = [pose.translation + pose.rotation @ [x, 0.0, 0.0] for x in (-0.0325, 0.0325)]
+    eyes = [room.render(camera, Pose(pose.rotation, center)).image for center in centers]
+    return np.hstack([eye[:, 128:384] for eye in eyes])
+
+
+def test_two_eyes_side_by_side_are_refused_with_the_remedy(vr180):
+    assert looks_like_two_eyes(vr180)
+    for is_stated in (False, True):
+        with pytest.raises(ValueError, match="d.jpg shows the same twice.* horizontal_fov_deg 180"):
+            require_panorama(vr180, "d.jpg", is_stated=is_stated)
+
+
+def test_the_same_in_front_and_behind_are_not_two_eyes(panorama):
+    half = cv2.resize(panorama, (256, 256), interpolation=cv2.INTER_AREA)
+    assert not looks_like_two_eyes(np.hstack([half, half]))
+
+
+def test_two_parts_of_a_panorama_side_by_side_are_not_two_eyes(panorama):
+    width = panorama.shape[1]
+    parts = [panorama[:, : width // 2], panorama[:, width // 4 : 3 * width // 4]]
+    assert not looks_like_two_eyes(np.hstack(parts))
+
+
+def test_no_real_panorama_is_taken_for_a_photograph_or_two_eyes(data_dir: Path):
     paths = [path for ext in ("jpg", "png") for path in data_dir.rglob(f"*.{ext}")]
     num_panoramas = 0
     for path in filter(is_picture, paths):
@@ -420,6 +450,7 @@ def test_no_real_panorama_is_taken_for_a_photograph(data_dir: Path):
         if image.shape[1] == 2 * len(image):
             num_panoramas += 1
             assert not looks_like_photograph(image), path
+            assert not looks_like_two_eyes(image), path
     assert num_panoramas > 0
 
 
