@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What `pair` and `match` make of offices with equal desks, where the next desk looks like this.
 
+And `verify_pairs` of the same matches without the pictures.
+
 ``python benchmarks/offices.py --help``; README.md beside this file says what is measured.
 """
 
@@ -9,6 +11,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,8 @@ from corridors import Walk, of_folder, of_pairs
 
 from epi360.cameras import Equirectangular
 from epi360.features.picture_writing import encode_picture
+from epi360.jobs.matching.match_folder import load_matches
+from epi360.jobs.matching.verify_pairs import verify_pairs, without_geometries
 from epi360.poses import Pose
 from epi360.runs.whole_files import write_file
 from epi360_scenes.office import office_of_equal_desks
@@ -37,7 +42,9 @@ def main() -> int:
         for seed in range(options.seed, options.seed + options.offices):
             walk = rendered_office(options.pictures or Path(temporary), seed)
             print(f"{walk.name}: {len(walk.poses)} panoramas", flush=True)
-            for what, verdict in (*of_pairs(walk), *of_folder(walk, Path(temporary) / "work")):
+            work = Path(temporary) / "work"
+            judged = (*of_pairs(walk), *of_folder(walk, work), *of_matches(walk, work))
+            for what, verdict in judged:
                 counts.setdefault(what, Counter())[verdict] += 1
     columns = ("right", "wrong", "not accepted")
     rows = [("offices", *columns)]
@@ -63,6 +70,14 @@ def rendered_office(folder: Path, seed: int) -> Walk:
             image = room.render(Equirectangular(WIDTH, WIDTH // 2), pose).image
             write_file(pictures / file, encode_picture(image, ".jpg"))
     return Walk(f"office {seed}", pictures, poses)
+
+
+def of_matches(walk: Walk, work: Path) -> Iterator[tuple[str, str]]:
+    """The matches of all pairs of the folder, of which there are no pictures."""
+    graph = without_geometries(load_matches(work / walk.folder.name))
+    for pair in verify_pairs(graph).verdicts:
+        found = pair.cam2_from_cam1 if pair.accepted else None
+        yield "matches alone", walk.verdict(pair.image1, pair.image2, found)
 
 
 if __name__ == "__main__":

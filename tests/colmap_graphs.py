@@ -10,11 +10,15 @@ from epi360.poses import Pose, rotation_from_vector
 PANORAMA = Equirectangular(2000, 1000)
 
 
-def panoramas_of_points(count=5, num_points=200, noise_px=0.3, seed=0):
-    """Poses cam_from_world, and the graph of all pairs of panoramas that see points all around."""
+def panoramas_of_points(count=5, num_points=200, noise_px=0.3, seed=0, num_shifted=0):
+    """Poses cam_from_world, and the graph of all pairs of panoramas that see points all around.
+
+    ``num_shifted`` of them have a copy two metres away, which they are matched with.
+    """
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(num_points, 3))
     points *= (rng.uniform(2, 6, num_points) / np.linalg.norm(points, axis=1))[:, None]
+    points = np.concatenate([points, points[:num_shifted] + [2.0, 0.0, 0.0]])
     poses = {
         f"pano/ä {index}.jpg": Pose(
             rotation_from_vector(0.5 * rng.normal(size=3)), 0.5 * rng.normal(size=3)
@@ -27,6 +31,7 @@ def panoramas_of_points(count=5, num_points=200, noise_px=0.3, seed=0):
         pixels += noise_px * rng.normal(size=pixels.shape)
         images[name] = MatchedImage(name, "theta", pixels)
     matches = np.column_stack([np.arange(num_points)] * 2)
+    matches[:num_shifted, 1] += num_points
     pairs = tuple(
         MatchedPair(
             name1,

@@ -62,11 +62,10 @@ def rival_direction(
         return None
     pose = pair.cam2_from_cam1
     first, second = (keypoints_of(each).some(slice(_MOST_KEYPOINTS)) for each in panoramas)
-    alike = _Alike.of(pose.rotation, first, second)
+    alike = Alike.of(pose.rotation, first, second)
     direction = pose.translation / np.linalg.norm(pose.translation)
-    num_moved = int(alike.counts(_around(direction, _OWN_DEG), _NEAR_DEG).max())
-    num_own = alike.num_still + num_moved
-    other, num_others = alike.best_apart_from(direction)
+    num_own = alike.num_for(direction)
+    other, num_others = alike.best_apart_from(direction, _APART_DEG)
     if num_others < max(_FEWEST, _MOST_OTHERS * num_own):
         return None
     if num_others < _MOST_IN_CORRIDOR * num_own:
@@ -76,12 +75,14 @@ def rival_direction(
     return Pose(pose.rotation, other)
 
 
-class _Alike:
+class Alike:
     """Pairs of key points that look alike, as what they say of the direction of a translation.
 
-    It lies on a half of a great circle, beyond the partner. Key points of which some partner is
-    just where the rotation alone takes them (``num_still``) agree with the pose as it is, whatever
-    else looks like them. ``owners`` (2, M) are the key points in both views.
+    It lies on a half of a great circle, beyond the partner. ``turned`` (M, 3) are bearings of the
+    first view by the rotation, ``seen`` (M, 3) those of the second. ``owners`` (K, M) say whose
+    votes they are, such as the key points of both views: each of them votes once. Those of which
+    some partner is just where the rotation alone takes them (``num_still``) agree with the pose as
+    it is, whatever else looks like them.
     """
 
     def __init__(self, turned: Array, seen: Array, owners: Indices) -> None:
@@ -100,7 +101,7 @@ class _Alike:
         self._owners = owners[:, moved]
 
     @classmethod
-    def of(cls, rotation: Array, first: SeenKeypoints, second: SeenKeypoints) -> _Alike:
+    def of(cls, rotation: Array, first: SeenKeypoints, second: SeenKeypoints) -> Alike:
         """Those of the nearest of each key point, of either view, that are near enough."""
         likeness = first.descriptors @ second.descriptors.T
         alike = _among_nearest(likeness) | _among_nearest(likeness.T).T
@@ -109,7 +110,7 @@ class _Alike:
         return cls(turned[rows], second.bearings[columns], np.stack([rows, columns]))
 
     def counts(self, directions: Floats, near_deg: float) -> NDArray[np.int64]:
-        """How many key points, of both views, agree with each direction (D, 3)."""
+        """How many owners agree with each direction (D, 3)."""
         agrees = np.abs(self._normals @ directions.T) < np.sin(np.radians(near_deg))
         agrees &= self._towards @ directions.T > 0.0
         agrees &= self._beyond @ directions.T > np.sin(np.radians(_NEAREST_DEG))
@@ -121,17 +122,21 @@ class _Alike:
                 counts += np.logical_or.reduceat(agrees[order], begins, axis=0).sum(axis=0)
         return counts
 
-    def best_apart_from(self, direction: Array) -> tuple[Array, int]:
-        """The direction far from this one on which most agree, and how many do."""
+    def num_for(self, direction: Array) -> int:
+        """How many owners agree with one direction, or one next to it."""
+        return self.num_still + int(self.counts(_around(direction, _OWN_DEG), _NEAR_DEG).max())
+
+    def best_apart_from(self, direction: Array, apart_deg: float) -> tuple[Array, int]:
+        """The direction so far from this one on which most agree, and how many do."""
         coarse = even_directions(_NUM_COARSE)
         left = self.counts(coarse.astype(np.float32), _COARSE_DEG)
-        left[_are_within(coarse, direction, _APART_DEG)] = -1
+        left[_are_within(coarse, direction, apart_deg)] = -1
         best, most = direction, -1
         for _ in range(_NUM_TRIED):
             tried = coarse[int(np.argmax(left))]
             fine = _around(tried, _FINE_DEG)
             counts = self.counts(fine, _NEAR_DEG)
-            counts[_are_within(fine, direction, _APART_DEG)] = -1
+            counts[_are_within(fine, direction, apart_deg)] = -1
             if counts.max() > most:
                 best, most = fine[int(np.argmax(counts))].astype(np.float64), int(counts.max())
             left[_are_within(coarse, tried, _FINE_DEG)] = -1

@@ -24,7 +24,7 @@ from epi360.jobs.matching.pair_verdicts import (
     without_copies,
 )
 from epi360.jobs.matching.place_job import MOST_PAIRS, check_places
-from epi360.jobs.matching.rival_poses import find_look_alikes, find_rivals
+from epi360.jobs.matching.rival_poses import find_look_alikes, find_repeated, find_rivals
 from epi360.jobs.matching.second_poses import find_second
 from epi360.jobs.matching.verified_folder import (
     SettledPairs,
@@ -95,8 +95,9 @@ def judge_folder(
     """Judge pairs that were verified by their own matches, with verdicts ``finished``.
 
     If ``is_upright``, it was given that all images stand upright; otherwise the poses say whether
-    they do. If not ``looks_around``, the surroundings of the pairs are not compared, and no pair
-    gets a second pose, or one that others imply.
+    they do. If not ``looks_around``, the surroundings of the pairs are not compared, pairs whose
+    other matches agree on another direction are refused, and no pair gets a second pose, or one
+    that others imply.
     """
     keys = [folder.keys_of(pair) if folder.is_readable(pair) else None for pair in pairs]
     level = None if is_upright else find_level(_of_panoramas(folder, pairs, finished))
@@ -104,14 +105,16 @@ def judge_folder(
     named = [_named(folder, *each, told) for each in zip(pairs, keys, strict=True)]
     settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
     places = check_places(settled)
-    by_place = {} if places is None else places.verdicts
+    by_place = (
+        find_repeated(folder, pairs, told, level) if places is None else dict(places.verdicts)
+    )
     rivals: set[Keys] = set()
     if places is not None and places.can_judge_more:
         believed = {each for each, place in by_place.items() if not place.refused}
         by_rivals = find_look_alikes(settled, places, believed)
         own = {each for each in believed - by_rivals.keys() if told[each].accepted}
         by_rivals |= find_rivals(settled, places, own)
-        by_place = {**by_place, **by_rivals}
+        by_place |= by_rivals
         rivals = {each for each, place in by_rivals.items() if place.refused}
     judged = [None if each is None else by_place.get(each) for each in keys]
     is_level = is_upright or level is not None

@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 from functools import partial
 
+from epi360.cameras.upright import is_full_panorama
+from epi360.jobs.graph.level_folder import Level
 from epi360.jobs.graph.place_verdict import PlaceVerdict
 from epi360.jobs.matching.place_job import Places
 from epi360.jobs.matching.second_poses import asked_anew
-from epi360.jobs.matching.verified_folder import SettledPairs
-from epi360.jobs.records.match_store import Keys
+from epi360.jobs.matching.verified_folder import SettledPairs, VerifiedFolder, readable_pairs
+from epi360.jobs.pairs.pair_selection import Pair
+from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import on_threads
 from epi360.places.own_evidence import OwnEvidence, grow_both
+from epi360.places.repeated_matches import DirectionVotes, which_repeat
 from epi360.places.repeated_place import (
     MANY_OTHERS,
     are_many,
@@ -31,6 +35,10 @@ _REPEATED = (
 _ALIKE = (
     "shows things that look alike, such as equal desks, and as many of their key points agree on "
     "another direction"
+)
+_BY_MATCHES = (
+    "shows a place that repeats itself, for many of its other matches agree on another direction; "
+    "pictures may tell"
 )
 _MOST_PROBABLE = 0.5  # which of two poses it is nothing tells
 
@@ -74,6 +82,39 @@ def find_look_alikes(
     in_order = sorted(believed, key=lambda keys: settled.images[keys])
     told = on_threads(has_rival, in_order, settled.folder.num_threads)
     return {keys: _refused(places.verdicts[keys], _ALIKE) for keys, has_one in told if has_one}
+
+
+def find_repeated(
+    folder: VerifiedFolder,
+    pairs: Sequence[Pair],
+    told: Mapping[Keys, Verdict],
+    level: Level | None,
+) -> dict[Keys, PlaceVerdict]:
+    """Verdicts on accepted pairs of panoramas that their other matches refuse; see `which_repeat`.
+
+    For folders whose pictures are not compared.
+    """
+    images = {
+        keys: pair
+        for keys, pair in readable_pairs(folder, pairs, is_full_panorama).items()
+        if told[keys].accepted
+    }
+
+    settled = SettledPairs(folder, images, told, level)
+
+    def votes(pair: VerifiedPair) -> DirectionVotes:
+        bearings = settled.matched(pair).bearings
+        return DirectionVotes.of(pair.verdict.cam2_from_cam1, bearings, pair.inlier_mask)
+
+    accepted = list(settled.with_matches(images))
+    found = {pair.keys: each for pair, each in on_threads(votes, accepted, folder.num_threads)}
+    in_order = sorted(found, key=lambda keys: images[keys])
+    repeat = which_repeat([found[keys] for keys in in_order])
+    return {
+        keys: _refused(PlaceVerdict(), _BY_MATCHES)
+        for keys, repeats in zip(in_order, repeat, strict=True)
+        if repeats
+    }
 
 
 def _looks_right(

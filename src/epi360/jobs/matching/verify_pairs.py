@@ -76,8 +76,9 @@ def verify_pairs(
     whose pose is tilted, are estimated again with that known. Poses that contradict each other are
     refused, see `check_graph`. With ``pictures``, the folder of the images, the surroundings of the
     pairs are compared where both cameras see enough of them, see `judge_places`, and some get a
-    second pose, see `find_second`, or the one that others imply, see `find_implied`. Pairs that
-    have a geometry keep it; if it is "ok" and fits its own inliers, they have a say about the
+    second pose, see `find_second`, or the one that others imply, see `find_implied`. Without them,
+    pairs whose other matches agree on another direction are refused, see `find_repeated`. Pairs
+    that have a geometry keep it; if it is "ok" and fits its own inliers, they have a say about the
     others, with the errors that are assumed of doubted poses.
 
     Where accepted pairs agree that the angles of a camera are other ones than the graph says, see
