@@ -124,7 +124,7 @@ def judge_folder(
     verdicts = with_second(verdicts, keys, second, is_level=is_level)
     posed = {each: pair.verified for each, pair in second.items()}
     accepted = _accepted(keys, verdicts) & settled.images.keys()
-    found = find_implied(settled, accepted, posed)
+    found = find_implied(settled, accepted, second.keys())
     implied = {
         each: pair
         for each, pair in found.items()

@@ -60,19 +60,18 @@ class _Candidate:
 
 
 def find_implied(
-    settled: SettledPairs, accepted: Set[Keys], second: Mapping[Keys, VerifiedPair]
+    settled: SettledPairs, accepted: Set[Keys], second: Set[Keys]
 ) -> dict[Keys, ImpliedPair]:
     """Pairs that are not accepted, and whose matches agree with the pose that two others imply.
 
-    Some of the ``accepted`` ones have a ``second`` pose. A pair whose own pose is the implied one
-    is left out: it has been refused for something else.
+    Those of the ``accepted`` ones that have a ``second`` pose imply none, for a wrong one would
+    pull whole rooms along. A pair whose own pose is the implied one is left out: it has been
+    refused for something else.
     """
     if not 2 <= len(accepted) <= MOST_PAIRS:
         return {}
     folder, images = settled.folder, settled.images
-    by_second = [each for keys, each in second.items() if keys in accepted]
-    by_first = settled.with_matches(accepted - second.keys())
-    posed = {each.keys: settled.posed(each) for each in (*by_first, *by_second)}
+    posed = {each.keys: settled.posed(each) for each in settled.with_matches(accepted - second)}
     sure = sorted(posed, key=lambda keys: images[keys])
     known = ImpliedPoses([posed[keys] for keys in sure])
     others = {keys for keys in images if keys not in accepted and keys[0] != keys[1]}
