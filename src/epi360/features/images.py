@@ -268,8 +268,8 @@ def require_panorama(
 ) -> None:
     """Raise ``ValueError`` for what is no panorama, though it has the shape of one.
 
-    The raw frame of a 360 camera is none, nor are two eyes side by side, nor is a photograph,
-    unless its file states (``is_stated``) that it is one.
+    The raw frame of a 360 camera is none. Nor are two eyes side by side and a photograph, unless
+    its file states (``is_stated``) that it is one.
     """
     if not is_stated and looks_like_photograph(image):
         raise ValueError(
@@ -281,7 +281,7 @@ def require_panorama(
             f"{name} looks like a raw dual fisheye frame (two circles on black); "
             "export a stitched panorama first"
         )
-    if looks_like_two_eyes(image):
+    if not is_stated and looks_like_two_eyes(image):
         raise ValueError(
             f"{name} shows the same twice, side by side, as the two eyes of VR180 do; cut one half "
             "out, and give its camera, Equirectangular with horizontal_fov_deg 180"
