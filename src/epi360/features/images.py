@@ -202,11 +202,16 @@ def looks_like_dual_fisheye(image: NDArray[np.uint8]) -> bool:
     Both halves of such a 2:1 frame have four black corners and end on a circle at the diagonals.
     Dark frames, where no circle is visible, give False.
     """
-    height, width = image.shape[:2]
-    if abs(width - 2 * height) > 0.02 * width:
+    if not _is_twice_as_wide(image):
         return False
     small = cv2.resize(image, (256, 128), interpolation=cv2.INTER_AREA).max(axis=2)
     return _is_disc_on_black(small[:, :128]) and _is_disc_on_black(small[:, 128:])
+
+
+def _is_twice_as_wide(image: NDArray[np.uint8]) -> bool:
+    """Whether a picture is twice as wide as high, to two percent."""
+    height, width = image.shape[:2]
+    return bool(abs(width - 2 * height) <= 0.02 * width)
 
 
 def looks_like_photograph(image: NDArray[np.uint8]) -> bool:
@@ -230,9 +235,9 @@ def looks_like_two_eyes(image: NDArray[np.uint8]) -> bool:
     the two ends of a place that looks the same in front and behind do. One of less than 64 rows
     may be anything.
     """
-    height, width = image.shape[:2]
-    if height < _FEWEST_ROWS or abs(width - 2 * height) > 0.02 * width:
+    if len(image) < _FEWEST_ROWS or not _is_twice_as_wide(image):
         return False
+    width = image.shape[1]
     left, right = image[:, : width // 2], image[:, width // 2 :]
     for before, after in ((left, right), (right, left)):
         if _goes_on(before[:, -_NUM_BESIDE:], after[:, :_NUM_BESIDE]):

@@ -99,7 +99,6 @@ def find_repeated(
         for keys, pair in readable_pairs(folder, pairs, is_full_panorama).items()
         if told[keys].accepted
     }
-
     settled = SettledPairs(folder, images, told, level)
 
     def votes(pair: VerifiedPair) -> DirectionVotes:
@@ -108,13 +107,8 @@ def find_repeated(
 
     accepted = list(settled.with_matches(images))
     found = {pair.keys: each for pair, each in on_threads(votes, accepted, folder.num_threads)}
-    in_order = sorted(found, key=lambda keys: images[keys])
-    repeat = which_repeat([found[keys] for keys in in_order])
-    return {
-        keys: _refused(PlaceVerdict(), _BY_MATCHES)
-        for keys, repeats in zip(in_order, repeat, strict=True)
-        if repeats
-    }
+    repeat = zip(found, which_repeat(list(found.values())), strict=True)
+    return {keys: _refused(PlaceVerdict(), _BY_MATCHES) for keys, repeats in repeat if repeats}
 
 
 def _looks_right(
