@@ -79,7 +79,7 @@ def _verdicts(tour: LinkedTour, out: Path, num_threads: int) -> tuple[PairVerdic
 
 def _has_pose(verdict: PairVerdict) -> bool:
     """Whether matches determine a pose, accepted or refused for what surrounds them."""
-    return verdict.accepted or verdict.status == "ok"
+    return verdict.status in ("ok", "refused")
 
 
 def _column(tour: LinkedTour, verdict: PairVerdict) -> tuple[str, str]:

@@ -26,7 +26,7 @@ def main() -> None:
     rows = []
     with options.pairs.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            if row["status"] == "ok":
+            if row["status"] in ("ok", "refused") and row["tx"]:
                 rows.append((*_errors(row, world_from_cam), row))
     rows.sort(key=lambda errors: max(errors[:2]), reverse=True)
     print("rotation deg  direction deg  accepted  inliers  triangles, open  pair")

@@ -10,7 +10,7 @@ from epi360.cli.command import show_bars
 from epi360.interop.colmap_database import CONFIG_OF_STATUS
 from epi360.interop.convert import without_refused
 from epi360.interop.formats import FORMATS
-from epi360.interop.match_graph import MatchGraph
+from epi360.interop.match_graph import REFUSED, MatchGraph
 from epi360.jobs.matching.verify_pairs import (
     VerifiedGraph,
     num_geometries,
@@ -117,7 +117,7 @@ def _tell_of_verified(verified: VerifiedGraph, images: str | None) -> None:
     if verified.num_comparable == 0 or verified.num_not_compared:
         return
     if verified.looked_around:
-        judged = [verdict for verdict in verified.verdicts if verdict.status == "ok"]
+        judged = [v for v in verified.verdicts if v.status in ("ok", REFUSED)]
         if len(judged) < _FEWEST_JUDGED or any(verdict.accepted for verdict in judged):
             return
         note = "nothing looks the same in the pictures; are they those of these images?"

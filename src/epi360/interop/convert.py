@@ -12,7 +12,7 @@ from epi360.interop.colmap_model_rigs import keeps_rigs
 from epi360.interop.descriptors import DescriptorsOf
 from epi360.interop.formats import FORMATS, colmap_model_folder
 from epi360.interop.hloc import camera_of_image, read_hloc, write_hloc
-from epi360.interop.match_graph import MatchGraph
+from epi360.interop.match_graph import REFUSED, MatchGraph
 from epi360.interop.nerfstudio import points_file, read_nerfstudio, write_nerfstudio
 from epi360.interop.opensfm import read_opensfm, write_opensfm, write_opensfm_folder
 from epi360.interop.opensfm_pictures import loses_folders
@@ -145,7 +145,7 @@ def without_refused(graph: MatchGraph) -> MatchGraph:
     Whoever verified their matches anew, pair by pair, would take them for right.
     """
     pairs = tuple(
-        pair for pair in graph.pairs if pair.geometry is None or pair.geometry.status != "refused"
+        pair for pair in graph.pairs if pair.geometry is None or pair.geometry.status != REFUSED
     )
     return replace(graph, pairs=pairs)
 

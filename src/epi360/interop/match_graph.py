@@ -11,6 +11,8 @@ from epi360.cameras import Camera
 from epi360.interop.reconstruction import check_image
 from epi360.poses import Pose
 
+REFUSED = "refused"  # the status of a pair with a pose that the folder speaks against
+
 
 @dataclass(frozen=True, eq=False)
 class MatchedImage:
@@ -34,10 +36,10 @@ class MatchedImage:
 class TwoViewGeometry:
     """Relative pose of a pair of images and the matches that agree with it.
 
-    ``status`` is one of those of ``RelativePoseResult``, or "refused": other pairs of the folder
-    speak against the pose. ``cam2_from_cam1`` has |t| = 1, or is NaN if the pair does not determine
-    it. ``inliers`` (K, 2) are the matches that agree with the pose: (key point in image 1, key
-    point in image 2).
+    ``status`` is one of those of ``RelativePoseResult``, or REFUSED: other pairs of the folder, or
+    what surrounds the matches, speak against the pose. ``cam2_from_cam1`` has |t| = 1, or is NaN if
+    the pair does not determine it. ``inliers`` (K, 2) are the matches that agree with the pose:
+    (key point in image 1, key point in image 2).
     """
 
     status: str

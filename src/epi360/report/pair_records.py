@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from epi360.cameras import Camera
 from epi360.epipolar import essential_from_pose, sampson_residuals
 from epi360.interop import MatchedPair, MatchGraph
+from epi360.interop.match_graph import REFUSED
 from epi360.jobs.matching.folder_verdicts import JudgedPairs
 from epi360.jobs.matching.pair_verdicts import PairVerdict
 from epi360.poses import Pose
@@ -158,4 +159,4 @@ def pair_sentences(verdict: PairVerdict, judged: JudgedPairs) -> list[str]:
 def _kind(verdict: PairVerdict) -> str:
     if verdict.accepted:
         return "accepted"
-    return "refused" if verdict.contradicted or verdict.refused else "no pose"
+    return REFUSED if verdict.status == REFUSED else "no pose"

@@ -218,7 +218,7 @@ def _farthest_first(pairs: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 def _agrees(pair: PairVerdict, cam_from_world: Mapping[str, Pose]) -> bool:
     """Whether the pose of an accepted pair is that of the model."""
-    if not pair.accepted and (pair.status != "pure_rotation" or pair.refused):
+    if not pair.accepted and pair.status != "pure_rotation":
         return False
     placed = cam_from_world[pair.image2] @ cam_from_world[pair.image1].inverse()
     rotation_sigma = np.nan_to_num(pair.rotation_sigma_deg, nan=DOUBTED_ROTATION_DEG)

@@ -20,6 +20,7 @@ from epi360.jobs.matching.pair_verdicts import (
     PairVerdict,
     checked,
     with_implied,
+    with_refusals,
     with_second,
     without_copies,
 )
@@ -131,7 +132,7 @@ def judge_folder(
         if each not in rivals
         and not (places is not None and places.has_rival(settled.posed(pair.verified)))
     }
-    verdicts = without_copies(with_implied(verdicts, keys, implied))
+    verdicts = with_refusals(without_copies(with_implied(verdicts, keys, implied)))
     posed |= {each: pair.verified for each, pair in implied.items() if each not in accepted}
     num_comparable = sum(told[each].accepted for each in settled.images)
     return FolderVerdicts(

@@ -15,6 +15,7 @@ import numpy as np
 from epi360.cameras import Camera
 from epi360.cameras.upright import check_upright
 from epi360.features.detection import check_options
+from epi360.interop.match_graph import REFUSED
 from epi360.jobs.engines import Engine, check_engine
 from epi360.jobs.folder.feature_cache import ExtractionOptions, FeatureCache
 from epi360.jobs.folder.image_set import ImageSet
@@ -295,7 +296,7 @@ def _write_index(images: ImageSet, job: MatchJob, judged: FolderVerdicts) -> str
             matched.append(names)
         if verdict.confirmed and verdict.accepted:
             confirmed.append(names)
-        if verdict.is_refused:
+        if verdict.status == REFUSED:
             refused.append(names)
     kept = [pair for _, pair in sorted(judged.other_poses.items())]
     part = write_part(job.output, kept, IMPLIED_PAIRS) if kept else ""

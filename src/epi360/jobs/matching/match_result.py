@@ -17,6 +17,7 @@ from epi360.cameras.calibration.own import camera_record
 from epi360.features.detection import root_sift
 from epi360.features.matching import rounded_descriptors
 from epi360.interop import MatchGraph
+from epi360.interop.match_graph import REFUSED
 from epi360.jobs.folder.feature_cache import COLORS
 from epi360.jobs.folder.image_set import ImageSet
 from epi360.jobs.graph.level_folder import Level
@@ -158,7 +159,7 @@ def _load(
         others = index if by_others else {}
         told = {(name1, name2): "ok" for name1, name2 in others.get("confirmed", ())}
         if mark_refused:
-            told |= {(name1, name2): "refused" for name1, name2 in index.get("refused", ())}
+            told |= {(name1, name2): REFUSED for name1, name2 in index.get("refused", ())}
         implied = str(others.get("implied", ""))
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{folder / IMAGES} is damaged: {error}; {_AGAIN}") from None

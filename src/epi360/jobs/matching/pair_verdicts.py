@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from epi360.interop.match_graph import REFUSED
 from epi360.jobs.graph.graph_check import (
     CONFIRMED,
     believed,
@@ -63,11 +64,6 @@ class PairVerdict(Verdict):
     def accepted(self) -> bool:
         """Whether the pose may be used."""
         return super().accepted and not self.contradicted and not self.refused
-
-    @property
-    def is_refused(self) -> bool:
-        """Whether its own matches agree with a pose or two, which other pairs speak against."""
-        return self.status in ("ok", *_UNDECIDED) and (self.contradicted or bool(self.refused))
 
     @property
     def rejection(self) -> str:
@@ -186,6 +182,19 @@ def without_copies(verdicts: Sequence[PairVerdict]) -> tuple[PairVerdict, ...]:
         if v.status in _UNDECIDED and len(ends(v)) == 2 and ends(v) in apart
         else v
         for v in verdicts
+    )
+
+
+def with_refusals(verdicts: Sequence[PairVerdict]) -> tuple[PairVerdict, ...]:
+    """Verdicts whose status says so where others refuse a pose or two that the matches agree with.
+
+    So nobody who asks for the status alone takes such a pose for a good one.
+    """
+    return tuple(
+        replace(verdict, status=REFUSED)
+        if verdict.status in ("ok", *_UNDECIDED) and (verdict.contradicted or verdict.refused)
+        else verdict
+        for verdict in verdicts
     )
 
 

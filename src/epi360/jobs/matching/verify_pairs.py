@@ -159,9 +159,8 @@ def _geometries(folder: GraphFolder, judged: FolderVerdicts) -> dict[Keys, TwoVi
         if keys in kept:
             continue
         verified = judged.other_poses.get(keys) or folder.settled(keys, judged.settled[keys])
-        status = "refused" if verdict.is_refused else verdict.status
         inliers = verified.matches[verified.inlier_mask]
-        found[keys] = TwoViewGeometry(status, verdict.cam2_from_cam1, inliers)
+        found[keys] = TwoViewGeometry(verdict.status, verdict.cam2_from_cam1, inliers)
     return found
 
 

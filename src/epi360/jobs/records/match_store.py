@@ -56,7 +56,7 @@ Keys = tuple[str, str]
 class Verdict:
     """What became of a pair, without its matches; most values are those of `RelativePoseResult`."""
 
-    status: str  # also UNREADABLE
+    status: str  # also UNREADABLE, and of a folder REFUSED
     warnings: tuple[str, ...] = ()
     num_matches: int = 0
     num_inliers: int = 0
