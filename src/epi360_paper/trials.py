@@ -23,6 +23,7 @@ import numpy as np
 
 from epi360.extras import package_version
 from epi360.progress import Progress, no_progress
+from epi360.runs.interrupts import interrupted_later
 from epi360_paper.options import ReproduceOptions
 from epi360_paper.parts import Fingerprint, Row, Trials, join_parts, read_part, write_part
 
@@ -140,7 +141,7 @@ def _compute(chunks: Sequence[_Chunk], num_workers: int) -> Iterator[int]:
             yield chunk.compute()
         return
     with _one_thread_each(), _workers(num_workers) as pool:
-        with _interrupts_held():  # submitting starts the workers
+        with without_interrupts():  # submitting starts the workers
             futures: list[Future[int]] = [pool.submit(chunk.compute) for chunk in chunks]
         try:
             for future in as_completed(futures):
@@ -170,19 +171,22 @@ def _workers(num_workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def without_interrupts() -> Iterator[None]:
     """Ctrl-C waits for the end of this; processes started in it never get it, even while loading.
 
-    They inherit what is held, and can ignore it themselves only when they have loaded.
+    They inherit what this thread blocks, and can ignore it themselves only when they have loaded.
+    Another thread of this process, such as one of a library, may be the one that gets it; so it is
+    put off here as well.
     """
-    if sys.platform == "win32":
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    with interrupted_later():
+        if sys.platform == "win32":
+            yield
+            return
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _leave_interrupts() -> None:

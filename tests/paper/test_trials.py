@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ from epi360.cli import GOES_ON
 from epi360.progress import no_progress
 from epi360_paper.options import ReproduceOptions
 from epi360_paper.parts import Trials
-from epi360_paper.trials import Trial, run_trials
+from epi360_paper.trials import Trial, run_trials, without_interrupts
 
 CELLS = {"low": 1.0, "high": 10.0}
 
@@ -250,3 +251,21 @@ def test_ctrl_c_while_the_workers_load_is_answered_once(tmp_path):
     status, errors = interrupted(tmp_path, (tmp_path / "out" / "loading").exists, loading_s=2.0)
     assert status == 130
     assert errors == f"epi360: interrupted; {GOES_ON}\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT, which Windows has not")
+def test_ctrl_c_that_another_thread_gets_waits_until_all_workers_have_been_started():
+    """It blocks no signal, as those of numerical libraries do not."""
+    ended, done = threading.Event(), []
+    thread = threading.Thread(target=ended.wait)
+    thread.start()
+    try:
+        with pytest.raises(KeyboardInterrupt), without_interrupts():
+            os.kill(os.getpid(), signal.SIGINT)
+            for _ in range(100):  # Python looks for signals between two steps
+                time.sleep(0.001)
+            done.append("all")
+    finally:
+        ended.set()
+        thread.join()
+    assert done == ["all"]
