@@ -8,6 +8,7 @@ import pytest
 from rendered_views import image_set, write_views
 
 from epi360.jobs.folder.image_set import find_images
+from epi360.jobs.matching import rival_poses
 from epi360.jobs.matching.match_folder import load_matches, match_images
 from epi360.jobs.pairs import pair_selection
 
@@ -37,6 +38,17 @@ def test_all_pairs_are_matched_unless_the_first_ones_show_a_dense_sequence(
     for verdict in other.verdicts:
         expected = all_poses[verdict.image1, verdict.image2]
         np.testing.assert_array_equal(verdict.cam2_from_cam1.matrix(), expected)
+
+
+def test_a_sequence_has_pictures_so_that_its_other_matches_are_not_asked(
+    folder, tmp_path, monkeypatch
+):
+    for name, value in (("_FEWEST_DENSE", 4), ("_DENSE_STEPS", (1,)), ("_DENSE_INLIERS", 1)):
+        monkeypatch.setattr(pair_selection, name, value)
+    monkeypatch.setattr(rival_poses, "which_repeat", lambda votes: [True] * len(votes))
+    run = match_images(image_set(folder), tmp_path)
+    assert "of a dense sequence" in run.how
+    assert all(verdict.accepted for verdict in run.verdicts)
 
 
 def test_a_frame_that_is_there_twice_leaves_a_sequence_dense(folder, tmp_path, monkeypatch):

@@ -42,6 +42,18 @@ def test_things_that_repeat_agree_on_another_direction():
     assert votes.are_for_another(0.3) and not votes.are_for_another(0.6)
 
 
+def test_what_passes_on_one_side_speaks_against_no_pose():
+    """A vehicle six metres away drives two metres while the camera moves by one."""
+    rng = np.random.default_rng(0)
+    still = unit(rng.normal(size=(NUM_RIGHT, 3))) * rng.uniform(4.0, 20.0, (NUM_RIGHT, 1))
+    vehicle = rng.uniform([-5.0, -1.5, 5.0], [5.0, 1.0, 7.5], (60, 3))
+    before, after = np.concatenate([still, vehicle]), np.concatenate([still, vehicle + [2, 0, 0]])
+    inlier_mask = np.arange(len(before)) < NUM_RIGHT
+    votes = votes_on(unit(before), unit(after @ TURN.T + STEP.translation), inlier_mask)
+    assert votes.num_other > 50 and votes.on_one_side and not votes.are_for_another(0.1)
+    assert not votes_on(*matches(40)).on_one_side
+
+
 def test_wrong_matches_agree_on_none():
     for seed in range(10):
         votes = votes_on(*matches(0, seed))

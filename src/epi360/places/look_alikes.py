@@ -109,11 +109,16 @@ class Alike:
         turned = first.bearings @ rotation.T
         return cls(turned[rows], second.bearings[columns], np.stack([rows, columns]))
 
-    def counts(self, directions: Floats, near_deg: float) -> NDArray[np.int64]:
-        """How many owners agree with each direction (D, 3)."""
+    def agree(self, directions: Floats, near_deg: float) -> NDArray[np.bool_]:
+        """Which of the pairs that have moved agree with each direction (D, 3): (M', D)."""
         agrees = np.abs(self._normals @ directions.T) < np.sin(np.radians(near_deg))
         agrees &= self._towards @ directions.T > 0.0
         agrees &= self._beyond @ directions.T > np.sin(np.radians(_NEAREST_DEG))
+        return np.asarray(agrees)
+
+    def counts(self, directions: Floats, near_deg: float) -> NDArray[np.int64]:
+        """How many owners agree with each direction (D, 3)."""
+        agrees = self.agree(directions, near_deg)
         counts = np.zeros(len(directions), np.int64)
         for owners in self._owners:
             order = np.argsort(owners, kind="stable")
@@ -121,6 +126,11 @@ class Alike:
             if len(begins):
                 counts += np.logical_or.reduceat(agrees[order], begins, axis=0).sum(axis=0)
         return counts
+
+    def owners_for(self, direction: Array) -> list[Indices]:
+        """The owners of each kind, once each, that agree with one direction."""
+        (agrees,) = self.agree(np.asarray(direction, np.float32)[None], _NEAR_DEG).T
+        return [np.unique(owners[agrees]) for owners in self._owners]
 
     def num_for(self, direction: Array) -> int:
         """How many owners agree with one direction, or one next to it."""

@@ -92,13 +92,14 @@ def judge_folder(
     *,
     is_upright: bool = False,
     looks_around: bool = True,
+    has_pictures: bool = True,
 ) -> FolderVerdicts:
     """Judge pairs that were verified by their own matches, with verdicts ``finished``.
 
     If ``is_upright``, it was given that all images stand upright; otherwise the poses say whether
-    they do. If not ``looks_around``, the surroundings of the pairs are not compared, pairs whose
-    other matches agree on another direction are refused, and no pair gets a second pose, or one
-    that others imply.
+    they do. If not ``looks_around``, the surroundings of the pairs are not compared, and no pair
+    gets a second pose, or one that others imply. Of a folder that does not have pictures, pairs are
+    refused whose other matches agree on another direction.
     """
     keys = [folder.keys_of(pair) if folder.is_readable(pair) else None for pair in pairs]
     level = None if is_upright else find_level(_of_panoramas(folder, pairs, finished))
@@ -106,9 +107,9 @@ def judge_folder(
     named = [_named(folder, *each, told) for each in zip(pairs, keys, strict=True)]
     settled = SettledPairs.of(folder, pairs if looks_around else (), told, level)
     places = check_places(settled)
-    by_place = (
-        find_repeated(folder, pairs, told, level) if places is None else dict(places.verdicts)
-    )
+    by_place = {} if places is None else dict(places.verdicts)
+    if not has_pictures:
+        by_place = find_repeated(folder, pairs, told, level)
     rivals: set[Keys] = set()
     if places is not None and places.can_judge_more:
         believed = {each for each, place in by_place.items() if not place.refused}

@@ -92,7 +92,7 @@ def find_repeated(
 ) -> dict[Keys, PlaceVerdict]:
     """Verdicts on accepted pairs of panoramas that their other matches refuse; see `which_repeat`.
 
-    For folders whose pictures are not compared.
+    For folders of which there are no pictures.
     """
     images = {
         keys: pair
@@ -105,8 +105,12 @@ def find_repeated(
         bearings = settled.matched(pair).bearings
         return DirectionVotes.of(pair.verdict.cam2_from_cam1, bearings, pair.inlier_mask)
 
+    found, stage = {}, "other directions"
+    folder.progress(stage, 0, len(images))
     accepted = list(settled.with_matches(images))
-    found = {pair.keys: each for pair, each in on_threads(votes, accepted, folder.num_threads)}
+    for count, (pair, each) in enumerate(on_threads(votes, accepted, folder.num_threads), start=1):
+        found[pair.keys] = each
+        folder.progress(stage, count, len(images))
     repeat = zip(found, which_repeat(list(found.values())), strict=True)
     return {keys: _refused(PlaceVerdict(), _BY_MATCHES) for keys, repeats in repeat if repeats}
 

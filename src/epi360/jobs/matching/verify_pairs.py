@@ -87,7 +87,7 @@ def verify_pairs(
     few images that are equal are taken for one.
 
     ``progress`` is told of the stages "pictures", "verifying pairs", "level pairs", "places",
-    "rival poses" and "second poses".
+    "rival poses", "second poses" and, without pictures, "other directions".
 
     Raises
     ------
@@ -126,7 +126,9 @@ def verify_pairs(
         graph = dataclasses.replace(graph, cameras=shared.all_of(search.cameras))
     if looks_around and graph is not given:
         folder.read_pictures()
-    judged = judge_folder(folder, folder.pairs, finished, looks_around=looks_around)
+    judged = judge_folder(
+        folder, folder.pairs, finished, looks_around=looks_around, has_pictures=pictures is not None
+    )
     found = _geometries(folder, judged)
     pairs = tuple(
         dataclasses.replace(pair, geometry=found.get((pair.image1, pair.image2), pair.geometry))
