@@ -79,7 +79,8 @@ def _verdicts(tour: LinkedTour, out: Path, num_threads: int) -> tuple[PairVerdic
 
 def _has_pose(verdict: PairVerdict) -> bool:
     """Whether matches determine a pose, accepted or refused for what surrounds them."""
-    return verdict.status in ("ok", "refused")
+    has_direction = np.isfinite(verdict.cam2_from_cam1.translation).all()
+    return verdict.status in ("ok", "refused") and bool(has_direction)
 
 
 def _column(tour: LinkedTour, verdict: PairVerdict) -> tuple[str, str]:
