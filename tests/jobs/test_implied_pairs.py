@@ -12,7 +12,7 @@ from level_views import NAMES, doubted, judge_otherwise, truth, write_tour
 
 from epi360.jobs.graph.implied_poses import Way
 from epi360.jobs.matching import folder_verdicts
-from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair
+from epi360.jobs.matching.implied_job import IMPLIED, ImpliedPair, find_implied
 from epi360.jobs.matching.match_folder import load_matches, match_images
 from epi360.jobs.matching.match_job import MatchJob
 from epi360.jobs.matching.pair_verdicts import PairVerdict, with_implied
@@ -64,6 +64,39 @@ def test_two_pairs_imply_the_pose_of_a_third(tour, tmp_path, lost):
     assert said in describe_match(run)
     rows = list(csv.DictReader(pairs_csv(run).decode().splitlines()))
     assert [row["reason"] for row in rows if row["prior"] == "implied"] == [IMPLIED]
+
+
+@pytest.mark.parametrize(("num_distinct", "status"), [(7, "too_few_inliers"), (9, "ok")])
+def test_matches_that_are_given_thrice_count_once(
+    tour, tmp_path, monkeypatch, num_distinct, status
+):
+    right = truth(*LOST, False)
+    unit = Pose(right.rotation, right.translation / np.linalg.norm(right.translation))
+
+    def changed(verified, pair, prior):
+        if pair != LOST:
+            return verified
+        if prior == "implied":
+            verdict = replace(verified.verdict, status="ok", cam2_from_cam1=unit)
+            return replace(verified, verdict=verdict)
+        few = verified.matches[verified.inlier_mask][:num_distinct]
+        verdict = Verdict(status="too_few_inliers", num_matches=3 * len(few))
+        matches, none = np.repeat(few, 3, axis=0), np.zeros(3 * len(few), dtype=bool)
+        return replace(verified, verdict=verdict, matches=matches, inlier_mask=none)
+
+    judge_otherwise(monkeypatch, changed)
+    assert verdict_on(match_images(tour, tmp_path)).status == status
+
+
+def test_second_poses_imply_none(tour, tmp_path, lost, monkeypatch):
+    def as_if_all_were_second(settled, accepted, second):
+        return find_implied(settled, accepted, accepted)
+
+    name = "epi360.jobs.matching.folder_verdicts.find_implied"
+    monkeypatch.setattr(name, as_if_all_were_second)
+    run = match_images(tour, tmp_path)
+    assert verdict_on(run).status == "too_few_inliers"
+    assert sum(verdict.accepted for verdict in run.verdicts) == 5
 
 
 def test_the_kept_result_has_that_pose(tour, tmp_path, lost):

@@ -100,6 +100,19 @@ def test_the_other_matches_give_a_pair_its_pose(tour, tmp_path, lost):
     assert SECOND in pairs_csv(run).decode()
 
 
+def test_it_is_named_to_what_looks_for_implied_poses(tour, tmp_path, lost, monkeypatch):
+    """They take nothing from it: see `find_implied`."""
+    named = []
+    monkeypatch.setattr(
+        "epi360.jobs.matching.folder_verdicts.find_implied",
+        lambda settled, accepted, second: (
+            named.extend(settled.images[each] for each in second) or {}
+        ),
+    )
+    match_images(tour, tmp_path)
+    assert named == [LOST]
+
+
 def test_the_kept_result_has_that_pose_and_its_inliers(tour, tmp_path, lost):
     run = match_images(tour, tmp_path)
     found = verdict_on(run)

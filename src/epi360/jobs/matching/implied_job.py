@@ -14,6 +14,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation.copies import repeat_no_earlier
 from epi360.jobs.graph.graph_check import awaits_confirmation
 from epi360.jobs.graph.implied_poses import ImpliedPoses, Way, near_matches
 from epi360.jobs.matching.place_job import MOST_PAIRS
@@ -44,19 +45,30 @@ class ImpliedPair:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A pair with its matches, and the pose that others imply."""
+    """A pair with its matches, and the pose that others imply.
+
+    ``distinct`` (N,) are those that repeat no other one: a key point at a pole is often found with
+    several directions.
+    """
 
     verified: VerifiedPair
     matched: Matched
+    distinct: Mask
     way: Way
 
     def agreeing(self) -> Mask:
         """Matches that agree with the implied pose."""
-        return self.way.agreeing(*self.matched.bearings)
+        return self.distinct & self.way.agreeing(*self.matched.bearings)
 
     def near(self) -> Mask:
         """Matches that may belong to it even if it is a degree off."""
-        return near_matches(self.way.cam2_from_cam1, *self.matched.bearings, _NEAR_DEG)
+        near = near_matches(self.way.cam2_from_cam1, *self.matched.bearings, _NEAR_DEG)
+        return self.distinct & near
+
+    @property
+    def is_chance(self) -> bool:
+        """Whether as many matches might agree with the implied pose by chance."""
+        return self.way.is_chance(*self.matched.some(self.distinct).bearings)
 
 
 def find_implied(
@@ -96,8 +108,10 @@ def _candidates(
         if not ways or any(_agree(verified.verdict.cam2_from_cam1, way) for way in ways):
             continue
         matched = settled.matched(verified)
-        way = max(ways, key=lambda each: each.num_agreeing(*matched.bearings))
-        yield pair, _Candidate(verified, matched, way)
+        distinct = repeat_no_earlier(*matched.bearings)
+        bearings = matched.some(distinct).bearings
+        way = max(ways, key=lambda each: each.num_agreeing(*bearings))
+        yield pair, _Candidate(verified, matched, distinct, way)
 
 
 def _verified(
@@ -123,7 +137,7 @@ def _if_agrees(result: VerifiedPair, candidate: _Candidate, chosen: Mask) -> Ver
     verdict = result.verdict
     if verdict.accepted:
         pose = verdict.cam2_from_cam1
-    elif awaits_confirmation(verdict) and not candidate.way.is_chance(*candidate.matched.bearings):
+    elif awaits_confirmation(verdict) and not candidate.is_chance:
         pose = verdict.doubted
     else:
         return None
