@@ -50,7 +50,8 @@ def test_what_passes_on_one_side_speaks_against_no_pose():
     before, after = np.concatenate([still, vehicle]), np.concatenate([still, vehicle + [2, 0, 0]])
     inlier_mask = np.arange(len(before)) < NUM_RIGHT
     votes = votes_on(unit(before), unit(after @ TURN.T + STEP.translation), inlier_mask)
-    assert votes.num_other > 50 and votes.on_one_side and not votes.are_for_another(0.1)
+    assert votes.num_other > 50 and votes.on_one_side
+    assert which_repeat([votes] * 5) == [False] * 5
     assert not votes_on(*matches(40)).on_one_side
 
 
@@ -100,4 +101,6 @@ def test_where_many_pairs_repeat_less_is_enough():
     assert which_repeat([clear, some, none]) == [True, False, False]
     assert which_repeat([clear] * 3 + [some, none]) == [True] * 3 + [True, False]
     assert which_repeat([clear] * 3 + [some] + [none] * 20) == [True] * 3 + [False] * 21
+    on_one_side = some._replace(on_one_side=True)
+    assert which_repeat([clear] * 3 + [on_one_side]) == [True] * 4
     assert which_repeat([]) == []

@@ -72,15 +72,16 @@ class DirectionVotes(NamedTuple):
     def are_for_another(self, share: float) -> bool:
         """Whether many are for the other direction, at least this share of those for the first."""
         least = max(_FEWEST, _OF_THOSE_LEFT * self.num_left, share * self.num_own)
-        return self.num_other >= least and not self.on_one_side
+        return self.num_other >= least
 
 
 def which_repeat(votes: Sequence[DirectionVotes]) -> list[bool]:
     """Which pairs of a folder show a part of the place that repeats itself.
 
-    Where many clearly do, of those that have matches left, so do others of which less is left.
+    Where many clearly do, of those that have matches left, so do others of which less is left, also
+    on one side: no vehicle is in the way of as many.
     """
-    clear = [each.are_for_another(_MANY) for each in votes]
+    clear = [each.are_for_another(_MANY) and not each.on_one_side for each in votes]
     num_asked = sum(each.num_left > 0 for each in votes)
     if sum(clear) < max(_OFTEN_PAIRS, _OFTEN * num_asked):
         return clear
