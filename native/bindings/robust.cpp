@@ -24,7 +24,7 @@ struct Pair {
   std::optional<Vector3> gravity1, gravity2;
   double gravity_sigma, elevation_sigma;
   std::uint64_t seed;
-  double max_noise;
+  double min_noise, max_noise;
 
   PairInput input() const {
     const std::size_t n = bearings1.shape(0);
@@ -45,6 +45,7 @@ struct Pair {
                           gravity_sigma,
                           elevation_sigma,
                           seed,
+                          min_noise,
                           max_noise};
     if (!is_long_enough) throw nb::value_error("all arrays of a pair must have the same length");
     return input;
@@ -155,16 +156,16 @@ void bind_robust(nb::module_& m) {
          std::optional<Weights> scores, std::optional<Jacobians> jacobians1,
          std::optional<Jacobians> jacobians2, std::optional<Vector3> gravity1,
          std::optional<Vector3> gravity2, double gravity_sigma, double elevation_sigma,
-         std::uint64_t seed, double max_noise) {
-        new (pair)
-            Pair{bearings1, bearings2, weights,       scores,          jacobians1, jacobians2,
-                 gravity1,  gravity2,  gravity_sigma, elevation_sigma, seed,       max_noise};
+         std::uint64_t seed, double min_noise, double max_noise) {
+        new (pair) Pair{bearings1,  bearings2, weights,  scores,        jacobians1,
+                        jacobians2, gravity1,  gravity2, gravity_sigma, elevation_sigma,
+                        seed,       min_noise, max_noise};
       },
       "bearings1"_a, "bearings2"_a, nb::kw_only(), "weights"_a.none() = nb::none(),
       "scores"_a.none() = nb::none(), "jacobians1"_a.none() = nb::none(),
       "jacobians2"_a.none() = nb::none(), "gravity1"_a.none() = nb::none(),
       "gravity2"_a.none() = nb::none(), "gravity_sigma"_a = 0.0, "elevation_sigma"_a = 0.0,
-      "seed"_a = 0, "max_noise"_a = 0.0);
+      "seed"_a = 0, "min_noise"_a = 0.0, "max_noise"_a = 0.0);
   m.def("estimate_relative_poses", &estimate, "pairs"_a, nb::kw_only(), "residual"_a, "threshold"_a,
         "threshold_in_pixels"_a, "sample_size"_a, "min_iterations"_a, "max_iterations"_a,
         "confidence"_a, "min_num_inliers"_a, "shared_error"_a, "num_threads"_a);

@@ -113,7 +113,8 @@ class Pair:
         gravity_sigma: float = 0.0,  # radians, as is the next; 0 is any elevation
         elevation_sigma: float = 0.0,
         seed: int = 0,
-        max_noise: float = 0.0,  # radians; 0 is no limit
+        min_noise: float = 0.0,  # radians, as is the next; 0 is no limit
+        max_noise: float = 0.0,
     ) -> None: ...
 
 class Explanations:

@@ -22,7 +22,7 @@ from epi360.estimation import (
 from epi360.estimation.angle_search import Bearings
 from epi360.estimation.calibration_doubt import Doubted, with_calibration_doubt
 from epi360.estimation.image_matches import IMAGE_OPTIONS as IMAGE_OPTIONS
-from epi360.estimation.image_matches import MAX_NOISE_PX
+from epi360.estimation.image_matches import noise_of_keypoints
 from epi360.estimation.lens_beside_panorama import with_focal_uncertainty
 from epi360.estimation.options import check_threshold
 from epi360.estimation.seen_through import without_what_is_seen_through
@@ -160,7 +160,7 @@ def relative_pose_of_images(
     with ThreadPoolExecutor(2) as pool:
         panorama1, panorama2 = pool.map(_View.panorama, seen)
     cameras, panoramas = (camera1, camera2), (panorama1, panorama2)
-    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras))
+    again = partial(estimate, **noise_of_keypoints(smallest_pixel_deg(cameras)))
     return with_rival_pose(look_around(best, cameras, panoramas), cameras, panoramas, again)
 
 
@@ -201,7 +201,7 @@ def _estimated(
     result = estimate(
         cameras[0].bearings_from_pixels(keypoints1),
         cameras[1].bearings_from_pixels(keypoints2),
-        max_noise_deg=MAX_NOISE_PX * smallest_pixel_deg(cameras),
+        **noise_of_keypoints(smallest_pixel_deg(cameras)),
     )
     return _with_keypoints(result, keypoints1, keypoints2, cameras)
 
@@ -221,7 +221,7 @@ def asked_again(
     have noise in pixels.
     """
     pixel_deg = smallest_pixel_deg(cameras)
-    again = partial(estimate, max_noise_deg=MAX_NOISE_PX * pixel_deg)
+    again = partial(estimate, **noise_of_keypoints(pixel_deg))
     grounded = with_ground_motion(result, bearings, cameras, again)
     seen = without_what_is_seen_through(grounded, bearings, again)
     told = with_calibration_doubt(seen, bearings, cameras, again)

@@ -13,6 +13,7 @@
 
 #include "core/constants.h"
 #include "core/robust/copies.h"
+#include "core/robust/derivative_noise.h"
 #include "core/robust/grid_noise.h"
 
 namespace epi360 {
@@ -213,11 +214,13 @@ PairResult estimate_pair(const PairInput& input, const RobustOptions& options) {
     priors.pose.elevation_sigma = input.elevation_sigma;
   }
   priors.max_noise = input.max_noise;
+  const double per_residual = noise_per_residual(options.residual);
+  usable.m.least_scale = std::max(usable.m.least_scale, input.min_noise / per_residual);
   RobustResult& r = out.robust;
   const RowCounts rows{input.n, num_copies};
   r = estimate_relative_pose(usable.m, scaled, priors, input.seed, rows);
   const double least = least_scale_of_grid(usable.m, options.residual, r);
-  if (least > 0.0) {
+  if (least > usable.m.least_scale) {
     usable.m.least_scale = least;
     r = estimate_relative_pose(usable.m, scaled, priors, input.seed, rows);
   }

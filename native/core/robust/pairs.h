@@ -24,6 +24,8 @@ struct PairInput {
   const double* gravity2 = nullptr;
   double gravity_sigma = 0.0, elevation_sigma = 0.0;  // radians, see PosePrior
   std::uint64_t seed = 0;
+  // Radians: the bearings are no better than this, however well some agree; 0 is no limit.
+  double min_noise = 0.0;
   double max_noise = 0.0;  // see MatchPriors
 };
 

@@ -185,26 +185,48 @@ def direction_of_each(
     return each
 
 
-def checked_noise(max_noise_deg: float | None) -> float:
-    """Return a limit in radians, 0 for none."""
-    if max_noise_deg is None:
+def checked_noise(noise_deg: float | None, name: str = "max_noise_deg") -> float:
+    """Return a limit in radians, 0 for none; ``name`` is that of the argument."""
+    if noise_deg is None:
         return 0.0
-    degrees = number_or_nan(max_noise_deg)
+    degrees = number_or_nan(noise_deg)
     if not (np.isfinite(degrees) and degrees > 0.0):
-        raise ValueError(f"max_noise_deg must be a positive number or None, got {max_noise_deg!r}")
+        raise ValueError(f"{name} must be a positive number or None, got {noise_deg!r}")
     return float(np.radians(degrees))
 
 
-def noise_limits(max_noise_deg: float | Sequence[float] | None, num_pairs: int) -> list[float]:
-    """Return the limit of each pair in radians, 0 for none."""
-    if max_noise_deg is None or not _is_one_for_each(max_noise_deg):
-        return [checked_noise(max_noise_deg)] * num_pairs  # type: ignore[arg-type]
-    assert not isinstance(max_noise_deg, float)
-    if len(max_noise_deg) != num_pairs:
+def checked_noises(min_noise_deg: float | None, max_noise_deg: float | None) -> tuple[float, float]:
+    """Return both limits in radians, 0 for none."""
+    least = checked_noise(min_noise_deg, "min_noise_deg")
+    most = checked_noise(max_noise_deg, "max_noise_deg")
+    if 0.0 < most <= least:
         raise ValueError(
-            f"max_noise_deg must be one for each of {num_pairs} pairs, got {len(max_noise_deg)}"
+            f"min_noise_deg must be smaller than max_noise_deg, got {min_noise_deg} and "
+            f"{max_noise_deg}"
         )
-    return [checked_noise(each) for each in max_noise_deg]
+    return least, most
+
+
+def noise_limits(
+    min_noise_deg: float | Sequence[float] | None,
+    max_noise_deg: float | Sequence[float] | None,
+    num_pairs: int,
+) -> list[tuple[float, float]]:
+    """Return both limits of each pair in radians, 0 for none."""
+    least = _noise_of_each(min_noise_deg, num_pairs, "min_noise_deg")
+    most = _noise_of_each(max_noise_deg, num_pairs, "max_noise_deg")
+    return list(map(checked_noises, least, most))
+
+
+def _noise_of_each(
+    noise_deg: float | Sequence[float] | None, num_pairs: int, name: str
+) -> list[float | None]:
+    if noise_deg is None or not _is_one_for_each(noise_deg):
+        return [noise_deg] * num_pairs  # type: ignore[list-item]
+    assert not isinstance(noise_deg, float)
+    if len(noise_deg) != num_pairs:
+        raise ValueError(f"{name} must be one for each of {num_pairs} pairs, got {len(noise_deg)}")
+    return list(noise_deg)
 
 
 def thread_count(num_threads: int | None) -> int:

@@ -34,6 +34,7 @@ def native_pair(
     gravity_sigma: float = 0.0,
     elevation_sigma: float = 0.0,
     seed: int = 0,
+    min_noise: float = 0.0,
     max_noise: float = 0.0,
 ) -> _core.Pair:
     """Return the arrays of one pair as the core takes them, or name what is wrong."""
@@ -60,6 +61,7 @@ def native_pair(
         gravity_sigma=gravity_sigma,
         elevation_sigma=elevation_sigma,
         seed=seed % 2**64,
+        min_noise=min_noise,
         max_noise=max_noise,
     )
 

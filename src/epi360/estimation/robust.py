@@ -15,7 +15,7 @@ from epi360.estimation.options import (
     Threshold,
     check_threshold,
     checked_integer,
-    checked_noise,
+    checked_noises,
     checked_pixels,
     direction_of_each,
     noise_limits,
@@ -44,6 +44,7 @@ def estimate_relative_pose(
     gravity2: ArrayLike | None = None,
     gravity_sigma_deg: float = 1.0,
     elevation_sigma_deg: float | None = None,
+    min_noise_deg: float | None = None,
     max_noise_deg: float | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int = 0,
@@ -79,6 +80,9 @@ def estimate_relative_pose(
     elevation_sigma_deg : float, optional
         Standard deviation of the translation's angle over the horizon, where the cameras are known
         to have moved at one height, as on a tripod; needs gravity.
+    min_noise_deg : float, optional
+        What the noise of the bearings (one sigma) is at least. Key points of pictures are no better
+        than a twentieth of a pixel; the few that agree much better with a pose do so by chance.
     max_noise_deg : float, optional
         Noise of the bearings (one sigma) from which on an "ok" result carries a warning; its
         probability falls, and from three times as much on it is refused (``too_few_inliers``). The
@@ -114,6 +118,7 @@ def estimate_relative_pose(
     if uses_pixels and (jacobians1 is None or jacobians2 is None):
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
+    noises = checked_noises(min_noise_deg, max_noise_deg)
     pair = native_pair(
         bearings1,
         bearings2,
@@ -125,7 +130,8 @@ def estimate_relative_pose(
         gravity_sigma=sigmas[0],
         elevation_sigma=sigmas[1],
         seed=checked_integer(seed, "seed"),
-        max_noise=checked_noise(max_noise_deg),
+        min_noise=noises[0],
+        max_noise=noises[1],
     )
     threshold = inlier_threshold_deg, inlier_threshold_px
     (answer,) = _estimate([pair], *threshold, residual, options, 1)
@@ -146,6 +152,7 @@ def estimate_relative_poses(
     gravity2: Sequence[ArrayLike | None] | ArrayLike | None = None,
     gravity_sigma_deg: float = 1.0,
     elevation_sigma_deg: float | None = None,
+    min_noise_deg: float | Sequence[float] | None = None,
     max_noise_deg: float | Sequence[float] | None = None,
     options: RansacOptions = RansacOptions(),  # noqa: B008 - frozen
     seed: int | Sequence[int] = 0,
@@ -175,7 +182,7 @@ def estimate_relative_poses(
         Standard deviation of the directions of gravity, per axis and view.
     elevation_sigma_deg : float, optional
         As in `estimate_relative_pose`.
-    max_noise_deg : float or sequence of float, optional
+    min_noise_deg, max_noise_deg : float or sequence of float, optional
         One for all pairs, or one for each.
     options : RansacOptions
         How the sampling runs.
@@ -213,7 +220,7 @@ def estimate_relative_poses(
             bearings1, bearings2, offsets, match_scores, weights
         )
     seeds = seed_of_each(seed, len(pairs))
-    limits = noise_limits(max_noise_deg, len(pairs))
+    limits = noise_limits(min_noise_deg, max_noise_deg, len(pairs))
     gravity1_of = direction_of_each(gravity1, len(pairs), "gravity1")
     gravity2_of = direction_of_each(gravity2, len(pairs), "gravity2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
@@ -231,7 +238,8 @@ def estimate_relative_poses(
                     gravity_sigma=sigmas[0],
                     elevation_sigma=sigmas[1],
                     seed=seeds[k],
-                    max_noise=limits[k],
+                    min_noise=limits[k][0],
+                    max_noise=limits[k][1],
                 )
             )
         except (TypeError, ValueError) as error:
