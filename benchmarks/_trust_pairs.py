@@ -45,6 +45,7 @@ RATIOS = (0.95, 0.9, 0.8)
 LEARNED_WIDTH = 2048  # of the panoramas that the learned features were found in
 DOWN = np.array([0.0, 1.0, 0.0])
 TruthOf = Callable[[str, str], Pose]
+MADE = ("pairs", "level-*", "some-*", "implied")  # folders of estimates in an output of `match`
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,8 @@ def _folder_verdicts(
 ) -> Iterator[Judged]:
     """Verdicts of `match_images` on all pairs of a folder, and of COLMAP on the same matches."""
     output = plan.out / "match" / name
-    for part in (output / "pairs", *output.glob("level-*")):  # key points may stay
+    made = (name for kept in MADE for name in output.glob(kept))  # key points may stay
+    for part in made:
         shutil.rmtree(part, ignore_errors=True)
     run = match_images(
         images_of(folder, camera),

@@ -9,7 +9,7 @@ from epi360.estimation.options import RansacOptions
 # about two pixels.
 MAX_NOISE_PX = 1.5
 # No key points are better than that: of 513 rendered pairs in homes, whose pictures have no noise
-# at all, those with less had it by chance, from a dozen matches.
+# at all, five had less, four of these by chance, from 15 inliers and fewer.
 MIN_NOISE_PX = 0.05
 # Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
 # costs nothing, and real matches have near misses that a few more samples see through.
