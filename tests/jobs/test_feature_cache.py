@@ -160,3 +160,15 @@ def test_a_raw_dual_fisheye_frame_is_not_taken_for_a_panorama(cache, tmp_path):
     write_png(tmp_path / "raw.png", frame)
     with pytest.raises(UnreadableImageError, match="dual fisheye"):
         cache.extract("k", SourceImage("raw.png", tmp_path / "raw.png", "c"), CAMERA)
+
+
+def test_a_photograph_in_the_shape_of_a_panorama_is_taken_for_one_only_if_that_is_stated(
+    cache, tmp_path
+):
+    rng = np.random.default_rng(0)
+    photograph = cv2.resize(rng.integers(0, 255, (16, 32, 3)).astype(np.uint8), SIZES[0])
+    write_png(tmp_path / "a.png", photograph)
+    image = SourceImage("a.png", tmp_path / "a.png", "c")
+    with pytest.raises(UnreadableImageError, match="left and right ends"):
+        cache.extract("k", image, CAMERA)
+    assert len(cache.extract("k", dataclasses.replace(image, is_stated=True), CAMERA).pixels)

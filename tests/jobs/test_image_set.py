@@ -214,6 +214,16 @@ def test_gpano_metadata_give_camera_and_gravity(folder):
     assert [image.camera[14:] for image in images.images] == [" part 1", " part 2", " part 1", ""]
 
 
+def test_what_an_image_is_may_be_stated_by_itself_or_by_a_calibration(folder, tmp_path):
+    packet = gpano_packet(Equirectangular(64, 32))
+    add(folder, "a.jpg")
+    add(folder, "b.jpg", content=with_gpano(encoded(), packet))
+    assert [image.is_stated for image in find_images(folder).images] == [False, True]
+    panorama = {"model": "Equirectangular", "width": 64, "height": 32}
+    given = write_cameras(tmp_path / "cameras.json", theta=panorama)
+    assert all(image.is_stated for image in find_images(folder, camera=given).images)
+
+
 def test_gpano_metadata_say_nothing_of_an_image_that_is_no_panorama(folder, tmp_path):
     content = with_gpano(encoded(".jpg", 40, 30), gpano_packet(Equirectangular(80, 40), roll_deg=5))
     add(folder, "view.jpg", content=content)

@@ -289,7 +289,8 @@ def require_panorama(
     if not is_stated and looks_like_two_eyes(image):
         raise ValueError(
             f"{name} shows the same twice, side by side, as the two eyes of VR180 do; cut one half "
-            "out, and give its camera, Equirectangular with horizontal_fov_deg 180"
+            "out, and give its camera, Equirectangular with horizontal_fov_deg 180; if it is a "
+            "panorama of a place that looks the same in front and behind, give its camera"
         )
 
 

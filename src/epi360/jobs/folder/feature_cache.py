@@ -11,7 +11,6 @@ import numpy as np
 from epi360.cameras import Camera, Equirectangular
 from epi360.features import require_panorama
 from epi360.features.detection import FAINT_CONTRAST_THRESHOLD, SiftKeypoints, find_keypoints
-from epi360.features.image_cameras import gpano_of
 from epi360.features.images import read_masked_image
 from epi360.jobs.folder.image_set import SourceImage
 from epi360.runs.arrays import Arrays, npz_bytes, read_arrays
@@ -84,7 +83,7 @@ class FeatureCache:
         try:
             picture, usable = read_masked_image(image.path, image.mask)
             if camera == Equirectangular(camera.width, camera.height):
-                require_panorama(picture, is_stated=gpano_of(image.path) is not None)
+                require_panorama(picture, is_stated=image.is_stated)
             found = find_keypoints(
                 picture,
                 camera,

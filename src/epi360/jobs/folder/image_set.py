@@ -39,6 +39,7 @@ class SourceImage:
     mask: Path | None = None  # white = use; its content is checked when it is read
     frame: str | None = None  # images of a rig that share it were taken at one moment
     down: NDArray[np.float64] | None = None  # gravity in the camera frame, if the file states it
+    is_stated: bool = False  # the file (GPano), or a calibration that was given, says what it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +186,8 @@ def _source_image(name: str, path: Path, chosen: _Cameras, masks: MaskSource) ->
     if wrong:
         raise _Unusable(wrong)
     down = None if gpano is None else gpano.down
-    return SourceImage(name, path, camera, mask, frame, down)
+    is_stated = gpano is not None or isinstance(chosen, _FileCameras)
+    return SourceImage(name, path, camera, mask, frame, down, is_stated)
 
 
 def _size_and_gpano(path: Path) -> tuple[tuple[int, int], GPano | None]:
