@@ -234,16 +234,17 @@ void bind_internals(nb::module_& module) {
       "bearings1"_a, "bearings2"_a, "gate"_a, "seed"_a);
   m.def(
       "test_rotation",
-      [](Bearings b1, Bearings b2, Mask inlier, double scale, double gate, double independent,
-         double hidden) {
+      [](Bearings b1, Bearings b2, Mask inlier, const Matrix3& rotation, double scale, double gate,
+         double independent, double hidden) {
         if (inlier.shape(0) != b1.shape(0)) throw nb::value_error("one flag for each match");
         const std::vector<unsigned char> chosen(inlier.data(), inlier.data() + inlier.shape(0));
-        const RotationTest test =
-            test_rotation(to_matches(b1, b2), chosen, scale, gate, {independent, hidden});
+        const RotationTest test = test_rotation(to_matches(b1, b2), chosen, to_matrix(rotation),
+                                                scale, gate, {independent, hidden});
         return nb::make_tuple(test.by_median, test.by_displaced, test.num_displaced,
                               test.all_around);
       },
-      "bearings1"_a, "bearings2"_a, "inlier"_a, "scale"_a, "gate"_a, "independent"_a, "hidden"_a);
+      "bearings1"_a, "bearings2"_a, "inlier"_a, "rotation"_a, "scale"_a, "gate"_a, "independent"_a,
+      "hidden"_a);
 }
 
 }  // namespace epi360

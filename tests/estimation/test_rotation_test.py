@@ -81,7 +81,13 @@ def judged(seed, near_share=0.2, side=None, **changes):
     b1, b2, turn = far_and_near(seed, near_share, num=150, wrong=40, side=side)
     pose = epi360.Pose(turn, -turn @ STEP_M)
     inliers = np.abs(pose_residuals(pose, b1, b2)) < 4.0 * NOISE_RAD
-    given = {"scale": NOISE_RAD, "gate": 4.0 * NOISE_RAD, "independent": 1.0, "hidden": 0.0}
+    given = {
+        "rotation": turn,
+        "scale": NOISE_RAD,
+        "gate": 4.0 * NOISE_RAD,
+        "independent": 1.0,
+        "hidden": 0.0,
+    }
     given |= changes
     return (
         internals.test_rotation(b1, b2, inliers, *given.values()),

@@ -53,8 +53,8 @@ UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
         ({"num_distinct": 14, "min_num_inliers": 15}, "too_few_inliers"),
         # A rotation alone
         (ROTATION, "pure_rotation"),
-        (ROTATION | {"rotation_support": 29}, "ok"),
-        (ROTATION | {"rotation_support": 30}, "pure_rotation"),
+        (ROTATION | {"rotation_support": 23}, "ok"),
+        (ROTATION | {"rotation_support": 24}, "pure_rotation"),
         (ROTATION | {"rotation_log10_false_alarms": -2.0}, "ok"),
         (ROTATION | {"log10_false_alarms": 5.0}, "pure_rotation"),
         (ROTATION | {"rotation_rejection": 3.9}, "pure_rotation"),

@@ -276,8 +276,8 @@ class Estimate {
     result_.parallax = evidence.parallax;
     if (has_hardly_any_parallax(evidence) && rotation.support == 0) find_rotation();
     if (rotation_explains(evidence)) {
-      const RotationTest test =
-          test_rotation(m_, result_.inlier, uncertainty.scale, gate, shared_errors(uncertainty));
+      const RotationTest test = test_rotation(m_, result_.inlier, rotation.R, uncertainty.scale,
+                                              gate, shared_errors(uncertainty));
       evidence.rotation_rejection = test.by_median;
       if (test.all_around) {
         evidence.rotation_rejection = std::max(test.by_median, test.by_displaced);

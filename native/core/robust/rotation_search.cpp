@@ -15,7 +15,7 @@
 namespace epi360 {
 namespace {
 
-constexpr double kRotationNear = 0.4;  // of the inliers, near a rotation: worth a search
+constexpr double kRotationNear = 0.35;  // of the inliers, near a rotation: worth a search
 
 }  // namespace
 

@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "core/robust/rotation_test.h"
 
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "core/bearings.h"
@@ -24,39 +27,41 @@ constexpr double kDirectionUnknowns = 2.0;  // of a translation
 // Share of them outside any hemisphere, counted on so many: one always holds four of five.
 constexpr double kOutsideHemisphere = 0.1;
 constexpr std::size_t kMostAround = 64, kFewestDisplaced = 6;
+// The other inliers surround the camera if they do not fit into a hemisphere either, nor lie near
+// to one plane through it, as what is seen at the horizon does: mean square of the sines.
+constexpr double kLeastSpread = 0.08;
 
 // Residuals of all matches under the rotation that fits the inliers best, near misses left aside
-// (Geman-McClure); none if fewer than three matches are inliers.
+// (Geman-McClure), from that which explains most matches on; none if fewer than three matches are
+// inliers.
 std::vector<double> residuals_without_translation(const Matches& m,
                                                   const std::vector<unsigned char>& inlier,
-                                                  double sigma) {
-  std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
+                                                  const Eigen::Matrix3d& start, double sigma) {
   double count = 0.0;
-  for (std::size_t i = 0; i < m.size; ++i) {
-    weights[i] = inlier[i] ? m.weight[i] : 0.0;
-    count += weights[i];
-  }
+  for (std::size_t i = 0; i < m.size; ++i) count += inlier[i] ? m.weight[i] : 0.0;
   if (count < 3.0) return {};
+  std::vector<double> weights(m.padded, 0.0), residuals(m.padded);
+  Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = start;
+  compute_rotation_residuals(m, R.data(), residuals.data());
   for (int round = 0; round < kAlignments; ++round) {
-    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> R = align_rotations(m, weights.data());
-    compute_rotation_residuals(m, R.data(), residuals.data());
     for (std::size_t i = 0; i < m.size; ++i) {
       if (!inlier[i]) continue;
       const double ratio = 1.0 + residuals[i] * residuals[i] / (kMostSquares * sigma * sigma);
       weights[i] = m.weight[i] / (ratio * ratio);
     }
+    R = align_rotations(m, weights.data());
+    compute_rotation_residuals(m, R.data(), residuals.data());
   }
   return residuals;
 }
 
-// Standard deviations by which the median angle of the inliers exceeds what noise makes of it.
-double rejection_by_median(const Matches& m, const std::vector<unsigned char>& inlier,
+// Standard deviations by which the median angle of some inliers exceeds what noise makes of it.
+double rejection_by_median(const Matches& m, const std::vector<std::size_t>& some,
                            const std::vector<double>& residuals, double sigma,
                            const NeighbourErrors& errors) {
   double count = 0.0;
   std::vector<std::pair<double, double>> angles;  // and their weights
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (!inlier[i]) continue;
+  for (const std::size_t i : some) {
     angles.emplace_back(residuals[i], m.weight[i]);
     count += m.weight[i];
   }
@@ -76,6 +81,7 @@ double rejection_by_median(const Matches& m, const std::vector<unsigned char>& i
 // until it goes through two of them.
 double share_outside_hemisphere(const std::vector<Eigen::Vector3d>& bearings) {
   const std::size_t n = bearings.size();
+  if (n < 2) return 0.0;
   std::size_t most = 0;
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t j = i + 1; j < n; ++j) {
@@ -106,40 +112,65 @@ bool are_all_around(const Matches& m, const std::vector<std::size_t>& chosen) {
   return true;
 }
 
-void test_displaced(const Matches& m, const std::vector<unsigned char>& inlier,
-                    const std::vector<double>& residuals, double gate,
-                    const NeighbourErrors& errors, RotationTest& test) {
-  const double least = kDisplaced * gate * std::sqrt(1.0 + 2.0 * errors.hidden);
+// Whether matches lie around the camera in both views, and above, below and beside it as well.
+bool surround(const Matches& m, const std::vector<std::size_t>& chosen) {
+  for (const auto view : {view1, view2}) {
+    Eigen::Matrix3d moments = Eigen::Matrix3d::Zero();
+    for (const std::size_t i : chosen) moments += view(m, i) * view(m, i).transpose();
+    moments /= std::max(static_cast<double>(chosen.size()), 1.0);
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(moments, Eigen::EigenvaluesOnly);
+    if (!(solver.eigenvalues()[0] > kLeastSpread)) return false;
+  }
+  return are_all_around(m, chosen);
+}
+
+// Standard deviations by which displaced inliers, `along`, lie on the epipolar curves more often
+// than displacements in any direction; none where too few of what is displaced lies on them.
+std::optional<double> rejection_by_displaced(const Matches& m,
+                                             const std::vector<unsigned char>& inlier,
+                                             const std::vector<double>& residuals, double gate,
+                                             double least, const NeighbourErrors& errors) {
   const std::vector<double> votes = region_weights(m);
   double displaced = 0.0, agreeing = 0.0, expected = kDirectionUnknowns, variance = 0.0;
-  std::vector<std::size_t> along;
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (!(residuals[i] > least)) continue;
-    if (inlier[i]) along.push_back(i);
-    if (!(residuals[i] < kNearRotation)) continue;
+    if (!(residuals[i] > least && residuals[i] < kNearRotation)) continue;
     const double by_chance = std::asin(std::min(gate / residuals[i], 1.0)) / kPi;
     displaced += votes[i];
     agreeing += votes[i] * inlier[i];
     expected += votes[i] * by_chance;
     variance += votes[i] * by_chance * (1.0 - by_chance);
   }
-  if (along.size() < kFewestDisplaced || agreeing < kMostlyAlong * displaced) return;
-  test.num_displaced = static_cast<int>(along.size());
-  test.by_displaced =
-      (agreeing - expected) * std::sqrt(errors.independent / std::max(variance, 1.0));
-  test.all_around = are_all_around(m, along);
+  if (agreeing < kMostlyAlong * displaced) return std::nullopt;
+  return (agreeing - expected) * std::sqrt(errors.independent / std::max(variance, 1.0));
 }
 
 }  // namespace
 
-RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                           double gate, const NeighbourErrors& errors) {
+RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier,
+                           const Eigen::Matrix3d& rotation, double scale, double gate,
+                           const NeighbourErrors& errors) {
   const double sigma = std::max(scale, m.least_scale);
-  const std::vector<double> residuals = residuals_without_translation(m, inlier, sigma);
+  const std::vector<double> residuals = residuals_without_translation(m, inlier, rotation, sigma);
   RotationTest test;
   if (residuals.empty()) return test;
-  test.by_median = rejection_by_median(m, inlier, residuals, sigma, errors);
-  test_displaced(m, inlier, residuals, gate, errors, test);
+  const double least = kDisplaced * gate * std::sqrt(1.0 + 2.0 * errors.hidden);
+  std::vector<std::size_t> all, displaced, still;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!inlier[i]) continue;
+    all.push_back(i);
+    (residuals[i] > least ? displaced : still).push_back(i);
+  }
+  bool passes = false;
+  if (displaced.size() >= kFewestDisplaced) {
+    const bool all_around = are_all_around(m, displaced);
+    passes = !all_around && surround(m, still);
+    if (const auto found = rejection_by_displaced(m, inlier, residuals, gate, least, errors)) {
+      test.num_displaced = static_cast<int>(displaced.size());
+      test.by_displaced = *found;
+      test.all_around = all_around;
+    }
+  }
+  test.by_median = rejection_by_median(m, passes ? still : all, residuals, sigma, errors);
   return test;
 }
 

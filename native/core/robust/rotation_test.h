@@ -2,6 +2,7 @@
 // Whether matches that agree on a pose with translation reject that the camera only turned.
 #pragma once
 
+#include <Eigen/Core>
 #include <vector>
 
 #include "core/matches.h"
@@ -18,7 +19,9 @@ struct NeighbourErrors {
 struct RotationTest {
   // The median angle of the inliers under the rotation that fits them best, against what noise of
   // their scale makes of it. The median does not see the near misses of real matches, nor the wrong
-  // ones that passed the gate; nor what is near, where most is far away.
+  // ones that passed the gate; nor what is near, where most is far away. What is displaced on one
+  // side has no say where all the others surround the camera, also above and below it: the floor
+  // would be displaced, too.
   double by_median = 0.0;
   // That shows in the inliers that the rotation leaves displaced: how many they are, and how many
   // more of such matches lie along the epipolar curves than displacements in any direction would.
@@ -29,8 +32,10 @@ struct RotationTest {
   bool all_around = false;
 };
 
-// `scale` is the standard deviation of the residuals of the inliers, `gate` their largest.
-RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier, double scale,
-                           double gate, const NeighbourErrors& errors);
+// `rotation` is the one that explains most matches, `scale` the standard deviation of the residuals
+// of the inliers, `gate` their largest.
+RotationTest test_rotation(const Matches& m, const std::vector<unsigned char>& inlier,
+                           const Eigen::Matrix3d& rotation, double scale, double gate,
+                           const NeighbourErrors& errors);
 
 }  // namespace epi360

@@ -17,7 +17,7 @@ const double kAcceptedLogOdds = std::log(kAccepted / (1.0 - kAccepted));
 // Error rates of the tests, at which what they test is as probable as kAccepted says.
 constexpr double kFalseAlarms = -3.0;    // log10: poses with so many inliers that chance makes
 constexpr double kLargestChance = 0.6;   // of a wrong match inside the gate: then it tells nothing
-constexpr double kRotationMostly = 0.5;  // of the inliers: it may explain them
+constexpr double kRotationMostly = 0.4;  // of the inliers: it may explain them
 // Standard deviations: once in 30,000 true rotations are rejected if noise is Gaussian, and once in
 // 700 true planes.
 constexpr double kRotationRejected = 4.0, kPlaneRejected = 3.0;

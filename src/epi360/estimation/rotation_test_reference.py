@@ -24,6 +24,8 @@ RAYLEIGH_MEDIAN, RAYLEIGH_MEDIAN_ERROR = 1.17741, 0.84932
 DISPLACED, NEAR_ROTATION_RAD, MOSTLY_ALONG = 2.0, np.radians(10.0), 0.6
 DIRECTION_UNKNOWNS = 2.0
 OUTSIDE_HEMISPHERE, FEWEST_DISPLACED = 0.1, 6
+LEAST_SPREAD = 0.08
+MOST_AROUND = 64
 
 
 class RotationTest(NamedTuple):
@@ -43,6 +45,7 @@ def rotation_test_reference(
     bearings2: Array,
     inliers: Mask,
     *,
+    rotation: Array,
     scale: float,
     gate: float,
     independent: float = 1.0,
@@ -50,19 +53,24 @@ def rotation_test_reference(
 ) -> RotationTest:
     """Return how far matches (N, 3) reject the rotation alone, ``inliers`` (N,) being of a pose.
 
-    ``scale`` is the standard deviation of their residuals and ``gate`` the largest of these, in
+    ``rotation`` (3, 3) is the one that explains most matches, ``scale`` the standard deviation of
+    the residuals of the inliers and ``gate`` the largest of these, in
     radians. The errors of a share ``independent`` of them are independent, and the pose has fitted
     ``hidden`` times the variance of one away.
     """
-    residuals = _without_translation(bearings1, bearings2, inliers, scale)
+    residuals = _without_translation(bearings1, bearings2, inliers, rotation, scale)
+    displaced = residuals > DISPLACED * gate * np.sqrt(1.0 + 2.0 * hidden)
+    along, still = displaced & inliers, inliers & ~displaced
+    views = bearings1, bearings2
+    all_around = _are_all_around(views, along)
+    passes = along.sum() >= FEWEST_DISPLACED and not all_around and _surround(views, still)
+    some = still if passes else inliers
     error = np.hypot(RAYLEIGH_MEDIAN_ERROR, RAYLEIGH_MEDIAN / np.sqrt(2.0))
-    ordered = np.sort(residuals[inliers])
+    ordered = np.sort(residuals[some])
     median = ordered[len(ordered) // 2]
     by_median = median / scale - RAYLEIGH_MEDIAN * np.sqrt(1.0 + hidden)
-    by_median *= np.sqrt(independent * inliers.sum()) / error
+    by_median *= np.sqrt(independent * some.sum()) / error
 
-    displaced = residuals > DISPLACED * gate * np.sqrt(1.0 + 2.0 * hidden)
-    along = displaced & inliers
     near = displaced & (residuals < NEAR_ROTATION_RAD)
     votes = region_votes(bearings1, bearings2) * near
     agreeing = votes @ inliers
@@ -73,13 +81,29 @@ def rotation_test_reference(
     more = agreeing - votes @ by_chance - DIRECTION_UNKNOWNS
     variance = votes @ (by_chance * (1.0 - by_chance))
     by_displaced = more * np.sqrt(independent / max(variance, 1.0))
-    outside = [share_outside_hemisphere(b[along]) for b in (bearings1, bearings2)]
-    all_around = bool(min(outside) >= OUTSIDE_HEMISPHERE)
     return RotationTest(float(by_median), float(by_displaced), int(along.sum()), all_around)
+
+
+def _are_all_around(views: tuple[Array, Array], chosen: Mask) -> bool:
+    """Whether chosen matches fit into no hemisphere, by as many as the core looks at."""
+    rows = np.flatnonzero(chosen)
+    count = min(len(rows), MOST_AROUND)
+    some = rows[np.arange(count) * len(rows) // max(count, 1)]
+    outside = [share_outside_hemisphere(view[some]) for view in views]
+    return bool(min(outside) >= OUTSIDE_HEMISPHERE)
+
+
+def _surround(views: tuple[Array, Array], chosen: Mask) -> bool:
+    """Whether chosen matches also lie near to no plane through the camera."""
+    moments = [view[chosen].T @ view[chosen] / max(chosen.sum(), 1) for view in views]
+    spread = min(np.linalg.eigvalsh(each)[0] for each in moments)
+    return bool(spread > LEAST_SPREAD) and _are_all_around(views, chosen)
 
 
 def share_outside_hemisphere(bearings: Array) -> float:
     """Share of bearings (N, 3) outside the hemisphere that holds most, its edge included."""
+    if len(bearings) == 0:
+        return 0.0
     most = 0
     for i, j in combinations(range(len(bearings)), 2):
         others = np.delete(bearings, [i, j], axis=0)
@@ -88,14 +112,18 @@ def share_outside_hemisphere(bearings: Array) -> float:
     return 1.0 - most / len(bearings)
 
 
-def _without_translation(bearings1: Array, bearings2: Array, inliers: Mask, scale: float) -> Array:
+def _without_translation(
+    bearings1: Array, bearings2: Array, inliers: Mask, rotation: Array, scale: float
+) -> Array:
     """Angles over root 2 (N,) under the rotation that fits the inliers best (Geman-McClure)."""
-    weights = inliers.astype(np.float64)
+
+    def residuals() -> Array:
+        half = 0.5 * np.linalg.norm(bearings1 @ rotation.T - bearings2, axis=1)
+        return np.asarray(np.sqrt(2.0) * np.arcsin(np.minimum(half, 1.0)))
+
     for _ in range(ALIGNMENTS):
+        weights = inliers / (1.0 + residuals() ** 2 / (MOST_SQUARES * scale**2)) ** 2
         left, _, right = np.linalg.svd((bearings2 * weights[:, None]).T @ bearings1)
         mirror = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
-        moved = bearings1 @ (left @ mirror @ right).T
-        half = np.minimum(0.5 * np.linalg.norm(moved - bearings2, axis=1), 1.0)
-        residuals = np.sqrt(2.0) * np.arcsin(half)
-        weights = inliers / (1.0 + residuals**2 / (MOST_SQUARES * scale**2)) ** 2
-    return np.asarray(residuals)
+        rotation = left @ mirror @ right
+    return residuals()
