@@ -76,6 +76,38 @@ def test_what_is_displaced_on_one_side_is_a_warning_and_no_pose(side):
         assert any("moved as if it had taken a step" in each for each in result.warnings)
 
 
+@pytest.mark.parametrize("options", [epi360.RansacOptions(), IMAGE_OPTIONS])
+@pytest.mark.parametrize("num_passing", [90, 200, 280])
+def test_a_tram_that_passes_a_camera_that_stands_still_is_no_step(options, num_passing):
+    """Its matches agree with a step, and so do all others, as if they were far away."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        still = anywhere(300, rng) * rng.uniform(3.0, 15.0, (300, 1))
+        tram = rng.uniform([-6.0, -2.0, 4.0], [6.0, 1.5, 4.3], (num_passing, 3))
+        turn = rotation_from_vector([0.02, 0.3, -0.01])
+        first = np.concatenate([still, tram])
+        second = np.concatenate([still, tram + [0.6, 0.0, 0.0]]) @ turn.T
+        both = [np.concatenate([unit(each), anywhere(100, rng)]) for each in (first, second)]
+        bearings = [unit(b + rng.normal(0.0, NOISE_RAD, b.shape)) for b in both]
+        result = estimate_relative_pose(*bearings, options=options, seed=seed)
+        assert result.status == "pure_rotation"
+        assert epi360.rotation_error_deg(result.cam2_from_cam1, turn) < 0.1
+        assert "all on one side of the camera" in result.warnings[0]
+
+
+def test_a_wall_beside_a_step_is_no_tram():
+    """What is displaced is on one side, but what is far away is no floor: it is at the horizon."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        far = unit(rng.normal(size=(250, 3)) * [1.0, 0.1, 1.0]) * 500.0
+        wall = rng.uniform([-8.0, -3.0, 3.0], [8.0, 1.5, 3.5], (200, 3))
+        (b1, b2), turn = seen(np.concatenate([far, wall]), rng)
+        result = estimate_relative_pose(b1, b2, seed=seed)
+        assert result.status == "ok"
+        pose = epi360.Pose(turn, -turn @ STEP_M)
+        assert epi360.translation_error_deg(result.cam2_from_cam1, pose) < 2.0
+
+
 def judged(seed, near_share=0.2, side=None, **changes):
     """The test of both twins on the inliers of the true pose."""
     b1, b2, turn = far_and_near(seed, near_share, num=150, wrong=40, side=side)

@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from epi360.places.repeated_matches import DirectionVotes, which_repeat
+from epi360.places.repeated_matches import DirectionVotes, is_in_the_open, which_repeat
+from epi360.places.shared_points import PosedPair
 from epi360.poses import Pose, rotation_from_vector
 
 TURN = rotation_from_vector([0.1, 0.8, -0.05])
@@ -96,11 +97,25 @@ def test_matches_that_are_all_inliers_leave_no_votes():
     assert not votes.are_for_another(0.0)
 
 
+@pytest.mark.parametrize(("farthest", "expected"), [(8.0, False), (40.0, True)])
+def test_a_street_has_things_near_and_far(farthest, expected):
+    rng = np.random.default_rng(0)
+    points = unit(rng.normal(size=(200, 3))) * np.geomspace(2.0, farthest, 200)[:, None]
+    rows = np.column_stack([np.arange(200)] * 2)
+    bearings = unit(points), unit(points @ TURN.T + STEP.translation)
+    assert is_in_the_open(PosedPair.of((0, 1), STEP, rows, bearings)) is expected
+    few = PosedPair.of((0, 1), STEP, rows[::25], bearings)
+    assert not is_in_the_open(few)
+
+
 def test_where_many_pairs_repeat_less_is_enough():
     clear, some, none = (DirectionVotes(100, num, 100) for num in (30, 12, 5))
     assert which_repeat([clear, some, none]) == [True, False, False]
     assert which_repeat([clear] * 3 + [some, none]) == [True] * 3 + [True, False]
     assert which_repeat([clear] * 3 + [some] + [none] * 20) == [True] * 3 + [False] * 21
+    in_the_open = clear._replace(in_the_open=True)
+    assert which_repeat([clear] * 2 + [in_the_open] * 3) == [False] * 5
+    assert which_repeat([clear] * 3 + [in_the_open] * 4) == [True] * 7
     on_one_side = some._replace(on_one_side=True)
     assert which_repeat([clear] * 3 + [on_one_side]) == [True] * 4
     assert which_repeat([]) == []

@@ -271,6 +271,9 @@ class Estimate {
         m_, options_.residual, result_.cam2_from_cam1, candidates.best().loss, gate, result_.inlier,
         dropped_, result_.residuals, prior_, options_.shared_error, wrong_inliers());
     result_.scale = evidence.scale = uncertainty.scale;
+    if (m_.least_scale > kSmallestScale) {
+      evidence.scale = std::max(uncertainty.scale, m_.least_scale);
+    }
     set_covariance(uncertainty.covariance);
     evidence.parallax = median_parallax(m_, result_.cam2_from_cam1, result_.inlier.data());
     result_.parallax = evidence.parallax;

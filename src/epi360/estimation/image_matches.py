@@ -10,7 +10,7 @@ from epi360.estimation.options import RansacOptions
 MAX_NOISE_PX = 1.5
 # No key points are better than that: of 513 rendered pairs in homes, whose pictures have no noise
 # at all, five had less, four of these by chance, from 15 inliers and fewer.
-MIN_NOISE_PX = 0.05
+MIN_NOISE_PX, _MOST_OF_LEAST_DEG = 0.05, 0.02  # bearings without pictures may have any camera
 # Fifteen to twenty inliers is what careful tools ask of an image pair. Beside the features sampling
 # costs nothing, and real matches have near misses that a few more samples see through.
 IMAGE_OPTIONS = RansacOptions(
@@ -27,4 +27,5 @@ class KeypointNoise(TypedDict):
 
 def noise_of_keypoints(pixel_deg: float) -> KeypointNoise:
     """Arguments of the estimator for matches of images whose smaller pixel has that size."""
-    return {"min_noise_deg": MIN_NOISE_PX * pixel_deg, "max_noise_deg": MAX_NOISE_PX * pixel_deg}
+    least = min(MIN_NOISE_PX * pixel_deg, _MOST_OF_LEAST_DEG)
+    return {"min_noise_deg": least, "max_noise_deg": MAX_NOISE_PX * pixel_deg}

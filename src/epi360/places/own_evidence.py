@@ -49,7 +49,7 @@ SHOWN = ("edges", "turned", "strong", "bare", "faint", "inside", "textured")  # 
 
 # Logarithm of the 95th percentile of distances over the 5th. Of rooms that are taken for their
 # copies 4 % have more, and of street scenes nearly all.
-_LARGEST_SPREAD = 1.8
+LARGEST_SPREAD = 1.8
 # Of the sphere, clear of masks and edges: what either view must show, and below which it is a part.
 _LEAST_SHARE, _PART = 0.15, 0.55
 _DIFFERS, _CLEARLY_HIDDEN = 0.5, 0.8
@@ -99,7 +99,7 @@ class OwnEvidence:
             return cls(is_known=False, is_partial=True)
         shown = shown_by(pair, views)
         by_all, as_in_homes = _FITTED.ratios(shown), _FITTED_TO_HOMES.ratios(shown)
-        in_the_open = min(map(_depth_spread, views)) > _LARGEST_SPREAD
+        in_the_open = min(map(_depth_spread, views)) > LARGEST_SPREAD
         is_on_one_wall = not in_the_open and on_one_wall(pair)  # a street may have one long front
         return cls(
             *(as_in_homes if is_on_one_wall else by_all),

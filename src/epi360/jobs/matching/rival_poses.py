@@ -17,7 +17,7 @@ from epi360.jobs.pairs.pair_selection import Pair
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.jobs.threads import on_threads
 from epi360.places.own_evidence import OwnEvidence, grow_both
-from epi360.places.repeated_matches import DirectionVotes, which_repeat
+from epi360.places.repeated_matches import DirectionVotes, is_in_the_open, which_repeat
 from epi360.places.repeated_place import (
     MANY_OTHERS,
     are_many,
@@ -103,7 +103,8 @@ def find_repeated(
 
     def votes(pair: VerifiedPair) -> DirectionVotes:
         bearings = settled.matched(pair).bearings
-        return DirectionVotes.of(pair.verdict.cam2_from_cam1, bearings, pair.inlier_mask)
+        found = DirectionVotes.of(pair.verdict.cam2_from_cam1, bearings, pair.inlier_mask)
+        return found._replace(in_the_open=is_in_the_open(settled.posed(pair)))
 
     found, stage = {}, "other directions"
     folder.progress(stage, 0, len(images))

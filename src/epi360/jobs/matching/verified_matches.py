@@ -19,7 +19,7 @@ from epi360.estimation import (
     estimate_relative_poses,
 )
 from epi360.estimation.angle_search import are_panoramas
-from epi360.estimation.image_matches import IMAGE_OPTIONS, MAX_NOISE_PX, MIN_NOISE_PX
+from epi360.estimation.image_matches import IMAGE_OPTIONS, noise_of_keypoints
 from epi360.estimation.result import pose_sigmas_deg
 from epi360.jobs.records.match_store import Keys, Verdict, VerifiedPair
 from epi360.places.shared_points import floor_share
@@ -69,10 +69,11 @@ def verified_matches(
     pairs: Sequence[MatchedViews], prior: str, *, seed: int, num_threads: int | None, **known: Any
 ) -> list[VerifiedPair]:
     """Verify pairs, with what is ``known`` of their poses beforehand, in words ``prior``."""
+    noises = [noise_of_keypoints(pair.pixel_deg) for pair in pairs]
     results = estimate_relative_poses(
         [(pair.matched.bearings1, pair.matched.bearings2) for pair in pairs],
-        min_noise_deg=[MIN_NOISE_PX * pair.pixel_deg for pair in pairs],
-        max_noise_deg=[MAX_NOISE_PX * pair.pixel_deg for pair in pairs],
+        min_noise_deg=[noise["min_noise_deg"] for noise in noises],
+        max_noise_deg=[noise["max_noise_deg"] for noise in noises],
         options=IMAGE_OPTIONS,
         num_threads=num_threads,
         seed=seed,
