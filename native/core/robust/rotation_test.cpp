@@ -124,7 +124,7 @@ bool surround(const Matches& m, const std::vector<std::size_t>& chosen) {
   return are_all_around(m, chosen);
 }
 
-// Standard deviations by which displaced inliers, `along`, lie on the epipolar curves more often
+// Standard deviations by which displaced inliers lie on the epipolar curves more often
 // than displacements in any direction; none where too few of what is displaced lies on them.
 std::optional<double> rejection_by_displaced(const Matches& m,
                                              const std::vector<unsigned char>& inlier,

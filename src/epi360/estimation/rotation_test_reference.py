@@ -102,7 +102,7 @@ def _surround(views: tuple[Array, Array], chosen: Mask) -> bool:
 
 def share_outside_hemisphere(bearings: Array) -> float:
     """Share of bearings (N, 3) outside the hemisphere that holds most, its edge included."""
-    if len(bearings) == 0:
+    if len(bearings) < 2:
         return 0.0
     most = 0
     for i, j in combinations(range(len(bearings)), 2):
