@@ -286,7 +286,7 @@ def test_the_table_and_the_summary_tell_which_pair_is_contradicted(folder, wrong
     rows = list(csv.DictReader(pairs_csv(run).decode().splitlines()))
     rejected = [row for row in rows if row["accepted"] == "no"]
     assert [(row["image1"], row["image2"]) for row in rejected] == [wrong_pair]
-    assert rejected[0]["status"] == "ok"
+    assert rejected[0]["status"] == "refused"
     assert rejected[0]["reason"] == "contradicted by other pairs"
     assert (rejected[0]["num_triangles"], rejected[0]["num_contradicted"]) == ("2", "2")
     assert {row["num_contradicted"] for row in rows if row["accepted"] == "yes"} == {"0"}
