@@ -7,11 +7,9 @@ import pytest
 import epi360
 from epi360 import _core, estimate_relative_pose
 from epi360.epipolar.residuals import pose_residuals
+from epi360.estimation.around_camera import share_outside_hemisphere
 from epi360.estimation.image_matches import IMAGE_OPTIONS
-from epi360.estimation.rotation_test_reference import (
-    rotation_test_reference,
-    share_outside_hemisphere,
-)
+from epi360.estimation.rotation_test_reference import rotation_test_reference
 from epi360.poses import rotation_from_vector
 
 internals = _core.internals

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import NoReturn
 
 from numpy.typing import ArrayLike
@@ -24,6 +25,7 @@ from epi360.estimation.options import (
     thread_count,
 )
 from epi360.estimation.pair_arrays import cut_pairs, listed_pairs, native_pair, values_per_pair
+from epi360.estimation.passing_things import with_pose_all_around
 from epi360.estimation.result import RelativePoseResult
 from epi360.estimation.separate_things import with_doubt_of_things
 from epi360.estimation.verdict import result_of
@@ -119,23 +121,27 @@ def estimate_relative_pose(
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
     noises = checked_noises(min_noise_deg, max_noise_deg)
-    pair = native_pair(
-        bearings1,
-        bearings2,
-        weights=weights,
-        scores=match_scores,
-        jacobians=(jacobians1, jacobians2),
-        uses_jacobians=uses_pixels,
-        gravity=(gravity1, gravity2),
-        gravity_sigma=sigmas[0],
-        elevation_sigma=sigmas[1],
-        seed=checked_integer(seed, "seed"),
-        min_noise=noises[0],
-        max_noise=noises[1],
-    )
     threshold = inlier_threshold_deg, inlier_threshold_px
-    (answer,) = _estimate([pair], *threshold, residual, options, 1)
-    return with_doubt_of_things(result_of(answer), bearings1, bearings2)
+
+    def estimate(first: ArrayLike, second: ArrayLike) -> RelativePoseResult:
+        pair = native_pair(
+            first,
+            second,
+            weights=weights,
+            scores=match_scores,
+            jacobians=(jacobians1, jacobians2),
+            uses_jacobians=uses_pixels,
+            gravity=(gravity1, gravity2),
+            gravity_sigma=sigmas[0],
+            elevation_sigma=sigmas[1],
+            seed=checked_integer(seed, "seed"),
+            min_noise=noises[0],
+            max_noise=noises[1],
+        )
+        (answer,) = _estimate([pair], *threshold, residual, options, 1)
+        return with_doubt_of_things(result_of(answer), first, second)
+
+    return with_pose_all_around(estimate(bearings1, bearings2), bearings1, bearings2, estimate)
 
 
 def estimate_relative_poses(
@@ -224,32 +230,41 @@ def estimate_relative_poses(
     gravity1_of = direction_of_each(gravity1, len(pairs), "gravity1")
     gravity2_of = direction_of_each(gravity2, len(pairs), "gravity2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
-    native = []
+
+    def native(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.Pair:
+        return native_pair(
+            b1,
+            b2,
+            weights=weights_of[k],
+            scores=scores_of[k],
+            gravity=(gravity1_of[k], gravity2_of[k]),
+            gravity_sigma=sigmas[0],
+            elevation_sigma=sigmas[1],
+            seed=seeds[k],
+            min_noise=limits[k][0],
+            max_noise=limits[k][1],
+        )
+
+    def estimates(arguments: list[_core.Pair], threads: int) -> list[_core.PairResult]:
+        return _estimate(arguments, inlier_threshold_deg, None, residual, options, threads)
+
+    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
+        (answer,) = estimates([native(k, b1, b2)], 1)
+        return with_doubt_of_things(result_of(answer), b1, b2)
+
+    arguments = []
     for k, pair in enumerate(pairs):
         try:
             b1, b2 = pair
-            native.append(
-                native_pair(
-                    b1,
-                    b2,
-                    weights=weights_of[k],
-                    scores=scores_of[k],
-                    gravity=(gravity1_of[k], gravity2_of[k]),
-                    gravity_sigma=sigmas[0],
-                    elevation_sigma=sigmas[1],
-                    seed=seeds[k],
-                    min_noise=limits[k][0],
-                    max_noise=limits[k][1],
-                )
-            )
+            arguments.append(native(k, b1, b2))
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
-    threads = thread_count(num_threads)
-    answers = _estimate(native, inlier_threshold_deg, None, residual, options, threads)
-    return [
-        with_doubt_of_things(result_of(answer), *pair)
-        for answer, pair in zip(answers, pairs, strict=True)
-    ]
+    answers = estimates(arguments, thread_count(num_threads))
+    results = []
+    for k, (answer, pair) in enumerate(zip(answers, pairs, strict=True)):
+        told = with_doubt_of_things(result_of(answer), *pair)
+        results.append(with_pose_all_around(told, *pair, partial(estimate, k)))
+    return results
 
 
 def estimate_timed_poses(
@@ -285,17 +300,22 @@ def estimate_timed_poses(
     ValueError
         As `estimate_relative_poses`.
     """
-    pairs = [
-        native_pair(b1, b2, seed=seed)
-        for b1, b2, seed in zip(
-            bearings1, bearings2, seed_of_each(seeds, len(bearings1)), strict=True
-        )
-    ]
-    answers = _estimate(pairs, "auto", None, "sampson", options, thread_count(num_threads))
-    results = [
-        with_doubt_of_things(result_of(answer), *pair)
-        for answer, pair in zip(answers, zip(bearings1, bearings2, strict=True), strict=True)
-    ]
+    checked = seed_of_each(seeds, len(bearings1))
+    views = list(zip(bearings1, bearings2, strict=True))
+
+    def estimates(pairs: list[_core.Pair], threads: int) -> list[_core.PairResult]:
+        return _estimate(pairs, "auto", None, "sampson", options, threads)
+
+    def estimate(seed: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
+        (answer,) = estimates([native_pair(b1, b2, seed=seed)], 1)
+        return with_doubt_of_things(result_of(answer), b1, b2)
+
+    pairs = [native_pair(*pair, seed=seed) for pair, seed in zip(views, checked, strict=True)]
+    answers = estimates(pairs, thread_count(num_threads))
+    results = []
+    for answer, pair, seed in zip(answers, views, checked, strict=True):
+        told = with_doubt_of_things(result_of(answer), *pair)
+        results.append(with_pose_all_around(told, *pair, partial(estimate, seed)))
     return results, [answer.seconds for answer in answers]
 
 

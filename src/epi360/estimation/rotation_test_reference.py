@@ -7,12 +7,12 @@ half of the twins.
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from epi360.estimation.around_camera import are_all_around, surround
 from epi360.estimation.testimony_reference import region_votes
 
 Array = NDArray[np.float64]
@@ -23,9 +23,7 @@ MOST_SQUARES = 13.8  # one in a thousand of chi^2 with two degrees of freedom
 RAYLEIGH_MEDIAN, RAYLEIGH_MEDIAN_ERROR = 1.17741, 0.84932
 DISPLACED, NEAR_ROTATION_RAD, MOSTLY_ALONG = 2.0, np.radians(10.0), 0.6
 DIRECTION_UNKNOWNS = 2.0
-OUTSIDE_HEMISPHERE, FEWEST_DISPLACED = 0.1, 6
-LEAST_SPREAD = 0.08
-MOST_AROUND = 64
+FEWEST_DISPLACED = 6
 
 
 class RotationTest(NamedTuple):
@@ -62,8 +60,8 @@ def rotation_test_reference(
     displaced = residuals > DISPLACED * gate * np.sqrt(1.0 + 2.0 * hidden)
     along, still = displaced & inliers, inliers & ~displaced
     views = bearings1, bearings2
-    all_around = _are_all_around(views, along)
-    passes = along.sum() >= FEWEST_DISPLACED and not all_around and _surround(views, still)
+    all_around = are_all_around(views, along)
+    passes = along.sum() >= FEWEST_DISPLACED and not all_around and surround(views, still)
     some = still if passes else inliers
     error = np.hypot(RAYLEIGH_MEDIAN_ERROR, RAYLEIGH_MEDIAN / np.sqrt(2.0))
     ordered = np.sort(residuals[some])
@@ -82,34 +80,6 @@ def rotation_test_reference(
     variance = votes @ (by_chance * (1.0 - by_chance))
     by_displaced = more * np.sqrt(independent / max(variance, 1.0))
     return RotationTest(float(by_median), float(by_displaced), int(along.sum()), all_around)
-
-
-def _are_all_around(views: tuple[Array, Array], chosen: Mask) -> bool:
-    """Whether chosen matches fit into no hemisphere, by as many as the core looks at."""
-    rows = np.flatnonzero(chosen)
-    count = min(len(rows), MOST_AROUND)
-    some = rows[np.arange(count) * len(rows) // max(count, 1)]
-    outside = [share_outside_hemisphere(view[some]) for view in views]
-    return bool(min(outside) >= OUTSIDE_HEMISPHERE)
-
-
-def _surround(views: tuple[Array, Array], chosen: Mask) -> bool:
-    """Whether chosen matches also lie near to no plane through the camera."""
-    moments = [view[chosen].T @ view[chosen] / max(chosen.sum(), 1) for view in views]
-    spread = min(np.linalg.eigvalsh(each)[0] for each in moments)
-    return bool(spread > LEAST_SPREAD) and _are_all_around(views, chosen)
-
-
-def share_outside_hemisphere(bearings: Array) -> float:
-    """Share of bearings (N, 3) outside the hemisphere that holds most, its edge included."""
-    if len(bearings) < 2:
-        return 0.0
-    most = 0
-    for i, j in combinations(range(len(bearings)), 2):
-        others = np.delete(bearings, [i, j], axis=0)
-        heights = others @ np.cross(bearings[i], bearings[j])
-        most = max(most, 2 + (heights > 0.0).sum(), 2 + (heights < 0.0).sum())
-    return 1.0 - most / len(bearings)
 
 
 def _without_translation(
