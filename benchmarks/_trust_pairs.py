@@ -209,9 +209,9 @@ def _folder_verdicts(
 ) -> Iterator[Judged]:
     """Verdicts of `match_images` on all pairs of a folder, and of COLMAP on the same matches."""
     output = plan.out / "match" / name
-    made = (name for kept in MADE for name in output.glob(kept))  # key points may stay
-    for part in made:
-        shutil.rmtree(part, ignore_errors=True)
+    for made in MADE:  # key points may stay
+        for part in output.glob(made):
+            shutil.rmtree(part, ignore_errors=True)
     run = match_images(
         images_of(folder, camera),
         output,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import NoReturn
 
@@ -123,10 +123,10 @@ def estimate_relative_pose(
     noises = checked_noises(min_noise_deg, max_noise_deg)
     threshold = inlier_threshold_deg, inlier_threshold_px
 
-    def estimate(first: ArrayLike, second: ArrayLike) -> RelativePoseResult:
+    def estimate(_: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
         pair = native_pair(
-            first,
-            second,
+            b1,
+            b2,
             weights=weights,
             scores=match_scores,
             jacobians=(jacobians1, jacobians2),
@@ -139,9 +139,11 @@ def estimate_relative_pose(
             max_noise=noises[1],
         )
         (answer,) = _estimate([pair], *threshold, residual, options, 1)
-        return with_doubt_of_things(result_of(answer), first, second)
+        return answer
 
-    return with_pose_all_around(estimate(bearings1, bearings2), bearings1, bearings2, estimate)
+    views = bearings1, bearings2
+    (result,) = _results([views], [estimate(0, *views)], estimate)
+    return result
 
 
 def estimate_relative_poses(
@@ -248,9 +250,9 @@ def estimate_relative_poses(
     def estimates(arguments: list[_core.Pair], threads: int) -> list[_core.PairResult]:
         return _estimate(arguments, inlier_threshold_deg, None, residual, options, threads)
 
-    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
+    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
         (answer,) = estimates([native(k, b1, b2)], 1)
-        return with_doubt_of_things(result_of(answer), b1, b2)
+        return answer
 
     arguments = []
     for k, pair in enumerate(pairs):
@@ -260,11 +262,7 @@ def estimate_relative_poses(
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
     answers = estimates(arguments, thread_count(num_threads))
-    results = []
-    for k, (answer, pair) in enumerate(zip(answers, pairs, strict=True)):
-        told = with_doubt_of_things(result_of(answer), *pair)
-        results.append(with_pose_all_around(told, *pair, partial(estimate, k)))
-    return results
+    return _results(pairs, answers, estimate)
 
 
 def estimate_timed_poses(
@@ -306,17 +304,35 @@ def estimate_timed_poses(
     def estimates(pairs: list[_core.Pair], threads: int) -> list[_core.PairResult]:
         return _estimate(pairs, "auto", None, "sampson", options, threads)
 
-    def estimate(seed: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
-        (answer,) = estimates([native_pair(b1, b2, seed=seed)], 1)
-        return with_doubt_of_things(result_of(answer), b1, b2)
+    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
+        (answer,) = estimates([native_pair(b1, b2, seed=checked[k])], 1)
+        return answer
 
     pairs = [native_pair(*pair, seed=seed) for pair, seed in zip(views, checked, strict=True)]
     answers = estimates(pairs, thread_count(num_threads))
-    results = []
-    for answer, pair, seed in zip(answers, views, checked, strict=True):
-        told = with_doubt_of_things(result_of(answer), *pair)
-        results.append(with_pose_all_around(told, *pair, partial(estimate, seed)))
-    return results, [answer.seconds for answer in answers]
+    return _results(views, answers, estimate), [answer.seconds for answer in answers]
+
+
+def _results(
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]],
+    answers: Sequence[_core.PairResult],
+    estimate: Callable[[int, ArrayLike, ArrayLike], _core.PairResult],
+) -> list[RelativePoseResult]:
+    """What the answers of the core say in the end.
+
+    ``estimate`` gives that of pair k once more, where some bearings are NaN.
+    """
+
+    def told(answer: _core.PairResult, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
+        return with_doubt_of_things(result_of(answer), b1, b2)
+
+    def again(k: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
+        return told(estimate(k, b1, b2), b1, b2)
+
+    return [
+        with_pose_all_around(told(answer, *pair), *pair, partial(again, k))
+        for k, (answer, pair) in enumerate(zip(answers, pairs, strict=True))
+    ]
 
 
 def _estimate(

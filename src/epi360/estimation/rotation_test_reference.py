@@ -52,9 +52,9 @@ def rotation_test_reference(
     """Return how far matches (N, 3) reject the rotation alone, ``inliers`` (N,) being of a pose.
 
     ``rotation`` (3, 3) is the one that explains most matches, ``scale`` the standard deviation of
-    the residuals of the inliers and ``gate`` the largest of these, in
-    radians. The errors of a share ``independent`` of them are independent, and the pose has fitted
-    ``hidden`` times the variance of one away.
+    the residuals of the inliers and ``gate`` the largest of these, in radians. The errors of a
+    share ``independent`` of them are independent, and the pose has fitted ``hidden`` times the
+    variance of one away.
     """
     residuals = _without_translation(bearings1, bearings2, inliers, rotation, scale)
     displaced = residuals > DISPLACED * gate * np.sqrt(1.0 + 2.0 * hidden)

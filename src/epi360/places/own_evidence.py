@@ -99,7 +99,7 @@ class OwnEvidence:
             return cls(is_known=False, is_partial=True)
         shown = shown_by(pair, views)
         by_all, as_in_homes = _FITTED.ratios(shown), _FITTED_TO_HOMES.ratios(shown)
-        in_the_open = min(map(_depth_spread, views)) > LARGEST_SPREAD
+        in_the_open = min(depth_spread(view.depths[view.found]) for view in views) > LARGEST_SPREAD
         is_on_one_wall = not in_the_open and on_one_wall(pair)  # a street may have one long front
         return cls(
             *(as_in_homes if is_on_one_wall else by_all),
@@ -273,11 +273,11 @@ def _share_that_counts(view: SharedSurfaces) -> float:
     return float(np.mean(view.counts))
 
 
-def _depth_spread(view: SharedSurfaces) -> float:
-    """How much the distances of what was found differ; 0 where nothing was."""
-    if not view.found.any():
+def depth_spread(depths: NDArray[np.floating]) -> float:
+    """How much distances (N,) differ; 0 where there are none."""
+    if len(depths) == 0:
         return 0.0
-    nearest, farthest = np.percentile(view.depths[view.found], [5, 95])
+    nearest, farthest = np.percentile(depths, [5, 95])
     return float(np.log(farthest / nearest))
 
 

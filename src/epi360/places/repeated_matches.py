@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from epi360.places.look_alikes import Alike
-from epi360.places.own_evidence import LARGEST_SPREAD
+from epi360.places.own_evidence import LARGEST_SPREAD, depth_spread
 from epi360.places.shared_points import PosedPair, cloud_of
 from epi360.poses import Pose
 
@@ -85,14 +85,8 @@ class DirectionVotes(NamedTuple):
 
 def is_in_the_open(pair: PosedPair) -> bool:
     """Whether the distances of the inliers differ more than in a room, from both cameras."""
-    spreads = []
-    for side in (0, 1):
-        distances = cloud_of(pair, side, _LEAST_PARALLAX_DEG).distances
-        if len(distances) < _FEWEST:
-            return False
-        nearest, farthest = np.percentile(distances, [5, 95])
-        spreads.append(np.log(farthest / nearest))
-    return bool(min(spreads) > LARGEST_SPREAD)
+    known = [cloud_of(pair, side, _LEAST_PARALLAX_DEG).distances for side in (0, 1)]
+    return min(map(len, known)) >= _FEWEST and min(map(depth_spread, known)) > LARGEST_SPREAD
 
 
 def which_repeat(votes: Sequence[DirectionVotes]) -> list[bool]:
