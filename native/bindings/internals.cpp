@@ -56,6 +56,8 @@ void bind_verdict(nb::module_& m) {
       .def_rw("has_prior", &Evidence::has_prior)
       .def_rw("log_prior", &Evidence::log_prior)
       .def_rw("rival_probability", &Evidence::rival_probability)
+      .def_rw("rival_regions", &Evidence::rival_regions)
+      .def_rw("num_contradicting", &Evidence::num_contradicting)
       .def_rw("only_pose", &Evidence::only_pose)
       .def_rw("only_rival", &Evidence::only_rival)
       .def_rw("behind", &Evidence::behind)

@@ -34,10 +34,14 @@ constexpr double kSharper = 1.5;   // times less noise
 constexpr double kClearly = 30.0;  // log-odds that a sharper candidate must have more
 
 bool is_sharper(const Candidate& one, const Candidate& other) {
-  return kSharper * one.loss.scale < other.loss.scale;
+  return is_sharper(one.loss, other.loss);
 }
 
 }  // namespace
+
+bool is_sharper(const LossModel& one, const LossModel& other) {
+  return kSharper * one.scale < other.scale;
+}
 
 double gate_of(const LossModel& mixture) {
   double low = 2.0, high = 4.0;
@@ -259,20 +263,29 @@ bool Candidates::add(const Candidate& candidate) {
       candidates_.size() > 1 && candidates_.front().evidence < candidates_[1].evidence;
   const auto same = same_as(candidate);
   if (same == candidates_.begin()) return false;
+  bool is_news = true;
   if (same != candidates_.end()) {
-    if (candidate.evidence < same->evidence + kNews) return false;
+    if (candidate.evidence < same->evidence) return false;
+    is_news = candidate.evidence >= same->evidence + kNews;
     candidates_.erase(same);
   }
   const auto place =
       std::find_if(candidates_.begin() + is_chosen, candidates_.end(),
                    [&](const Candidate& c) { return c.evidence < candidate.evidence; });
   candidates_.insert(place, candidate);
-  return true;
+  return is_news;
 }
 
 void Candidates::prefer(std::size_t index) {
   const auto chosen = candidates_.begin() + static_cast<std::ptrdiff_t>(index);
   std::rotate(candidates_.begin(), chosen, chosen + 1);
+}
+
+bool Candidates::prefer(const Candidate& candidate) {
+  const auto same = same_as(candidate);
+  if (same == candidates_.begin() || same == candidates_.end()) return false;
+  prefer(static_cast<std::size_t>(same - candidates_.begin()));
+  return true;
 }
 
 void Candidates::simplify() {

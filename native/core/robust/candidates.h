@@ -54,6 +54,9 @@ class Candidates {
   bool add(const Candidate& candidate);
   // Puts one of them first, whatever its evidence.
   void prefer(std::size_t index);
+  // The same of the one that is the same optimum as another candidate; false if that is the first,
+  // or not among them.
+  bool prefer(const Candidate& candidate);
   // Refines the best candidate once more, so that a match behind a camera may be a near miss, and
   // takes that pose where it makes the matches much more likely. What moves far away (clouds,
   // traffic) lies behind the cameras by degrees under the right pose; if it can only be outliers,
@@ -102,6 +105,10 @@ class Candidates {
   std::vector<Candidate> candidates_;
   RefineWorkspace workspace_;
 };
+
+// Whether one mixture has clearly less noise than another: with more, a pose between two motions
+// explains parts of both.
+bool is_sharper(const LossModel& one, const LossModel& other);
 
 // Residual at which an inlier and an outlier are equally likely, within [2, 4] standard deviations.
 double gate_of(const LossModel& mixture);

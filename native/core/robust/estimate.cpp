@@ -13,6 +13,7 @@
 #include "core/robust/fixed_content.h"
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
+#include "core/robust/one_side.h"
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
@@ -46,6 +47,11 @@ constexpr double kConfident = 0.99;  // a pose more probable than this is not lo
 int worth(const RobustResult& result) {
   const Status status = judge(result.evidence).status;
   return status == Status::kOk ? 2 : status == Status::kPureRotation ? 1 : 0;
+}
+
+// Regions that a pose leaves, over those that agree with it.
+double regions_left(const Evidence& e) {
+  return (e.all_regions - e.num_regions) / std::max(e.num_regions, 1.0);
 }
 
 // Whether a later answer takes the place of an earlier one.
@@ -151,7 +157,8 @@ class Estimate {
     const int least = priors_.scores.empty() ? 0 : kMostBesideScores;
     const int most = std::max(result_.num_iterations / kFirstSearch, least);
     const RivalSearchResult found =
-        search_rivals(m_, options_, priors_, result_.inlier, result_.threshold, most, random_);
+        search_rivals(m_, options_, priors_, result_.inlier, result_.threshold,
+                      regions_left(result_.evidence), most, random_);
     result_.num_iterations += found.num_iterations;
     if (found.poses.empty()) return false;
     Candidates others(m_, options_.residual, prior_);
@@ -170,10 +177,17 @@ class Estimate {
     same.set_depth_tolerance(candidates.depth_tolerance());
     const Candidate moved = same.polish(result_.cam2_from_cam1, kPolishings, kPolished);
     if (moved.evidence > candidates.best().evidence) candidates.replace_best(moved);
+    const Candidate first = candidates.best();
+    const Evidence own = heard(first.cam2_from_cam1, first.loss);
     bool competes = false;
     for (const Candidate& rival : others.all()) {
-      if (rival.evidence < candidates.best().evidence - kCompetingEvidence) break;
+      const double lead = rival.evidence - first.evidence;
+      const double odds = odds_of_rival(
+          evidence_beside({rival.cam2_from_cam1, rival.loss, lead}, own, first.loss));
+      if (lead < -kCompetingEvidence && !(odds > 0.0)) continue;
       competes = candidates.add(rival) || competes;
+      // Fewer matches agree with it, but far more regions.
+      if (odds > 1.0) competes = candidates.prefer(rival) || competes;
     }
     if (competes) candidates.give_up_blurred();
     return competes;
@@ -223,6 +237,7 @@ class Estimate {
     evidence.log_ratio = said.log_ratio;
     evidence.regional_sigma = said.direction_sigma;
     evidence.num_regions = said.num_regions;
+    evidence.all_regions = said.all_regions;
   }
 
   // The tilt of the answer against gravity, and the logarithm of its prior, as far as that may
@@ -259,6 +274,7 @@ class Estimate {
     const double density = candidates.empty()
                                ? kTypicalDensity
                                : chance.at(result_.cam2_from_cam1, std::max(kChanceRange, gate));
+    density_ = density;
     evidence.chance = 2.0 * gate * density;
     evidence.log10_false_alarms = log10_false_alarms(evidence.num_effective, evidence.support,
                                                      evidence.chance, options_.sample_size);
@@ -295,10 +311,14 @@ class Estimate {
                                       uncertainty.covariance, result_.inlier, gate);
     evidence.plane_share = rivals.plane_share;
     evidence.has_twin = rivals.has_twin;
-    span_nearby(rivals.nearby, density);
-    if (rivals.distant) {
-      evidence = evidence_beside(*rivals.distant, density);
-      count_own(rivals.distant->cam2_from_cam1);
+    if (!rivals.nearby.empty() || rivals.distant) {
+      const LossModel& loss = candidates.best().loss;
+      const Evidence own = heard(result_.cam2_from_cam1, loss);
+      span_nearby(rivals.nearby, own, loss);
+      if (rivals.distant) {
+        evidence = evidence_beside(*rivals.distant, own, loss);
+        count_own(rivals.distant->cam2_from_cam1);
+      }
     }
     result_.probability = probability_of_pose(evidence);
     if (status() == Status::kPlanarAmbiguous) {
@@ -324,11 +344,11 @@ class Estimate {
   }
 
   // Adds what the covariance does not know of poses near by that may be right as well.
-  void span_nearby(const std::vector<Rival>& nearby, double density) {
+  void span_nearby(const std::vector<Rival>& nearby, const Evidence& own, const LossModel& loss) {
     std::vector<double> odds;
     double total = 1.0;  // those of the pose itself
     for (const Rival& rival : nearby) {
-      odds.push_back(odds_of_rival(evidence_beside(rival, density)));
+      odds.push_back(odds_of_rival(evidence_beside(rival, own, loss)));
       total += odds.back();
     }
     Eigen::Matrix<double, 5, 5> covariance = result_.covariance;
@@ -348,12 +368,20 @@ class Estimate {
     evidence.direction_sigma = direction_sigma(covariance);
   }
 
-  // The evidence so far, with what speaks for another pose.
-  Evidence evidence_beside(const Rival& rival, double density) {
-    Evidence other;
-    listen(rival.cam2_from_cam1, rival.loss.scale, gate_of_mixture(rival.loss), density, other);
+  // What the regions say of a candidate.
+  Evidence heard(const RelativePose& pose, const LossModel& loss) {
+    Evidence evidence;
+    listen(pose, loss.scale, gate_of_mixture(loss), density_, evidence);
+    return evidence;
+  }
+
+  // The evidence so far, with what speaks for another pose than the one of this mixture, of which the
+  // regions say `own`. With more noise more regions agree, which is no evidence.
+  Evidence evidence_beside(const Rival& rival, const Evidence& own, const LossModel& loss) {
+    const Evidence other = heard(rival.cam2_from_cam1, rival.loss);
     Evidence beside = result_.evidence;
     beside.rival_probability = probability_by_regions(other);
+    if (!is_sharper(loss, rival.loss)) beside.rival_regions = lead_by_regions(own, other);
     beside.rival_evidence = rival.evidence;
     return beside;
   }
@@ -419,6 +447,7 @@ class Estimate {
   Random random_;
   std::uint64_t seed_;
   std::vector<unsigned char> dropped_;
+  double density_ = kTypicalDensity;  // of wrong residuals, under the last pose that was assessed
   RobustResult result_;
 };
 
@@ -441,15 +470,40 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
   return result;
 }
 
+RobustResult concluded(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
+                       std::uint64_t seed, const RowCounts& rows) {
+  RobustResult result = estimate_all(m, options, priors, seed);
+  conclude(m, options, rows, priors.max_noise, result);
+  return result;
+}
+
+// The answer, or that of what lies around the camera if this contradicts one side, whose pose is
+// then the first alternative.
+RobustResult without_one_side(const Matches& m, const RobustOptions& options,
+                              const MatchPriors& priors, std::uint64_t seed, const RowCounts& rows,
+                              RobustResult result) {
+  if (result.verdict.status != Status::kOk) return result;
+  const std::vector<std::size_t> side = contradicting_side(m, options, priors, seed, result);
+  if (side.empty()) return result;
+  const MatchesLeft left = without(m, priors, side);
+  RobustResult others = concluded(left.m, options, left.priors, seed, rows);
+  others.num_iterations += result.num_iterations;
+  result.num_iterations = others.num_iterations;
+  if (!contradicts(left.m, others, chosen_matches(m, side), result)) return result;
+  others.evidence.num_contradicting = static_cast<int>(side.size());
+  conclude(left.m, options, rows, priors.max_noise, others);
+  others.alternatives.insert(others.alternatives.begin(), result.cam2_from_cam1);
+  return on_all(m, left, std::move(others), options.residual);
+}
+
 }  // namespace
 
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     const RowCounts& rows) {
-  RobustResult result = estimate_all(m, options, priors, seed);
-  conclude(m, options, rows, priors.max_noise, result);
+  RobustResult result = concluded(m, options, priors, seed, rows);
   const std::vector<std::size_t> fixed = maybe_fixed(m, result);
-  if (fixed.empty()) return result;
+  if (fixed.empty()) return without_one_side(m, options, priors, seed, rows, std::move(result));
   const MatchesLeft left = without(m, priors, fixed);
   RobustResult other = estimate_all(left.m, options, left.priors, seed);
   other.num_iterations += result.num_iterations;

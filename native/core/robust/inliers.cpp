@@ -88,6 +88,7 @@ void release_depths(const Matches& m, Residual residual, Candidates& candidates)
   double most = -std::numeric_limits<double>::infinity();
   for (const Candidate& c : all) {
     if (c.evidence < best.evidence - kReleasedEvidence) break;
+    if (c.evidence > best.evidence) continue;  // was put behind the best for another reason
     Candidate released = candidates.without_depths(c);
     if (released.evidence < most ||
         same_pose(best.cam2_from_cam1, released.cam2_from_cam1, kReleased, 2.0 * kReleased)) {

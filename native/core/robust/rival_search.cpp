@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstddef>
+#include <utility>
 
 #include "core/robust/candidates.h"
 #include "core/robust/essential_problem.h"
@@ -16,6 +17,7 @@ namespace {
 // Share of the inliers that must be left for a rival, which shares the others with the pose; and
 // the largest share of what is left that it is taken to explain.
 constexpr double kFewestLeft = 0.6, kLargestShare = 0.9;
+constexpr double kCrowded = 2.0, kShareBesideCrowd = 0.5;
 constexpr double kConfidence = 0.95;      // that a sample of the rival alone is drawn
 constexpr std::size_t kMostLooked = 512;  // matches that the search looks at
 constexpr std::size_t kMostRivals = 2;
@@ -25,7 +27,8 @@ constexpr int kRivalPolishings = 12;
 
 RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
                                 const MatchPriors& priors, const std::vector<unsigned char>& inlier,
-                                double gate, int max_iterations, Random& random) {
+                                double gate, double regions_left, int max_iterations,
+                                Random& random) {
   std::vector<std::size_t> left;
   double support = 0.0, weight_left = 0.0;
   std::size_t num_inliers = 0;
@@ -41,22 +44,29 @@ RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
   }
   const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
   const auto num_left = static_cast<double>(left.size());
-  if (max_iterations < 1 || weight_left < kFewestLeft * support || num_left < 2.0 * sample_size) {
-    return {};
-  }
+  const bool enough = std::max(weight_left, regions_left * support) >= kFewestLeft * support;
+  if (max_iterations < 1 || !enough || num_left < 2.0 * sample_size) return {};
+  const bool is_crowded = regions_left * support > kCrowded * weight_left;
+  const double as_many = is_crowded ? kShareBesideCrowd : 1.0;
+  const double share = std::min(as_many * static_cast<double>(num_inliers) / num_left, kLargestShare);
+  return search_among(m, std::move(left), share, options, priors, gate, max_iterations, random);
+}
 
-  if (left.size() > kMostLooked) {
-    random.choose(left, 0, kMostLooked);
-    left.resize(kMostLooked);
+RivalSearchResult search_among(const Matches& m, std::vector<std::size_t> some, double share,
+                               const RobustOptions& options, const MatchPriors& priors, double gate,
+                               int max_iterations, Random& random) {
+  const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
+  if (some.size() > kMostLooked) {
+    random.choose(some, 0, kMostLooked);
+    some.resize(kMostLooked);
   }
-  const Matches rest = chosen_matches(m, left);
+  const Matches rest = chosen_matches(m, some);
   Candidates candidates(rest, options.residual, priors.pose);
   EssentialProblem problem(rest, options.residual, options.sample_size, candidates);
   if (priors.pose.has_gravity) problem.use_gravity(priors.pose.gravity1, priors.pose.gravity2);
   problem.set_gates({gate});
 
   RivalSearchResult result;
-  const double share = std::min(static_cast<double>(num_inliers) / num_left, kLargestShare);
   result.num_iterations = iterations_needed(share, sample_size, {1, max_iterations, kConfidence});
   Sampler sampler(static_cast<std::uint32_t>(rest.size), sample_size);
   HypothesisPool pool;

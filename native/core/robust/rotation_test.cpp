@@ -2,7 +2,6 @@
 #include "core/robust/rotation_test.h"
 
 #include <Eigen/Core>
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -11,6 +10,7 @@
 #include "core/bearings.h"
 #include "core/constants.h"
 #include "core/residuals/residuals.h"
+#include "core/robust/around_camera.h"
 #include "core/robust/neighbourhoods.h"
 #include "core/solvers/rotation.h"
 
@@ -24,12 +24,7 @@ constexpr double kRayleighMedian = 1.17741, kRayleighMedianError = 0.84932;  // 
 // no more than the second number, where hardly any wrong match is, so many must agree with a pose.
 constexpr double kDisplaced = 2.0, kNearRotation = 10.0 * kDegree, kMostlyAlong = 0.6;
 constexpr double kDirectionUnknowns = 2.0;  // of a translation
-// Share of them outside any hemisphere, counted on so many: one always holds four of five.
-constexpr double kOutsideHemisphere = 0.1;
-constexpr std::size_t kMostAround = 64, kFewestDisplaced = 6;
-// The other inliers surround the camera if they do not fit into a hemisphere either, nor lie near
-// to one plane through it, as what is seen at the horizon does: mean square of the sines.
-constexpr double kLeastSpread = 0.08;
+constexpr std::size_t kFewestDisplaced = 6;
 
 // Residuals of all matches under the rotation that fits the inliers best, near misses left aside
 // (Geman-McClure), from that which explains most matches on; none if fewer than three matches are
@@ -75,53 +70,6 @@ double rejection_by_median(const Matches& m, const std::vector<std::size_t>& som
   const double error = std::hypot(kRayleighMedianError, kRayleighMedian / std::sqrt(2.0));
   const double expected = kRayleighMedian * std::sqrt(1.0 + errors.hidden);
   return (middle->first / sigma - expected) / (error / std::sqrt(errors.independent * count));
-}
-
-// Share of the bearings outside the hemisphere that holds most of them: its boundary can be moved
-// until it goes through two of them.
-double share_outside_hemisphere(const std::vector<Eigen::Vector3d>& bearings) {
-  const std::size_t n = bearings.size();
-  if (n < 2) return 0.0;
-  std::size_t most = 0;
-  for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t j = i + 1; j < n; ++j) {
-      const Eigen::Vector3d pole = bearings[i].cross(bearings[j]);
-      std::size_t above = 0, below = 0;
-      for (std::size_t k = 0; k < n; ++k) {
-        if (k == i || k == j) continue;
-        const double height = pole.dot(bearings[k]);
-        above += height > 0.0;
-        below += height < 0.0;
-      }
-      most = std::max({most, above + 2, below + 2});
-    }
-  }
-  return 1.0 - static_cast<double>(most) / static_cast<double>(n);
-}
-
-// Whether the chosen matches lie around the camera in both views, in no hemisphere.
-bool are_all_around(const Matches& m, const std::vector<std::size_t>& chosen) {
-  const std::size_t count = std::min(chosen.size(), kMostAround);
-  for (const auto view : {view1, view2}) {
-    std::vector<Eigen::Vector3d> bearings;
-    for (std::size_t k = 0; k < count; ++k) {
-      bearings.push_back(view(m, chosen[k * chosen.size() / count]));
-    }
-    if (share_outside_hemisphere(bearings) < kOutsideHemisphere) return false;
-  }
-  return true;
-}
-
-// Whether matches lie around the camera in both views, and above, below and beside it as well.
-bool surround(const Matches& m, const std::vector<std::size_t>& chosen) {
-  for (const auto view : {view1, view2}) {
-    Eigen::Matrix3d moments = Eigen::Matrix3d::Zero();
-    for (const std::size_t i : chosen) moments += view(m, i) * view(m, i).transpose();
-    moments /= std::max(static_cast<double>(chosen.size()), 1.0);
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(moments, Eigen::EigenvaluesOnly);
-    if (!(solver.eigenvalues()[0] > kLeastSpread)) return false;
-  }
-  return are_all_around(m, chosen);
 }
 
 // Standard deviations by which displaced inliers lie on the epipolar curves more often

@@ -141,6 +141,7 @@ Testimony testimony(const Matches& all, Residual residual, const RelativePose& p
   }
   const double share = share_of_right(weights, odds, total);
   Testimony result;
+  result.all_regions = total;
   std::fill(at.weights.begin(), at.weights.end(), 0.0);
   for (std::size_t i = 0; i < m.size; ++i) {
     const double both = share * odds[i] + 1.0 - share;

@@ -24,7 +24,7 @@ struct Testimony {
   // Standard deviation of the direction of translation (radians, over both components) if every
   // region counts once; at most that of knowing nothing.
   double direction_sigma = 0.0;
-  double num_regions = 0.0;  // that agree
+  double num_regions = 0.0, all_regions = 0.0;  // those that agree, and all
 };
 
 // All matches, or so many of them at random as are worth asking.

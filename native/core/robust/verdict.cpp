@@ -22,6 +22,9 @@ constexpr double kRotationMostly = 0.4;  // of the inliers: it may explain them
 // 700 true planes.
 constexpr double kRotationRejected = 4.0, kPlaneRejected = 3.0;
 constexpr double kRivalRejected = 6.0;  // log-likelihood that a second pose lacks
+// What all matches say of a second pose counts no more than this log-odds beyond what the regions,
+// of which each is one witness, say of it: matches of one thing move together.
+constexpr double kMostBesideRegions = 6.0;
 // Standard deviations by which a motion must have more matches of its own than another one. Where a
 // train or a copy shows half as many things as the place itself, it may have more by chance.
 constexpr double kRivalOutnumbered = 2.0;
@@ -133,6 +136,7 @@ double log_odds_by_number(const Evidence& e) {
 // On a plane both are right but for noise, whose log-likelihoods differ by about the root of the
 // number of matches.
 double log_odds_over_rival(const Evidence& e) {
+  if (e.num_contradicting > 0) return 0.0;
   const bool is_believed = e.rival_probability > kRivalProbability;
   if (e.has_twin) {
     const double lack = std::max(-e.rival_evidence - kRivalRejected, 0.0);
@@ -141,7 +145,12 @@ double log_odds_over_rival(const Evidence& e) {
   }
   // With gravity known, a pose that the regions do not believe in is no rival either.
   if (e.has_prior && !is_believed) return kCertain;
-  const double by_lead = -e.rival_evidence * kAcceptedLogOdds / kRivalRejected;
+  const double by_matches = -e.rival_evidence * kAcceptedLogOdds / kRivalRejected;
+  double by_lead = by_matches;
+  if (std::isfinite(e.rival_regions)) {
+    by_lead = std::min(std::max(by_matches, e.rival_regions - kMostBesideRegions),
+                       e.rival_regions + kMostBesideRegions);
+  }
   return bounded(is_believed ? std::min(by_lead, log_odds_by_number(e)) : by_lead);
 }
 
@@ -242,6 +251,8 @@ const char* name_of(WarningCode code) {
       return "copies";
     case WarningCode::kMotionBeside:
       return "motion_beside";
+    case WarningCode::kOneSide:
+      return "one_side";
     case WarningCode::kFixedContent:
       break;
   }
@@ -303,6 +314,12 @@ double odds_of_rival(const Evidence& e) {
 
 double probability_of_pose(const Evidence& e) { return found(explain(e)); }
 
+double lead_by_regions(const Evidence& pose, const Evidence& rival) {
+  const double sharper = std::max(rival.regional_sigma, 1e-6) / std::max(pose.regional_sigma, 1e-6);
+  return kLogOddsPerRatio * (pose.log_ratio - rival.log_ratio) -
+         kLogOddsPerSigma * std::log(sharper);
+}
+
 double probability_by_regions(const Evidence& e) {
   return 1.0 / (1.0 + std::exp(-log_odds_by_regions(e)));
 }
@@ -314,7 +331,8 @@ Verdict judge(const Evidence& e) {
   const auto warn = [&](WarningCode code, double value, double reference) {
     verdict.warnings.push_back({code, value, reference});
   };
-  const int missing = e.num_matches - e.num_copies - e.num_usable - e.num_fixed;
+  const int missing = e.num_matches - e.num_copies - e.num_usable - e.num_fixed -
+                      e.num_contradicting;
   if (missing > 0) warn(WarningCode::kMissingMatches, missing, e.num_matches);
   if (e.num_copies > 0) warn(WarningCode::kCopies, e.num_copies, e.num_matches);
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);
@@ -331,6 +349,7 @@ Verdict judge(const Evidence& e) {
   if (!has_pose && is_on_one_side) {
     warn(WarningCode::kDisplaced, e.num_displaced, e.rotation_support);
   }
+  if (e.num_contradicting > 0) warn(WarningCode::kOneSide, e.num_contradicting, e.support);
   if (has_pose && e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
   }

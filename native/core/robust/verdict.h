@@ -27,6 +27,7 @@ enum class WarningCode {
   kDisplaced,
   kCopies,
   kMotionBeside,
+  kOneSide,
   kFixedContent
 };
 
@@ -39,7 +40,8 @@ const char* name_of(WarningCode code);
 // matches of a mirrored turn and inliers;
 // tilt against gravity and its standard deviation; matches that a rotation leaves displaced and
 // those that it explains; copies that were left out of all; matches of a motion and those that
-// stand still beside it; matches that are fixed to the camera of all.
+// stand still beside it; matches on one side that say another motion, and inliers of the others;
+// matches that are fixed to the camera of all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -89,9 +91,10 @@ struct Evidence {
   double rotation_sigma = 0.0, direction_sigma = 0.0;
 
   // What the matches say if every region is one witness, see testimony.h: log-likelihood ratio,
-  // standard deviation of the direction, number of the regions that agree. Logarithm of
+  // standard deviation of the direction, number of the regions that agree, and of all. Logarithm of
   // the prior of the pose over that of the most probable one.
-  double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity, log_prior = 0.0;
+  double log_ratio = kInfinity, regional_sigma = 0.0, num_regions = kInfinity,
+         all_regions = kInfinity, log_prior = 0.0;
   bool has_prior = false;  // gravity is known
   // Angle by which the pose tilts the cameras against it, and its standard deviation.
   double tilt = 0.0, tilt_sigma = kNaN;
@@ -100,14 +103,17 @@ struct Evidence {
   // above.
   double rotation_log_ratio = kInfinity;
 
-  // The likeliest pose that is truly different: its log-likelihood minus that of the pose, and how
-  // probable the regions make it. Matches that only the pose, and only that one, explains, if most
+  // The likeliest pose that is truly different: its log-likelihood minus that of the pose, how
+  // probable the regions make it, and the log-odds of the pose over it by the regions alone. Matches that only the pose, and only that one, explains, if most
   // of those that it explains are its own. Share of the inliers on one plane, and whether it is so
   // large that there is such a pose by geometry.
-  double rival_evidence = -kInfinity, rival_probability = 1.0;
+  double rival_evidence = -kInfinity, rival_probability = 1.0, rival_regions = kNaN;
   double only_pose = 0.0, only_rival = 0.0;
   double plane_share = 0.0;
   bool has_twin = false;
+  // Matches on one side of the camera that were left out, since they say another motion than all
+  // others, whose answer this is.
+  int num_contradicting = 0;
 
   // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
   // bearing and the same of all matches; shares of the sphere's cells with an inlier and with a
@@ -163,6 +169,9 @@ double probability_of_pose(const Evidence& evidence);
 
 // Probability of a pose against background alone, from what the regions say of it and its prior.
 double probability_by_regions(const Evidence& evidence);
+
+// Log-odds of a pose over another one of the same matches by what the regions say of each.
+double lead_by_regions(const Evidence& pose, const Evidence& rival);
 
 // Whether inliers of which this share lies on one plane may have a twin pose.
 bool is_planar(double share_on_plane);

@@ -20,6 +20,7 @@ LARGEST_CHANCE = 0.6  # of a wrong match inside the gate
 ROTATION_MOSTLY = 0.4  # of the inliers
 ROTATION_REJECTED, PLANE_REJECTED = 4.0, 3.0  # standard deviations
 RIVAL_REJECTED = 6.0  # log-likelihood
+MOST_BESIDE_REGIONS = 6.0  # log-odds
 RIVAL_OUTNUMBERED = 2.0  # standard deviations
 RIVAL_PROBABILITY = 0.5
 MIRRORED_SHARE, MIRRORED_TURN_SHARE, FEWEST_MIRRORED = 0.23, 0.07, 10.0  # of the inliers
@@ -55,6 +56,8 @@ class PairEvidence:
     has_prior: bool = False
     rival_evidence: float = -math.inf
     rival_probability: float = 1.0
+    rival_regions: float = math.nan
+    num_contradicting: int = 0
     only_pose: float = 0.0
     only_rival: float = 0.0
     plane_share: float = 0.0
@@ -114,6 +117,8 @@ def _log_odds_of_rotation(e: PairEvidence) -> float:
 
 
 def _log_odds_over_rival(e: PairEvidence) -> float:
+    if e.num_contradicting > 0:
+        return 0.0
     if e.has_twin:
         lack = max(-e.rival_evidence - RIVAL_REJECTED, 0.0)
         deviations = lack / math.sqrt(max(e.support, 1))
@@ -121,7 +126,10 @@ def _log_odds_over_rival(e: PairEvidence) -> float:
     is_believed = e.rival_probability > RIVAL_PROBABILITY
     if e.has_prior and not is_believed:
         return CERTAIN
-    by_lead = -e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED
+    by_matches = -e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED
+    least, most = e.rival_regions - MOST_BESIDE_REGIONS, e.rival_regions + MOST_BESIDE_REGIONS
+    known = math.isfinite(e.rival_regions)
+    by_lead = min(max(by_matches, least), most) if known else by_matches
     return _bounded(min(by_lead, _by_number(e)) if is_believed else by_lead)
 
 

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 from typing import NoReturn
 
 from numpy.typing import ArrayLike
@@ -25,7 +24,6 @@ from epi360.estimation.options import (
     thread_count,
 )
 from epi360.estimation.pair_arrays import cut_pairs, listed_pairs, native_pair, values_per_pair
-from epi360.estimation.passing_things import with_pose_all_around
 from epi360.estimation.result import RelativePoseResult
 from epi360.estimation.separate_things import with_doubt_of_things
 from epi360.estimation.verdict import result_of
@@ -123,26 +121,22 @@ def estimate_relative_pose(
     noises = checked_noises(min_noise_deg, max_noise_deg)
     threshold = inlier_threshold_deg, inlier_threshold_px
 
-    def estimate(_: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
-        pair = native_pair(
-            b1,
-            b2,
-            weights=weights,
-            scores=match_scores,
-            jacobians=(jacobians1, jacobians2),
-            uses_jacobians=uses_pixels,
-            gravity=(gravity1, gravity2),
-            gravity_sigma=sigmas[0],
-            elevation_sigma=sigmas[1],
-            seed=checked_integer(seed, "seed"),
-            min_noise=noises[0],
-            max_noise=noises[1],
-        )
-        (answer,) = _estimate([pair], *threshold, residual, options, 1)
-        return answer
-
-    views = bearings1, bearings2
-    (result,) = _results([views], [estimate(0, *views)], estimate)
+    pair = native_pair(
+        bearings1,
+        bearings2,
+        weights=weights,
+        scores=match_scores,
+        jacobians=(jacobians1, jacobians2),
+        uses_jacobians=uses_pixels,
+        gravity=(gravity1, gravity2),
+        gravity_sigma=sigmas[0],
+        elevation_sigma=sigmas[1],
+        seed=checked_integer(seed, "seed"),
+        min_noise=noises[0],
+        max_noise=noises[1],
+    )
+    answers = _estimate([pair], *threshold, residual, options, 1)
+    (result,) = _results([(bearings1, bearings2)], answers)
     return result
 
 
@@ -233,36 +227,29 @@ def estimate_relative_poses(
     gravity2_of = direction_of_each(gravity2, len(pairs), "gravity2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
 
-    def native(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.Pair:
-        return native_pair(
-            b1,
-            b2,
-            weights=weights_of[k],
-            scores=scores_of[k],
-            gravity=(gravity1_of[k], gravity2_of[k]),
-            gravity_sigma=sigmas[0],
-            elevation_sigma=sigmas[1],
-            seed=seeds[k],
-            min_noise=limits[k][0],
-            max_noise=limits[k][1],
-        )
-
-    def estimates(arguments: list[_core.Pair], threads: int) -> list[_core.PairResult]:
-        return _estimate(arguments, inlier_threshold_deg, None, residual, options, threads)
-
-    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
-        (answer,) = estimates([native(k, b1, b2)], 1)
-        return answer
-
     arguments = []
     for k, pair in enumerate(pairs):
         try:
             b1, b2 = pair
-            arguments.append(native(k, b1, b2))
+            arguments.append(
+                native_pair(
+                    b1,
+                    b2,
+                    weights=weights_of[k],
+                    scores=scores_of[k],
+                    gravity=(gravity1_of[k], gravity2_of[k]),
+                    gravity_sigma=sigmas[0],
+                    elevation_sigma=sigmas[1],
+                    seed=seeds[k],
+                    min_noise=limits[k][0],
+                    max_noise=limits[k][1],
+                )
+            )
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
-    answers = estimates(arguments, thread_count(num_threads))
-    return _results(pairs, answers, estimate)
+    threads = thread_count(num_threads)
+    answers = _estimate(arguments, inlier_threshold_deg, None, residual, options, threads)
+    return _results(pairs, answers)
 
 
 def estimate_timed_poses(
@@ -301,37 +288,18 @@ def estimate_timed_poses(
     checked = seed_of_each(seeds, len(bearings1))
     views = list(zip(bearings1, bearings2, strict=True))
 
-    def estimates(pairs: list[_core.Pair], threads: int) -> list[_core.PairResult]:
-        return _estimate(pairs, "auto", None, "sampson", options, threads)
-
-    def estimate(k: int, b1: ArrayLike, b2: ArrayLike) -> _core.PairResult:
-        (answer,) = estimates([native_pair(b1, b2, seed=checked[k])], 1)
-        return answer
-
     pairs = [native_pair(*pair, seed=seed) for pair, seed in zip(views, checked, strict=True)]
-    answers = estimates(pairs, thread_count(num_threads))
-    return _results(views, answers, estimate), [answer.seconds for answer in answers]
+    answers = _estimate(pairs, "auto", None, "sampson", options, thread_count(num_threads))
+    return _results(views, answers), [answer.seconds for answer in answers]
 
 
 def _results(
-    pairs: Sequence[tuple[ArrayLike, ArrayLike]],
-    answers: Sequence[_core.PairResult],
-    estimate: Callable[[int, ArrayLike, ArrayLike], _core.PairResult],
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]], answers: Sequence[_core.PairResult]
 ) -> list[RelativePoseResult]:
-    """What the answers of the core say in the end.
-
-    ``estimate`` gives that of pair k once more, where some bearings are NaN.
-    """
-
-    def told(answer: _core.PairResult, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
-        return with_doubt_of_things(result_of(answer), b1, b2)
-
-    def again(k: int, b1: ArrayLike, b2: ArrayLike) -> RelativePoseResult:
-        return told(estimate(k, b1, b2), b1, b2)
-
+    """What the answers of the core on these bearings say in the end."""
     return [
-        with_pose_all_around(told(answer, *pair), *pair, partial(again, k))
-        for k, (answer, pair) in enumerate(zip(answers, pairs, strict=True))
+        with_doubt_of_things(result_of(answer), *pair)
+        for answer, pair in zip(answers, pairs, strict=True)
     ]
 
 

@@ -79,6 +79,11 @@ def _sentence(warning: _core.Warning) -> str:
             "in the images: these may be fixed to it, as a car is, and the motion is the first "
             "alternative"
         )
+    if warning.code == "one_side":
+        return (
+            f"{value:.0f} matches on one side of the camera say another motion than all others: "
+            "something passes by, or a part of the place repeats itself"
+        )
     if warning.code == "little_parallax":
         return (
             f"the median parallax is only {value / reference:.1f} times the noise: "

@@ -1,0 +1,208 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "core/robust/one_side.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+#include "core/bearings.h"
+#include "core/constants.h"
+#include "core/refinement/refine.h"
+#include "core/robust/around_camera.h"
+#include "core/robust/covariance.h"
+#include "core/robust/evidence.h"
+#include "core/robust/random.h"
+#include "core/robust/rival_search.h"
+
+namespace epi360 {
+namespace {
+
+// A side is what lies in the cells within so much of one of them, and moved so many times more than
+// the median of the others.
+constexpr std::array<double, 3> kSides = {35.0 * kDegree, 60.0 * kDegree, 85.0 * kDegree};
+constexpr double kMovedMore = 2.0;
+constexpr std::size_t kFewestOnSide = 6;
+// Without it the variance of the direction is so many times larger.
+constexpr double kSaysMost = 10.0;
+// The search among the others: samples, the least share that a pose is taken to explain, and the
+// angle between its direction and that of the answer from which on they are asked in earnest.
+constexpr int kMostSamples = 50;
+constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
+// Both directions differ by so much, and so many standard deviations of both; and the others have
+// this share of the regions of the answer.
+constexpr double kContradicts = 10.0 * kDegree, kDeviationsApart = 4.0, kLeastRegions = 0.5;
+// Times by which the median of a side moved more than nine tenths of what only turned: nothing that
+// stands still is so much nearer than all else.
+constexpr double kCannotStandStill = 15.0;
+
+struct SideCell {
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();
+  Eigen::Matrix<double, 5, 5> information = Eigen::Matrix<double, 5, 5>::Zero();
+  std::size_t count = 0;
+
+  bool is_near(const SideCell& middle, double angle) const {
+    return count > 0 && centre.dot(middle.centre) > std::cos(angle);
+  }
+};
+
+using SideCells = std::array<SideCell, kNumCells>;
+
+SideCells cells_of_inliers(const Matches& m, Residual residual, const RobustResult& answer) {
+  Linearisation at;
+  at.resize(m.padded);
+  const RelativePose& pose = answer.cam2_from_cam1;
+  const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
+  compute_jacobians(m, residual, plain(pose), basis.data(), at.residuals.data(), at.margins.data(),
+                    at.jacobian.data());
+  SideCells cells;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!answer.inlier[i]) continue;
+    const Eigen::Matrix<double, 5, 1> J = jacobian_of(at, m.padded, i);
+    SideCell& cell = cells[cell_of(view1(m, i))];
+    cell.information += m.weight[i] * J * J.transpose();
+    cell.centre += view1(m, i);
+    cell.count += 1;
+  }
+  for (SideCell& cell : cells) cell.centre.normalize();
+  return cells;
+}
+
+// Variance of the direction, in units of that of the residuals.
+double direction_variance(const Eigen::Matrix<double, 5, 5>& information) {
+  const Eigen::LDLT<Eigen::Matrix<double, 5, 5>> solver(information);
+  const Eigen::Matrix<double, 5, 2> columns =
+      solver.solve(Eigen::Matrix<double, 5, 5>::Identity().rightCols<2>());
+  return columns.bottomRows<2>().trace();
+}
+
+// The middle of the side without which the direction is known least; none if it is known as well.
+const SideCell* side_that_says_most(const SideCells& cells, double angle) {
+  Eigen::Matrix<double, 5, 5> all = Eigen::Matrix<double, 5, 5>::Zero();
+  for (const SideCell& cell : cells) all += cell.information;
+  const SideCell* most = nullptr;
+  double largest = kSaysMost * direction_variance(all);
+  for (const SideCell& middle : cells) {
+    if (middle.count == 0) continue;
+    Eigen::Matrix<double, 5, 5> others = Eigen::Matrix<double, 5, 5>::Zero();
+    std::size_t num_others = 0;
+    for (const SideCell& cell : cells) {
+      if (cell.is_near(middle, angle)) continue;
+      others += cell.information;
+      num_others += cell.count;
+    }
+    if (num_others < kFewestOnSide) continue;
+    const double variance = direction_variance(others);
+    if (!(variance > largest)) continue;
+    largest = variance;
+    most = &middle;
+  }
+  return most;
+}
+
+double squared_parallax(const Matches& m, const RelativePose& pose, std::size_t i) {
+  return (pose.R * view1(m, i) - view2(m, i)).squaredNorm();
+}
+
+double value_at(std::vector<double> values, double share) {
+  const auto at = values.begin() + static_cast<std::ptrdiff_t>(
+                                       share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), at, values.end());
+  return *at;
+}
+
+// Inliers on a side that moved more than those elsewhere.
+std::vector<std::size_t> moved_on_side(const Matches& m, const RobustResult& answer,
+                                       const SideCells& cells, const SideCell& middle, double angle) {
+  std::vector<std::size_t> inside;
+  std::vector<double> elsewhere;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!answer.inlier[i]) continue;
+    if (cells[cell_of(view1(m, i))].is_near(middle, angle)) {
+      inside.push_back(i);
+    } else {
+      elsewhere.push_back(squared_parallax(m, answer.cam2_from_cam1, i));
+    }
+  }
+  const double usual = kMovedMore * kMovedMore * value_at(std::move(elsewhere), 0.5);
+  inside.erase(std::remove_if(inside.begin(), inside.end(),
+                              [&](std::size_t i) {
+                                return squared_parallax(m, answer.cam2_from_cam1, i) <= usual;
+                              }),
+               inside.end());
+  return inside;
+}
+
+// Whether a short search among the matches that are not on a side finds another direction.
+bool may_contradict(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
+                    std::uint64_t seed, const RobustResult& answer,
+                    const std::vector<std::size_t>& side) {
+  std::vector<unsigned char> on_side(m.size, 0);
+  for (const std::size_t i : side) on_side[i] = 1;
+  std::vector<std::size_t> others, other_inliers;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (on_side[i] || !(m.weight[i] > 0.0)) continue;
+    others.push_back(i);
+    if (answer.inlier[i]) other_inliers.push_back(i);
+  }
+  if (!are_all_around(m, other_inliers)) return false;
+  const double inlier_share =
+      static_cast<double>(other_inliers.size()) / static_cast<double>(others.size());
+  const double share = std::max(kHalfOfInliers * inlier_share, kLeastSearched);
+  Random random(seed);
+  const RivalSearchResult found = search_among(m, std::move(others), share, options, priors,
+                                               answer.threshold, kMostSamples, random);
+  return !found.poses.empty() &&
+         direction_angle(found.poses.front().t, answer.cam2_from_cam1.t) > kMayContradict;
+}
+
+}  // namespace
+
+std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
+                                            const MatchPriors& priors, std::uint64_t seed,
+                                            const RobustResult& answer) {
+  const SideCells cells = cells_of_inliers(m, options.residual, answer);
+  for (const double angle : kSides) {
+    const SideCell* middle = side_that_says_most(cells, angle);
+    if (!middle) continue;
+    std::vector<std::size_t> side = moved_on_side(m, answer, cells, *middle, angle);
+    if (side.size() < kFewestOnSide) continue;
+    if (may_contradict(m, options, priors, seed, answer, side)) return side;
+  }
+  return {};
+}
+
+bool contradicts(const Matches& left, const RobustResult& others, const Matches& side,
+                 const RobustResult& all) {
+  std::vector<std::size_t> agreeing;
+  for (std::size_t i = 0; i < left.size; ++i) {
+    if (others.inlier[i]) agreeing.push_back(i);
+  }
+  if (!are_all_around(left, agreeing)) return false;
+  const Status status = others.verdict.status;
+  if (status == Status::kPureRotation) {
+    std::vector<double> moved, still;
+    for (std::size_t i = 0; i < side.size; ++i) {
+      moved.push_back(squared_parallax(side, others.cam2_from_cam1, i));
+    }
+    for (const std::size_t i : agreeing) {
+      still.push_back(squared_parallax(left, others.cam2_from_cam1, i));
+    }
+    return value_at(std::move(moved), 0.5) >
+           kCannotStandStill * kCannotStandStill * value_at(std::move(still), 0.9);
+  }
+  if (!has_translation(status)) return false;
+  if (others.evidence.num_regions < kLeastRegions * all.evidence.num_regions) return false;
+  const double sigma =
+      std::hypot(direction_sigma(others.covariance), direction_sigma(all.covariance));
+  const auto apart = [&](const RelativePose& pose) {
+    return direction_angle(pose.t, all.cam2_from_cam1.t);
+  };
+  return apart(others.cam2_from_cam1) > std::max(kContradicts, kDeviationsApart * sigma) &&
+         std::all_of(others.alternatives.begin(), others.alternatives.end(),
+                     [&](const RelativePose& pose) { return apart(pose) > kContradicts; });
+}
+
+}  // namespace epi360

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What lies on one side of the camera and says another motion than all that lies elsewhere.
+//
+// A car that drives by moves far more than the scene, and the direction of a translation is known
+// best from what moves most: a hundred matches on the car outvote three hundred around it, most of
+// which agree with the car's direction to the noise all the same. So the others are asked alone.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "core/matches.h"
+#include "core/robust/estimate.h"
+
+namespace epi360 {
+
+// Inliers of a pose on one side of the camera that alone say where it moved, if a short search
+// among all other matches finds another direction; none otherwise. Only where other inliers lie all
+// around the camera: elsewhere nothing can be said against a side.
+std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
+                                            const MatchPriors& priors, std::uint64_t seed,
+                                            const RobustResult& answer);
+
+// Whether the answer of the others, `left`, speaks against that of all matches: a pose around the
+// camera with another direction, or a turn beside which the side moved more than anything that
+// stands still may.
+bool contradicts(const Matches& left, const RobustResult& others, const Matches& side,
+                 const RobustResult& all);
+
+}  // namespace epi360
