@@ -90,6 +90,30 @@ def test_by_hand_two_equal_poses_without_background_have_one_half_each():
     assert (x.motion, x.rival) == (pytest.approx(0.5), pytest.approx(0.5))
 
 
+@pytest.mark.parametrize(
+    ("lead", "regions", "log_odds"),
+    [
+        (-100.0, 0.0, 6.0),  # what all matches say counts 6 more than the regions
+        (-100.0, -20.0, -14.0),  # which may say the opposite
+        (100.0, 20.0, 14.0),
+        (0.0, 2.0, 0.0),  # and within that nothing
+        (0.0, np.nan, 0.0),
+    ],
+)
+def test_by_hand_the_regions_bound_what_all_matches_say_of_a_second_pose(lead, regions, log_odds):
+    x = explanations_reference(
+        PairEvidence(num_usable=9, support=9, rival_evidence=lead, rival_regions=regions)
+    )
+    assert np.log(x.motion / x.rival) == pytest.approx(log_odds)
+
+
+def test_by_hand_a_side_that_contradicts_makes_two_poses_equally_probable():
+    x = explanations_reference(
+        PairEvidence(num_usable=9, support=9, rival_evidence=-50.0, num_contradicting=8)
+    )
+    assert x.motion == pytest.approx(0.5)
+
+
 def test_by_hand_at_the_limits_of_the_tests_the_odds_are_those_of_what_is_accepted():
     sure = PairEvidence(num_usable=99, num_effective=99, support=50)
     lacking = explanations_reference(changed(sure, rival_evidence=-6.0))
@@ -183,6 +207,8 @@ def test_the_core_finds_the_same_explanations_of_any_evidence():
             "has_prior": bool(rng.integers(2)),
             "rival_evidence": -rng.exponential(20.0),
             "rival_probability": rng.uniform(),
+            "rival_regions": rng.choice([np.nan, rng.normal(0.0, 8.0)]),
+            "num_contradicting": int(rng.integers(0, 3) == 0),
             "only_pose": float(rng.integers(0, 60)),
             "only_rival": float(rng.integers(0, 60)),
             "behind": float(rng.integers(0, 15)),
