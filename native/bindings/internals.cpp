@@ -10,6 +10,7 @@
 #include "core/robust/displacement.h"
 #include "core/robust/evidence.h"
 #include "core/robust/grid_noise.h"
+#include "core/robust/one_side.h"
 #include "core/robust/plane.h"
 #include "core/robust/ransac.h"
 #include "core/robust/rotation_search.h"
@@ -160,6 +161,13 @@ void bind_internals(nb::module_& module) {
       },
       "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "residual"_a, "range"_a,
       "seed"_a);
+  m.def(
+      "sides_that_say_most",
+      [](Bearings b1, Bearings b2, Matrix3 R, Vector3 t, const std::vector<bool>& inliers) {
+        return sides_that_say_most(to_matches(b1, b2), Residual::kSampson, to_pose(R, t),
+                                   {inliers.begin(), inliers.end()});
+      },
+      "bearings1"_a, "bearings2"_a, "rotation"_a, "translation"_a, "inliers"_a);
   m.def(
       "density_in_view",
       [](Bearings b1, Bearings b2) { return density_in_view(to_matches(b1, b2)); }, "bearings1"_a,

@@ -15,6 +15,7 @@ from epi360 import (
     translation_error_deg,
 )
 from epi360.estimation.image_matches import IMAGE_OPTIONS
+from epi360.estimation.one_side_reference import sides_that_say_most
 from epi360.estimation.result import MISSING_MATCHES
 from epi360.poses import rotation_from_vector
 
@@ -162,3 +163,41 @@ def test_a_side_that_contradicts_makes_both_poses_equally_probable():
     status, warnings = _core.internals.judge(evidence)
     assert status == "planar_ambiguous" and "one_side" in [each.code for each in warnings]
     assert _core.internals.explain(evidence).rival == pytest.approx(0.5, abs=1e-6)
+
+
+def test_by_hand_the_car_is_the_side_that_says_most():
+    b1, b2, pose = past_a_car(0, 100, 0.3)
+    is_car = np.arange(len(b1)) // 100 == 3
+    inlier = np.arange(len(b1)) < 400
+    unit_pose = Pose(pose.rotation, pose.translation / np.linalg.norm(pose.translation))
+    sides = sides_that_say_most(unit_pose, b1, b2, inlier)
+    assert sides
+    for side in sides:
+        assert side[is_car].mean() > 0.9 and not side[~inlier].any()
+        assert side[~is_car].sum() < 60
+
+
+def test_by_hand_no_side_says_most_in_a_room_of_points_all_around():
+    b1, b2, pose = past_a_tram(0, 0, 0.4)
+    unit_pose = Pose(pose.rotation, pose.translation / np.linalg.norm(pose.translation))
+    assert sides_that_say_most(unit_pose, b1, b2, np.arange(len(b1)) < NUM_STILL) == []
+    assert sides_that_say_most(unit_pose, b1, b2, np.zeros(len(b1), dtype=bool)) == []
+
+
+def test_the_core_finds_the_sides_of_its_twin():
+    found = 0
+    for seed in range(12):
+        b1, b2, _ = past_a_car(seed, (60, 150)[seed % 2], (0.1, 0.3, 1.0)[seed % 3])
+        result = estimate_relative_pose(b1, b2, options=IMAGE_OPTIONS)
+        if not result.success:
+            continue
+        pose, inlier = result.cam2_from_cam1, result.inlier_mask
+        twins = [np.flatnonzero(each) for each in sides_that_say_most(pose, b1, b2, inlier)]
+        core = _core.internals.sides_that_say_most(
+            b1, b2, pose.rotation, pose.translation, inlier.tolist()
+        )
+        assert len(core) == len(twins)
+        for mine, its in zip(twins, core, strict=True):
+            np.testing.assert_array_equal(mine, its)
+        found += len(core)
+    assert found > 5

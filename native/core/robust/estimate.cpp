@@ -13,6 +13,7 @@
 #include "core/robust/fixed_content.h"
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
+#include "core/robust/matches_left.h"
 #include "core/robust/one_side.h"
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
@@ -182,8 +183,8 @@ class Estimate {
     bool competes = false;
     for (const Candidate& rival : others.all()) {
       const double lead = rival.evidence - first.evidence;
-      const double odds = odds_of_rival(
-          evidence_beside({rival.cam2_from_cam1, rival.loss, lead}, own, first.loss));
+      const double odds =
+          odds_of_rival(evidence_beside({rival.cam2_from_cam1, rival.loss, lead}, own, first.loss));
       if (lead < -kCompetingEvidence && !(odds > 0.0)) continue;
       competes = candidates.add(rival) || competes;
       // Fewer matches agree with it, but far more regions.
@@ -375,8 +376,8 @@ class Estimate {
     return evidence;
   }
 
-  // The evidence so far, with what speaks for another pose than the one of this mixture, of which the
-  // regions say `own`. With more noise more regions agree, which is no evidence.
+  // The evidence so far, with what speaks for another pose than the one of this mixture, of which
+  // the regions say `own`. With more noise more regions agree, which is no evidence.
   Evidence evidence_beside(const Rival& rival, const Evidence& own, const LossModel& loss) {
     const Evidence other = heard(rival.cam2_from_cam1, rival.loss);
     Evidence beside = result_.evidence;

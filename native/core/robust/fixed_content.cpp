@@ -27,25 +27,6 @@ bool surround(const Extent& some, const Extent& others) {
   return some.spread > kSurrounds * others.spread || some.coverage > kSurrounds * others.coverage;
 }
 
-std::vector<unsigned char> mask_of(const Matches& m, const std::vector<std::size_t>& chosen) {
-  std::vector<unsigned char> mask(m.size, 0);
-  for (const std::size_t i : chosen) mask[i] = 1;
-  return mask;
-}
-
-// Residuals of matches under a pose, or under a rotation alone.
-std::vector<double> residuals_under(const RobustResult& answer, const Matches& m,
-                                    Residual residual) {
-  std::vector<double> residuals(m.padded), margins(m.padded);
-  if (has_translation(answer.verdict.status)) {
-    compute_residuals(m, residual, plain(answer.cam2_from_cam1), residuals.data(), margins.data());
-  } else {
-    const Eigen::Matrix<double, 3, 3, Eigen::RowMajor> rows = answer.cam2_from_cam1.R;
-    compute_rotation_residuals(m, rows.data(), residuals.data());
-  }
-  return residuals;
-}
-
 }  // namespace
 
 std::vector<std::size_t> standing_still(const Matches& m, double gate) {
@@ -78,21 +59,6 @@ std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answe
   return may_count || may_warn ? still : std::vector<std::size_t>{};
 }
 
-MatchesLeft without(const Matches& m, const MatchPriors& priors,
-                    const std::vector<std::size_t>& fixed) {
-  MatchesLeft left;
-  left.priors = priors;
-  left.priors.scores.clear();
-  const std::vector<unsigned char> is_fixed = mask_of(m, fixed);
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (is_fixed[i]) continue;
-    left.rows.push_back(i);
-    if (!priors.scores.empty()) left.priors.scores.push_back(priors.scores[i]);
-  }
-  left.m = chosen_matches(m, left.rows);
-  return left;
-}
-
 OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
                      const MatchesLeft& left, const RobustResult& answer, Residual residual) {
   const Status status = answer.verdict.status;
@@ -108,15 +74,6 @@ OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
   const Extent where = extents(m, mask_of(m, fixed).data()).chosen;
   if (surround(extents(left.m, answer.inlier.data()).chosen, where)) return OthersSay::kFixed;
   return status == Status::kOk ? OthersSay::kPose : OthersSay::kNothing;
-}
-
-RobustResult on_all(const Matches& m, const MatchesLeft& left, RobustResult answer,
-                    Residual residual) {
-  answer.residuals = residuals_under(answer, m, residual);
-  std::vector<unsigned char> inlier(m.size, 0);
-  for (std::size_t k = 0; k < left.rows.size(); ++k) inlier[left.rows[k]] = answer.inlier[k];
-  answer.inlier = std::move(inlier);
-  return answer;
 }
 
 }  // namespace epi360

@@ -12,7 +12,7 @@
 #include "core/matches.h"
 #include "core/residuals/residuals.h"
 #include "core/robust/estimate.h"
-#include "core/robust/options.h"
+#include "core/robust/matches_left.h"
 
 namespace epi360 {
 
@@ -23,24 +23,11 @@ std::vector<std::size_t> standing_still(const Matches& m, double gate);
 // be one of two poses: they may be fixed to the camera. None where the others are not worth asking.
 std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer);
 
-// The other matches of a pair, their rows in it, and what is known of them.
-struct MatchesLeft {
-  std::vector<std::size_t> rows;
-  Matches m;
-  MatchPriors priors;
-};
-MatchesLeft without(const Matches& m, const MatchPriors& priors,
-                    const std::vector<std::size_t>& fixed);
-
 // What the answer of the others says, if it is a pose or a rotation that most of the others agree
 // with, and under which most of those would have moved: that those are fixed, because its inliers
 // surround the camera more than they do; or a pose, and nothing tells which of both has moved.
 enum class OthersSay { kNothing, kPose, kFixed };
 OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
                      const MatchesLeft& left, const RobustResult& answer, Residual residual);
-
-// That answer with the inliers and residuals of all matches; none of those fixed is an inlier.
-RobustResult on_all(const Matches& m, const MatchesLeft& left, RobustResult answer,
-                    Residual residual);
 
 }  // namespace epi360

@@ -14,6 +14,7 @@
 #include "core/robust/around_camera.h"
 #include "core/robust/covariance.h"
 #include "core/robust/evidence.h"
+#include "core/robust/matches_left.h"
 #include "core/robust/random.h"
 #include "core/robust/rival_search.h"
 
@@ -50,16 +51,16 @@ struct SideCell {
 
 using SideCells = std::array<SideCell, kNumCells>;
 
-SideCells cells_of_inliers(const Matches& m, Residual residual, const RobustResult& answer) {
+SideCells cells_of_inliers(const Matches& m, Residual residual, const RelativePose& pose,
+                           const std::vector<unsigned char>& inlier) {
   Linearisation at;
   at.resize(m.padded);
-  const RelativePose& pose = answer.cam2_from_cam1;
   const Eigen::Matrix<double, 3, 2, Eigen::RowMajor> basis = tangent_basis(pose.t);
   compute_jacobians(m, residual, plain(pose), basis.data(), at.residuals.data(), at.margins.data(),
                     at.jacobian.data());
   SideCells cells;
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (!answer.inlier[i]) continue;
+    if (!inlier[i]) continue;
     const Eigen::Matrix<double, 5, 1> J = jacobian_of(at, m.padded, i);
     SideCell& cell = cells[cell_of(view1(m, i))];
     cell.information += m.weight[i] * J * J.transpose();
@@ -107,30 +108,30 @@ double squared_parallax(const Matches& m, const RelativePose& pose, std::size_t 
 }
 
 double value_at(std::vector<double> values, double share) {
-  const auto at = values.begin() + static_cast<std::ptrdiff_t>(
-                                       share * static_cast<double>(values.size() - 1));
+  const auto at =
+      values.begin() + static_cast<std::ptrdiff_t>(share * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), at, values.end());
   return *at;
 }
 
 // Inliers on a side that moved more than those elsewhere.
-std::vector<std::size_t> moved_on_side(const Matches& m, const RobustResult& answer,
-                                       const SideCells& cells, const SideCell& middle, double angle) {
+std::vector<std::size_t> moved_on_side(const Matches& m, const RelativePose& pose,
+                                       const std::vector<unsigned char>& inlier,
+                                       const SideCells& cells, const SideCell& middle,
+                                       double angle) {
   std::vector<std::size_t> inside;
   std::vector<double> elsewhere;
   for (std::size_t i = 0; i < m.size; ++i) {
-    if (!answer.inlier[i]) continue;
+    if (!inlier[i]) continue;
     if (cells[cell_of(view1(m, i))].is_near(middle, angle)) {
       inside.push_back(i);
     } else {
-      elsewhere.push_back(squared_parallax(m, answer.cam2_from_cam1, i));
+      elsewhere.push_back(squared_parallax(m, pose, i));
     }
   }
   const double usual = kMovedMore * kMovedMore * value_at(std::move(elsewhere), 0.5);
   inside.erase(std::remove_if(inside.begin(), inside.end(),
-                              [&](std::size_t i) {
-                                return squared_parallax(m, answer.cam2_from_cam1, i) <= usual;
-                              }),
+                              [&](std::size_t i) { return squared_parallax(m, pose, i) <= usual; }),
                inside.end());
   return inside;
 }
@@ -139,17 +140,15 @@ std::vector<std::size_t> moved_on_side(const Matches& m, const RobustResult& ans
 bool may_contradict(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
                     std::uint64_t seed, const RobustResult& answer,
                     const std::vector<std::size_t>& side) {
-  std::vector<unsigned char> on_side(m.size, 0);
-  for (const std::size_t i : side) on_side[i] = 1;
-  std::vector<std::size_t> others, other_inliers;
+  const std::vector<unsigned char> on_side = mask_of(m, side);
+  std::vector<std::size_t> others;
+  double num_inliers = 0.0;
   for (std::size_t i = 0; i < m.size; ++i) {
     if (on_side[i] || !(m.weight[i] > 0.0)) continue;
     others.push_back(i);
-    if (answer.inlier[i]) other_inliers.push_back(i);
+    num_inliers += answer.inlier[i];
   }
-  if (!are_all_around(m, other_inliers)) return false;
-  const double inlier_share =
-      static_cast<double>(other_inliers.size()) / static_cast<double>(others.size());
+  const double inlier_share = num_inliers / static_cast<double>(others.size());
   const double share = std::max(kHalfOfInliers * inlier_share, kLeastSearched);
   Random random(seed);
   const RivalSearchResult found = search_among(m, std::move(others), share, options, priors,
@@ -160,16 +159,33 @@ bool may_contradict(const Matches& m, const RobustOptions& options, const MatchP
 
 }  // namespace
 
-std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
-                                            const MatchPriors& priors, std::uint64_t seed,
-                                            const RobustResult& answer) {
-  const SideCells cells = cells_of_inliers(m, options.residual, answer);
+std::vector<std::vector<std::size_t>> sides_that_say_most(
+    const Matches& m, Residual residual, const RelativePose& pose,
+    const std::vector<unsigned char>& inlier) {
+  const SideCells cells = cells_of_inliers(m, residual, pose, inlier);
+  std::vector<std::vector<std::size_t>> sides;
   for (const double angle : kSides) {
     const SideCell* middle = side_that_says_most(cells, angle);
     if (!middle) continue;
-    std::vector<std::size_t> side = moved_on_side(m, answer, cells, *middle, angle);
+    std::vector<std::size_t> side = moved_on_side(m, pose, inlier, cells, *middle, angle);
     if (side.size() < kFewestOnSide) continue;
-    if (may_contradict(m, options, priors, seed, answer, side)) return side;
+    const std::vector<unsigned char> on_side = mask_of(m, side);
+    std::vector<std::size_t> others;
+    for (std::size_t i = 0; i < m.size; ++i) {
+      if (inlier[i] && !on_side[i]) others.push_back(i);
+    }
+    if (are_all_around(m, others)) sides.push_back(std::move(side));
+  }
+  return sides;
+}
+
+std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
+                                            const MatchPriors& priors, std::uint64_t seed,
+                                            const RobustResult& answer) {
+  std::vector<std::vector<std::size_t>> sides =
+      sides_that_say_most(m, options.residual, answer.cam2_from_cam1, answer.inlier);
+  for (std::vector<std::size_t>& side : sides) {
+    if (may_contradict(m, options, priors, seed, answer, side)) return std::move(side);
   }
   return {};
 }

@@ -15,9 +15,14 @@
 
 namespace epi360 {
 
+// Sides of different widths without which the direction of a pose is known much less: on each the
+// inliers that moved more than those elsewhere, if these are all around the camera.
+std::vector<std::vector<std::size_t>> sides_that_say_most(const Matches& m, Residual residual,
+                                                          const RelativePose& pose,
+                                                          const std::vector<unsigned char>& inlier);
+
 // Inliers of a pose on one side of the camera that alone say where it moved, if a short search
-// among all other matches finds another direction; none otherwise. Only where other inliers lie all
-// around the camera: elsewhere nothing can be said against a side.
+// among all other matches finds another direction; none otherwise.
 std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
                                             const MatchPriors& priors, std::uint64_t seed,
                                             const RobustResult& answer);

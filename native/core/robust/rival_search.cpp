@@ -48,7 +48,8 @@ RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
   if (max_iterations < 1 || !enough || num_left < 2.0 * sample_size) return {};
   const bool is_crowded = regions_left * support > kCrowded * weight_left;
   const double as_many = is_crowded ? kShareBesideCrowd : 1.0;
-  const double share = std::min(as_many * static_cast<double>(num_inliers) / num_left, kLargestShare);
+  const double share =
+      std::min(as_many * static_cast<double>(num_inliers) / num_left, kLargestShare);
   return search_among(m, std::move(left), share, options, priors, gate, max_iterations, random);
 }
 

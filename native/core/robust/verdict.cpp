@@ -331,8 +331,8 @@ Verdict judge(const Evidence& e) {
   const auto warn = [&](WarningCode code, double value, double reference) {
     verdict.warnings.push_back({code, value, reference});
   };
-  const int missing = e.num_matches - e.num_copies - e.num_usable - e.num_fixed -
-                      e.num_contradicting;
+  const int missing =
+      e.num_matches - e.num_copies - e.num_usable - e.num_fixed - e.num_contradicting;
   if (missing > 0) warn(WarningCode::kMissingMatches, missing, e.num_matches);
   if (e.num_copies > 0) warn(WarningCode::kCopies, e.num_copies, e.num_matches);
   if (e.num_fixed > 0) warn(WarningCode::kFixedContent, e.num_fixed, e.num_matches);

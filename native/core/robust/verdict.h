@@ -104,9 +104,10 @@ struct Evidence {
   double rotation_log_ratio = kInfinity;
 
   // The likeliest pose that is truly different: its log-likelihood minus that of the pose, how
-  // probable the regions make it, and the log-odds of the pose over it by the regions alone. Matches that only the pose, and only that one, explains, if most
-  // of those that it explains are its own. Share of the inliers on one plane, and whether it is so
-  // large that there is such a pose by geometry.
+  // probable the regions make it, and the log-odds of the pose over it by the regions alone.
+  // Matches that only the pose, and only that one, explains, if most of those that it explains are
+  // its own. Share of the inliers on one plane, and whether it is so large that there is such a
+  // pose by geometry.
   double rival_evidence = -kInfinity, rival_probability = 1.0, rival_regions = kNaN;
   double only_pose = 0.0, only_rival = 0.0;
   double plane_share = 0.0;
