@@ -25,6 +25,7 @@ FAR_M = 1000.0
 CLOUDS_ABOVE, CLOUDS_DRIFT = 0.6, 0.05  # sine of their elevation; over their height
 CARRIED_DEG = 40.0  # around straight down
 CAR_DEG = 30.0  # around what passes
+CAR_M = 3.0  # to a car that drives by
 AHEAD_DEG, SWAY_DEG, TURN_DEG = 60.0, 2.5, 6.0  # around who walks ahead, who sways; of the camera
 
 
@@ -69,6 +70,22 @@ def _passed(rng: np.random.Generator, *, num: int) -> CameraMatches:
     later = (car - middle) @ turn.T + middle + rng.uniform(-1.5, 1.5, 3) * [1.0, 0.0, 1.0]
     first, second = (np.concatenate([scene, _unit(each)]) for each in (car, later))
     return _disturbed(rng, first, second, Pose(np.eye(3), np.full(3, np.nan)))
+
+
+def _driven_by(rng: np.random.Generator, *, num: int, step_m: float) -> CameraMatches:
+    """Three hundred matches of a street and a car that drives by, of a camera that takes a step."""
+    turn = rotation_from_vector(np.radians(20.0) * _unit(rng.normal(size=(1, 3)))[0])
+    azimuth = rng.uniform(0.0, 2.0 * np.pi)
+    step = step_m * np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
+    pose = Pose(turn, -turn @ step)
+    street = rng.uniform([-25.0, -4.0, -25.0], [25.0, 1.6, 25.0], (1000, 3))
+    street = street[np.hypot(street[:, 0], street[:, 2]) > CAR_M][:300]
+    car = rng.uniform([-2.0, -0.2, CAR_M], [2.0, 1.2, CAR_M + 1.0], (num, 3))
+    later = _unit((car + [1.5, 0.0, 0.0] - step) @ turn.T)
+    first, second = _seen(rng, street, pose, wrong_share=0.2)
+    return _disturbed(
+        rng, np.concatenate([first, _unit(car)]), np.concatenate([second, later]), pose
+    )
 
 
 def _followed(rng: np.random.Generator, *, num: int) -> CameraMatches:
@@ -185,6 +202,11 @@ CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
     **{f"step, {n} carried": partial(_carried, num=n, moved=True) for n in (50, 150, 400)},
     **{f"turn, {n} carried": partial(_carried, num=n, moved=False) for n in (50, 150, 400)},
     **{f"still, {n} passing": partial(_passed, num=n) for n in (50, 100, 200)},
+    **{
+        f"step of {step_m} m, {n} on a car": partial(_driven_by, num=n, step_m=step_m)
+        for step_m in (0.1, 0.3, 1.0)
+        for n in (100, 250)
+    },
     **{f"step, {n} walk ahead": partial(_followed, num=n) for n in (100, 200, 300)},
     **{f"step, {p} % near": partial(_far_away, near_share=p / 100) for p in (10, 20, 40)},
     "turn, below clouds": _below_clouds,
