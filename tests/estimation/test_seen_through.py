@@ -27,9 +27,9 @@ def bearings_of(first, second, rng):
     return both
 
 
-def walls(rng, count):
-    """Points of walls around, above the floor."""
-    azimuths = rng.uniform(-np.pi, np.pi, count)
+def walls(rng, count, ahead=np.pi):
+    """Points of walls around, or ahead by up to so many radians, above the floor."""
+    azimuths = rng.uniform(-ahead, ahead, count)
     heights = rng.uniform(-2.0, 1.2, count)
     return np.column_stack([4.0 * np.sin(azimuths), heights, 4.0 * np.cos(azimuths)])
 
@@ -38,10 +38,10 @@ def floor(rng, count, reach=2.0):
     return rng.uniform([-reach, HEIGHT, -reach], [reach, HEIGHT, reach], (count, 3))
 
 
-def turned_above_tiles(seed, num_right=25, num_shifted=25):
+def turned_above_tiles(seed, num_right=25, num_shifted=25, ahead=np.pi):
     """A camera that has turned; matches of tiles with the next ones, and right ones."""
     rng = np.random.default_rng(seed)
-    right = np.concatenate([walls(rng, num_right - 8), floor(rng, 8, reach=1.2)])
+    right = np.concatenate([walls(rng, num_right - 8, ahead), floor(rng, 8, reach=1.2)])
     shifted = floor(rng, num_shifted)
     first = np.concatenate([right, shifted])
     second = np.concatenate([right, shifted + TILE]) @ TURN.rotation.T
@@ -50,7 +50,7 @@ def turned_above_tiles(seed, num_right=25, num_shifted=25):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_turn_above_tiles_is_a_turn(seed):
-    bearings = turned_above_tiles(seed, num_shifted=40)
+    bearings = turned_above_tiles(seed, num_shifted=40, ahead=np.radians(70.0))
     given = ESTIMATE(*bearings)
     assert given.success and given.probability > 0.9  # a step by one tile
     told = without_what_is_seen_through(given, bearings, ESTIMATE)
@@ -59,6 +59,14 @@ def test_a_turn_above_tiles_is_a_turn(seed):
     assert "would be seen through it" in told.warnings[-1]
     assert told.inlier_mask[:25].sum() > 20 and told.inlier_mask.sum() < 28
     assert len(told.residuals_rad) == 65 and np.isnan(told.residuals_rad).sum() > 20
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_below_walls_all_around_the_tiles_are_what_moves_on_one_side(seed):
+    told = ESTIMATE(*turned_above_tiles(seed, num_shifted=40))
+    assert told.status == "pure_rotation"
+    assert rotation_error_deg(told.cam2_from_cam1, TURN) < 0.2
+    assert "on one side of the camera say another motion" in told.warnings[-1]
 
 
 @pytest.mark.parametrize("seed", range(5))
