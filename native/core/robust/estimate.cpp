@@ -137,11 +137,24 @@ class Estimate {
 
   void conclude_search(Candidates& candidates) {
     settle(candidates);
-    if (has_answer() && find_rivals_left(candidates)) {
-      start_over(result_.num_iterations);
-      settle(candidates);
-    }
+    if (has_answer()) settle_with_rivals(candidates);
     if (lacks_direction(result_.evidence)) try_other_candidates(candidates);
+  }
+
+  // The answer beside what the matches say that it leaves, if they say anything.
+  void settle_with_rivals(Candidates& candidates) {
+    const RobustResult first = result_;
+    const std::vector<unsigned char> dropped = dropped_;
+    const RivalsLeft found = find_rivals_left(candidates);
+    if (found == RivalsLeft::kNone) return;
+    start_over(result_.num_iterations);
+    settle(candidates);
+    // What the regions prefer must be a pose itself.
+    if (found != RivalsLeft::kPreferred || has_translation(status())) return;
+    const int num_iterations = result_.num_iterations;
+    result_ = first;
+    result_.num_iterations = num_iterations;
+    dropped_ = dropped;
   }
 
   // The best candidate as it is reported, with its verdict.
@@ -153,15 +166,17 @@ class Estimate {
     assess(candidates);
   }
 
-  // Whether among the matches that an accepted pose leaves there is one that may compete with it.
-  bool find_rivals_left(Candidates& candidates) {
+  // What the matches that an accepted pose leaves say: nothing, a pose that may compete with it, or
+  // one with which fewer matches agree, but far more regions.
+  enum class RivalsLeft { kNone, kCompeting, kPreferred };
+  RivalsLeft find_rivals_left(Candidates& candidates) {
     const int least = priors_.scores.empty() ? 0 : kMostBesideScores;
     const int most = std::max(result_.num_iterations / kFirstSearch, least);
     const RivalSearchResult found =
         search_rivals(m_, options_, priors_, result_.inlier, result_.threshold,
                       regions_left(result_.evidence), most, random_);
     result_.num_iterations += found.num_iterations;
-    if (found.poses.empty()) return false;
+    if (found.poses.empty()) return RivalsLeft::kNone;
     Candidates others(m_, options_.residual, prior_);
     others.set_depth_tolerance(candidates.depth_tolerance());
     std::vector<unsigned char> inlier;
@@ -172,7 +187,7 @@ class Estimate {
       if (support < kCompetingSupport * result_.evidence.support) continue;
       others.polish(pose, kPolishings, kPolished);
     }
-    if (others.empty()) return false;
+    if (others.empty()) return RivalsLeft::kNone;
     // What the pose was moved by since it was a candidate may have made it more likely.
     Candidates same(m_, options_.residual, prior_);
     same.set_depth_tolerance(candidates.depth_tolerance());
@@ -181,17 +196,22 @@ class Estimate {
     const Candidate first = candidates.best();
     const Evidence own = heard(first.cam2_from_cam1, first.loss);
     bool competes = false;
+    const Candidate* preferred = nullptr;
+    double highest = 1.0;
     for (const Candidate& rival : others.all()) {
       const double lead = rival.evidence - first.evidence;
       const double odds =
           odds_of_rival(evidence_beside({rival.cam2_from_cam1, rival.loss, lead}, own, first.loss));
       if (lead < -kCompetingEvidence && !(odds > 0.0)) continue;
       competes = candidates.add(rival) || competes;
-      // Fewer matches agree with it, but far more regions.
-      if (odds > 1.0) competes = candidates.prefer(rival) || competes;
+      if (!(odds > highest)) continue;
+      highest = odds;
+      preferred = &rival;
     }
-    if (competes) candidates.give_up_blurred();
-    return competes;
+    const bool is_preferred = preferred && candidates.prefer(*preferred);
+    if (competes || is_preferred) candidates.give_up_blurred();
+    if (is_preferred) return RivalsLeft::kPreferred;
+    return competes ? RivalsLeft::kCompeting : RivalsLeft::kNone;
   }
 
   // The most likely candidate that has a direction, if there is one.
@@ -377,12 +397,14 @@ class Estimate {
   }
 
   // The evidence so far, with what speaks for another pose than the one of this mixture, of which
-  // the regions say `own`. With more noise more regions agree, which is no evidence.
+  // the regions say `own`. With more noise more regions agree, which is no evidence for it.
   Evidence evidence_beside(const Rival& rival, const Evidence& own, const LossModel& loss) {
     const Evidence other = heard(rival.cam2_from_cam1, rival.loss);
     Evidence beside = result_.evidence;
     beside.rival_probability = probability_by_regions(other);
-    if (!is_sharper(loss, rival.loss)) beside.rival_regions = lead_by_regions(own, other);
+    beside.rival_regions = lead_by_regions(own, other);
+    if (is_sharper(loss, rival.loss)) beside.rival_regions = std::max(beside.rival_regions, 0.0);
+    beside.only_pose = beside.only_rival = 0.0;  // not counted yet
     beside.rival_evidence = rival.evidence;
     return beside;
   }
@@ -490,7 +512,7 @@ RobustResult without_one_side(const Matches& m, const RobustOptions& options,
   RobustResult others = concluded(left.m, options, left.priors, seed, rows);
   others.num_iterations += result.num_iterations;
   result.num_iterations = others.num_iterations;
-  if (!contradicts(left.m, others, chosen_matches(m, side), result)) return result;
+  if (!contradicts(m, side, left, others, result)) return result;
   others.evidence.num_contradicting = static_cast<int>(side.size());
   conclude(left.m, options, rows, priors.max_noise, others);
   others.alternatives.insert(others.alternatives.begin(), result.cam2_from_cam1);

@@ -14,6 +14,7 @@
 #include "core/robust/around_camera.h"
 #include "core/robust/covariance.h"
 #include "core/robust/evidence.h"
+#include "core/robust/fixed_content.h"
 #include "core/robust/matches_left.h"
 #include "core/robust/random.h"
 #include "core/robust/rival_search.h"
@@ -34,10 +35,13 @@ constexpr int kMostSamples = 50;
 constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
 // Both directions differ by so much, and so many standard deviations of both; and the others have
 // this share of the regions of the answer.
-constexpr double kContradicts = 10.0 * kDegree, kDeviationsApart = 4.0, kLeastRegions = 0.5;
+constexpr double kContradicts = 10.0 * kDegree, kDeviationsApart = 4.0, kLeastRegions = 0.6;
 // Times by which the median of a side moved more than nine tenths of what only turned: nothing that
 // stands still is so much nearer than all else.
 constexpr double kCannotStandStill = 15.0;
+// The parallax of the others goes the way of the pose by so many standard deviations; or of few,
+// four in five do.
+constexpr double kSignsAgree = 8.0, kFewSignsAgree = 2.5, kMostSigns = 0.6;
 
 struct SideCell {
   Eigen::Vector3d centre = Eigen::Vector3d::Zero();
@@ -157,6 +161,43 @@ bool may_contradict(const Matches& m, const RobustOptions& options, const MatchP
          direction_angle(found.poses.front().t, answer.cam2_from_cam1.t) > kMayContradict;
 }
 
+// Whether the other inliers of a pose moved the way that it says: where only what is on the side
+// moves, as many go the opposite way.
+bool signs_agree(const MatchesLeft& left, const RobustResult& all) {
+  const RelativePose& pose = all.cam2_from_cam1;
+  double along = 0.0, count = 0.0;
+  for (std::size_t k = 0; k < left.m.size; ++k) {
+    if (!all.inlier[left.rows[k]]) continue;
+    const Eigen::Vector3d turned = pose.R * view1(left.m, k);
+    const double moved = (view2(left.m, k) - turned).dot(pose.t - pose.t.dot(turned) * turned);
+    along += moved > 0.0 ? 1.0 : -1.0;
+    count += 1.0;
+  }
+  const double deviations = along / std::sqrt(std::max(count, 1.0));
+  return deviations > kSignsAgree || (deviations > kFewSignsAgree && along > kMostSigns * count);
+}
+
+bool turn_contradicts(const Matches& m, const std::vector<std::size_t>& side,
+                      const MatchesLeft& left, const std::vector<std::size_t>& agreeing,
+                      const RobustResult& others, const RobustResult& all) {
+  // What is fixed to the camera says that it has not even turned.
+  std::size_t num_fixed = 0;
+  for (const std::size_t k : standing_still(left.m, others.threshold)) {
+    num_fixed += others.inlier[k];
+  }
+  if (2 * num_fixed > agreeing.size()) return false;
+  if (signs_agree(left, all)) return false;
+  std::vector<double> moved, still;
+  for (const std::size_t i : side) {
+    moved.push_back(squared_parallax(m, others.cam2_from_cam1, i));
+  }
+  for (const std::size_t k : agreeing) {
+    still.push_back(squared_parallax(left.m, others.cam2_from_cam1, k));
+  }
+  return value_at(std::move(moved), 0.5) >
+         kCannotStandStill * kCannotStandStill * value_at(std::move(still), 0.9);
+}
+
 }  // namespace
 
 std::vector<std::vector<std::size_t>> sides_that_say_most(
@@ -190,26 +231,17 @@ std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOption
   return {};
 }
 
-bool contradicts(const Matches& left, const RobustResult& others, const Matches& side,
-                 const RobustResult& all) {
+bool contradicts(const Matches& m, const std::vector<std::size_t>& side, const MatchesLeft& left,
+                 const RobustResult& others, const RobustResult& all) {
   std::vector<std::size_t> agreeing;
-  for (std::size_t i = 0; i < left.size; ++i) {
+  for (std::size_t i = 0; i < left.m.size; ++i) {
     if (others.inlier[i]) agreeing.push_back(i);
   }
-  if (!are_all_around(left, agreeing)) return false;
-  const Status status = others.verdict.status;
-  if (status == Status::kPureRotation) {
-    std::vector<double> moved, still;
-    for (std::size_t i = 0; i < side.size; ++i) {
-      moved.push_back(squared_parallax(side, others.cam2_from_cam1, i));
-    }
-    for (const std::size_t i : agreeing) {
-      still.push_back(squared_parallax(left, others.cam2_from_cam1, i));
-    }
-    return value_at(std::move(moved), 0.5) >
-           kCannotStandStill * kCannotStandStill * value_at(std::move(still), 0.9);
+  if (!are_all_around(left.m, agreeing)) return false;
+  if (others.verdict.status == Status::kPureRotation) {
+    return turn_contradicts(m, side, left, agreeing, others, all);
   }
-  if (!has_translation(status)) return false;
+  if (!has_translation(others.verdict.status)) return false;
   if (others.evidence.num_regions < kLeastRegions * all.evidence.num_regions) return false;
   const double sigma =
       std::hypot(direction_sigma(others.covariance), direction_sigma(all.covariance));

@@ -12,6 +12,7 @@
 
 #include "core/matches.h"
 #include "core/robust/estimate.h"
+#include "core/robust/matches_left.h"
 
 namespace epi360 {
 
@@ -28,9 +29,10 @@ std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOption
                                             const RobustResult& answer);
 
 // Whether the answer of the others, `left`, speaks against that of all matches: a pose around the
-// camera with another direction, or a turn beside which the side moved more than anything that
-// stands still may.
-bool contradicts(const Matches& left, const RobustResult& others, const Matches& side,
-                 const RobustResult& all);
+// camera with another direction; or a turn, of which not even the sign of the parallax of the
+// others agrees with that pose, and beside which the side moved more than anything that stands
+// still may.
+bool contradicts(const Matches& m, const std::vector<std::size_t>& side, const MatchesLeft& left,
+                 const RobustResult& others, const RobustResult& all);
 
 }  // namespace epi360

@@ -42,10 +42,9 @@ RivalSearchResult search_rivals(const Matches& m, const RobustOptions& options,
       weight_left += m.weight[i];
     }
   }
-  const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
   const auto num_left = static_cast<double>(left.size());
   const bool enough = std::max(weight_left, regions_left * support) >= kFewestLeft * support;
-  if (max_iterations < 1 || !enough || num_left < 2.0 * sample_size) return {};
+  if (!enough) return {};
   const bool is_crowded = regions_left * support > kCrowded * weight_left;
   const double as_many = is_crowded ? kShareBesideCrowd : 1.0;
   const double share =
@@ -57,6 +56,7 @@ RivalSearchResult search_among(const Matches& m, std::vector<std::size_t> some, 
                                const RobustOptions& options, const MatchPriors& priors, double gate,
                                int max_iterations, Random& random) {
   const int sample_size = priors.pose.has_gravity ? 3 : options.sample_size;
+  if (max_iterations < 1 || some.size() < 2 * static_cast<std::size_t>(sample_size)) return {};
   if (some.size() > kMostLooked) {
     random.choose(some, 0, kMostLooked);
     some.resize(kMostLooked);

@@ -145,13 +145,18 @@ double log_odds_over_rival(const Evidence& e) {
   }
   // With gravity known, a pose that the regions do not believe in is no rival either.
   if (e.has_prior && !is_believed) return kCertain;
-  const double by_matches = -e.rival_evidence * kAcceptedLogOdds / kRivalRejected;
-  double by_lead = by_matches;
-  if (std::isfinite(e.rival_regions)) {
-    by_lead = std::min(std::max(by_matches, e.rival_regions - kMostBesideRegions),
-                       e.rival_regions + kMostBesideRegions);
+  const bool has_heard = std::isfinite(e.rival_regions);
+  double log_odds = -e.rival_evidence * kAcceptedLogOdds / kRivalRejected;
+  if (has_heard) {
+    log_odds = std::min(std::max(log_odds, e.rival_regions - kMostBesideRegions),
+                        e.rival_regions + kMostBesideRegions);
   }
-  return bounded(is_believed ? std::min(by_lead, log_odds_by_number(e)) : by_lead);
+  if (is_believed) {  // numbers do not make a pose less probable than another that regions favour
+                      // less
+    const double least = has_heard ? std::min(e.rival_regions, 0.0) : -kCertain;
+    log_odds = std::min(log_odds, std::max(log_odds_by_number(e), least));
+  }
+  return bounded(log_odds);
 }
 
 // Of one surface over a general scene: standard deviations by which the inliers off it are fewer or

@@ -126,11 +126,15 @@ def _log_odds_over_rival(e: PairEvidence) -> float:
     is_believed = e.rival_probability > RIVAL_PROBABILITY
     if e.has_prior and not is_believed:
         return CERTAIN
-    by_matches = -e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED
-    least, most = e.rival_regions - MOST_BESIDE_REGIONS, e.rival_regions + MOST_BESIDE_REGIONS
-    known = math.isfinite(e.rival_regions)
-    by_lead = min(max(by_matches, least), most) if known else by_matches
-    return _bounded(min(by_lead, _by_number(e)) if is_believed else by_lead)
+    log_odds = -e.rival_evidence * ACCEPTED_LOG_ODDS / RIVAL_REJECTED
+    has_heard = math.isfinite(e.rival_regions)
+    if has_heard:
+        least, most = e.rival_regions - MOST_BESIDE_REGIONS, e.rival_regions + MOST_BESIDE_REGIONS
+        log_odds = min(max(log_odds, least), most)
+    if is_believed:
+        least = min(e.rival_regions, 0.0) if has_heard else -CERTAIN
+        log_odds = min(log_odds, max(_by_number(e), least))
+    return _bounded(log_odds)
 
 
 def _by_number(e: PairEvidence) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The side of a camera that says most of where it moved: the NumPy twin of the core's `one_side`."""
+"""The side of a camera that says most of where it moved; in the core it is `one_side.cpp`."""
 
 from __future__ import annotations
 
