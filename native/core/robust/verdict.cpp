@@ -151,8 +151,8 @@ double log_odds_over_rival(const Evidence& e) {
     log_odds = std::min(std::max(log_odds, e.rival_regions - kMostBesideRegions),
                         e.rival_regions + kMostBesideRegions);
   }
-  if (is_believed) {  // numbers do not make a pose less probable than another that regions favour
-                      // less
+  if (is_believed) {
+    // Numbers make no pose the less probable one of two if the regions favour it.
     const double least = has_heard ? std::min(e.rival_regions, 0.0) : -kCertain;
     log_odds = std::min(log_odds, std::max(log_odds_by_number(e), least));
   }
