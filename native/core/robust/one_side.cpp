@@ -83,23 +83,42 @@ double direction_variance(const Eigen::Matrix<double, 5, 5>& information) {
   return columns.bottomRows<2>().trace();
 }
 
-// The middle of the side without which the direction is known least; none if it is known as well.
-const SideCell* side_that_says_most(const SideCells& cells, double angle) {
+// All that is not within an angle of the middle of a side.
+SideCell others_of(const SideCells& cells, const SideCell& middle, double angle) {
+  SideCell others;
+  for (const SideCell& cell : cells) {
+    if (cell.is_near(middle, angle)) continue;
+    others.information += cell.information;
+    others.count += cell.count;
+  }
+  return others;
+}
+
+double largest_usual_variance(const SideCells& cells) {
   Eigen::Matrix<double, 5, 5> all = Eigen::Matrix<double, 5, 5>::Zero();
   for (const SideCell& cell : cells) all += cell.information;
+  return kSaysMost * direction_variance(all);
+}
+
+// Whether a side may say most: a narrower one says less than a wider one around it, so that most
+// pairs need no second look.
+bool may_say_most(const SideCells& cells, double widest, double usual) {
+  return std::any_of(cells.begin(), cells.end(), [&](const SideCell& middle) {
+    if (middle.count == 0) return false;
+    const SideCell others = others_of(cells, middle, widest);
+    return others.count < kFewestOnSide || direction_variance(others.information) > usual;
+  });
+}
+
+// The middle of the side without which the direction is known least; none if it is known as well.
+const SideCell* side_that_says_most(const SideCells& cells, double angle, double usual) {
   const SideCell* most = nullptr;
-  double largest = kSaysMost * direction_variance(all);
+  double largest = usual;
   for (const SideCell& middle : cells) {
     if (middle.count == 0) continue;
-    Eigen::Matrix<double, 5, 5> others = Eigen::Matrix<double, 5, 5>::Zero();
-    std::size_t num_others = 0;
-    for (const SideCell& cell : cells) {
-      if (cell.is_near(middle, angle)) continue;
-      others += cell.information;
-      num_others += cell.count;
-    }
-    if (num_others < kFewestOnSide) continue;
-    const double variance = direction_variance(others);
+    const SideCell others = others_of(cells, middle, angle);
+    if (others.count < kFewestOnSide) continue;
+    const double variance = direction_variance(others.information);
     if (!(variance > largest)) continue;
     largest = variance;
     most = &middle;
@@ -204,9 +223,11 @@ std::vector<std::vector<std::size_t>> sides_that_say_most(
     const Matches& m, Residual residual, const RelativePose& pose,
     const std::vector<unsigned char>& inlier) {
   const SideCells cells = cells_of_inliers(m, residual, pose, inlier);
+  const double usual = largest_usual_variance(cells);
   std::vector<std::vector<std::size_t>> sides;
+  if (!may_say_most(cells, kSides.back(), usual)) return sides;
   for (const double angle : kSides) {
-    const SideCell* middle = side_that_says_most(cells, angle);
+    const SideCell* middle = side_that_says_most(cells, angle, usual);
     if (!middle) continue;
     std::vector<std::size_t> side = moved_on_side(m, pose, inlier, cells, *middle, angle);
     if (side.size() < kFewestOnSide) continue;
