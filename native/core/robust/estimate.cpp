@@ -143,18 +143,17 @@ class Estimate {
 
   // The answer beside what the matches say that it leaves, if they say anything.
   void settle_with_rivals(Candidates& candidates) {
-    const RobustResult first = result_;
-    const std::vector<unsigned char> dropped = dropped_;
     const RivalsLeft found = find_rivals_left(candidates);
     if (found == RivalsLeft::kNone) return;
-    start_over(result_.num_iterations);
+    RobustResult first = std::move(result_);
+    std::vector<unsigned char> dropped = std::move(dropped_);
+    start_over(first.num_iterations);
     settle(candidates);
     // What the regions prefer must be a pose itself.
     if (found != RivalsLeft::kPreferred || has_translation(status())) return;
-    const int num_iterations = result_.num_iterations;
-    result_ = first;
-    result_.num_iterations = num_iterations;
-    dropped_ = dropped;
+    first.num_iterations = result_.num_iterations;
+    result_ = std::move(first);
+    dropped_ = std::move(dropped);
   }
 
   // The best candidate as it is reported, with its verdict.
@@ -292,11 +291,9 @@ class Estimate {
         rotation_possible(m_, result_.inlier, evidence.support, gate, random_)) {
       find_rotation();
     }
-    const double density = candidates.empty()
-                               ? kTypicalDensity
-                               : chance.at(result_.cam2_from_cam1, std::max(kChanceRange, gate));
-    density_ = density;
-    evidence.chance = 2.0 * gate * density;
+    density_ = candidates.empty() ? kTypicalDensity
+                                  : chance.at(result_.cam2_from_cam1, std::max(kChanceRange, gate));
+    evidence.chance = 2.0 * gate * density_;
     evidence.log10_false_alarms = log10_false_alarms(evidence.num_effective, evidence.support,
                                                      evidence.chance, options_.sample_size);
     if (status() == Status::kTooFewInliers) {  // no pose; a rotation may be one all the same
@@ -326,7 +323,7 @@ class Estimate {
       evidence.num_displaced = test.num_displaced;
       if (status() == Status::kPureRotation) return set_rotation(std::move(rotation));
     }
-    listen(result_.cam2_from_cam1, uncertainty.scale, gate, density, evidence);
+    listen(result_.cam2_from_cam1, uncertainty.scale, gate, density_, evidence);
     weigh_by(prior_);
     const Rivals rivals = find_rivals(m_, candidates, result_.cam2_from_cam1,
                                       uncertainty.covariance, result_.inlier, gate);

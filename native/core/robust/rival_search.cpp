@@ -17,6 +17,8 @@ namespace {
 // Share of the inliers that must be left for a rival, which shares the others with the pose; and
 // the largest share of what is left that it is taken to explain.
 constexpr double kFewestLeft = 0.6, kLargestShare = 0.9;
+// Where so many times more regions than matches are left, a rival may explain this share of as
+// many.
 constexpr double kCrowded = 2.0, kShareBesideCrowd = 0.5;
 constexpr double kConfidence = 0.95;      // that a sample of the rival alone is drawn
 constexpr std::size_t kMostLooked = 512;  // matches that the search looks at

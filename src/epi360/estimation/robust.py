@@ -119,8 +119,6 @@ def estimate_relative_pose(
         raise ValueError("residual tangent_sampson needs jacobians1 and jacobians2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
     noises = checked_noises(min_noise_deg, max_noise_deg)
-    threshold = inlier_threshold_deg, inlier_threshold_px
-
     pair = native_pair(
         bearings1,
         bearings2,
@@ -135,6 +133,7 @@ def estimate_relative_pose(
         min_noise=noises[0],
         max_noise=noises[1],
     )
+    threshold = inlier_threshold_deg, inlier_threshold_px
     answers = _estimate([pair], *threshold, residual, options, 1)
     (result,) = _results([(bearings1, bearings2)], answers)
     return result
@@ -226,12 +225,11 @@ def estimate_relative_poses(
     gravity1_of = direction_of_each(gravity1, len(pairs), "gravity1")
     gravity2_of = direction_of_each(gravity2, len(pairs), "gravity2")
     sigmas = prior_sigmas(gravity_sigma_deg, elevation_sigma_deg, has_gravity=gravity1 is not None)
-
-    arguments = []
+    native = []
     for k, pair in enumerate(pairs):
         try:
             b1, b2 = pair
-            arguments.append(
+            native.append(
                 native_pair(
                     b1,
                     b2,
@@ -248,7 +246,7 @@ def estimate_relative_poses(
         except (TypeError, ValueError) as error:
             raise ValueError(f"pair {k}: {error}") from None
     threads = thread_count(num_threads)
-    answers = _estimate(arguments, inlier_threshold_deg, None, residual, options, threads)
+    answers = _estimate(native, inlier_threshold_deg, None, residual, options, threads)
     return _results(pairs, answers)
 
 
@@ -287,7 +285,6 @@ def estimate_timed_poses(
     """
     checked = seed_of_each(seeds, len(bearings1))
     views = list(zip(bearings1, bearings2, strict=True))
-
     pairs = [native_pair(*pair, seed=seed) for pair, seed in zip(views, checked, strict=True)]
     answers = _estimate(pairs, "auto", None, "sampson", options, thread_count(num_threads))
     return _results(views, answers), [answer.seconds for answer in answers]
