@@ -8,12 +8,14 @@
 
 #include "core/robust/conclusion.h"
 #include "core/robust/covariance.h"
+#include "core/robust/crowd.h"
 #include "core/robust/derivative_noise.h"
 #include "core/robust/evidence.h"
 #include "core/robust/fixed_content.h"
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
 #include "core/robust/matches_left.h"
+#include "core/robust/neighbourhoods.h"
 #include "core/robust/one_side.h"
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
@@ -448,6 +450,9 @@ class Estimate {
   void set_rotation(RotationFit rotation) {
     RobustResult& r = result_;
     r.cam2_from_cam1 = {rotation.R, Eigen::Vector3d::UnitZ()};
+    if (r.evidence.support > 0) {
+      r.evidence.pose_coverage = extents(m_, r.inlier.data()).chosen.coverage;
+    }
     r.residuals = std::move(rotation.residuals);
     for (std::size_t i = 0; i < m_.size; ++i) r.inlier[i] = r.residuals[i] < r.threshold;
     const Uncertainty uncertainty = rotation_uncertainty(m_, r.inlier, r.residuals);
@@ -490,9 +495,22 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
   return result;
 }
 
+// The answer of all matches; where it is a pose whose inliers crowd, one match of each region is
+// asked as well.
+RobustResult estimate_confirmed(const Matches& m, const RobustOptions& options,
+                                const MatchPriors& priors, std::uint64_t seed) {
+  RobustResult result = estimate_all(m, options, priors, seed);
+  if (worth(result) < 2 || !inliers_crowd(result.evidence)) return result;
+  const MatchesLeft few = only(m, priors, one_of_each_region(m));
+  const RobustResult regions = estimate_all(few.m, options, few.priors, seed);
+  result.num_iterations += regions.num_iterations;
+  result.evidence.is_only_crowd = !regions_confirm(regions, result);
+  return result;
+}
+
 RobustResult concluded(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
                        std::uint64_t seed, const RowCounts& rows) {
-  RobustResult result = estimate_all(m, options, priors, seed);
+  RobustResult result = estimate_confirmed(m, options, priors, seed);
   conclude(m, options, rows, priors.max_noise, result);
   return result;
 }
@@ -503,17 +521,19 @@ RobustResult without_one_side(const Matches& m, const RobustOptions& options,
                               const MatchPriors& priors, std::uint64_t seed, const RowCounts& rows,
                               RobustResult result) {
   if (result.verdict.status != Status::kOk) return result;
-  const std::vector<std::size_t> side = contradicting_side(m, options, priors, seed, result);
-  if (side.empty()) return result;
-  const MatchesLeft left = without(m, priors, side);
-  RobustResult others = concluded(left.m, options, left.priors, seed, rows);
-  others.num_iterations += result.num_iterations;
-  result.num_iterations = others.num_iterations;
-  if (!contradicts(m, side, left, others, result)) return result;
-  others.evidence.num_contradicting = static_cast<int>(side.size());
-  conclude(left.m, options, rows, priors.max_noise, others);
-  others.alternatives.insert(others.alternatives.begin(), result.cam2_from_cam1);
-  return on_all(m, left, std::move(others), options.residual);
+  for (const Side& side : sides_to_ask(m, options, priors, seed, result)) {
+    const MatchesLeft left = without(m, priors, side.rows);
+    const RobustOptions asked = options_without(side, options);
+    RobustResult others = concluded(left.m, asked, left.priors, seed, rows);
+    result.num_iterations += others.num_iterations;
+    if (!contradicts(m, side, left, others, result)) continue;
+    others.num_iterations = result.num_iterations;
+    others.evidence.num_contradicting = static_cast<int>(side.rows.size());
+    conclude(left.m, options, rows, priors.max_noise, others);
+    others.alternatives.insert(others.alternatives.begin(), result.cam2_from_cam1);
+    return on_all(m, left, std::move(others), options.residual);
+  }
+  return result;
 }
 
 }  // namespace
@@ -525,7 +545,7 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   const std::vector<std::size_t> fixed = maybe_fixed(m, result);
   if (fixed.empty()) return without_one_side(m, options, priors, seed, rows, std::move(result));
   const MatchesLeft left = without(m, priors, fixed);
-  RobustResult other = estimate_all(left.m, options, left.priors, seed);
+  RobustResult other = estimate_confirmed(left.m, options, left.priors, seed);
   other.num_iterations += result.num_iterations;
   result.num_iterations = other.num_iterations;
   other.evidence.num_fixed = static_cast<int>(fixed.size());

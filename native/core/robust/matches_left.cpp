@@ -13,19 +13,26 @@ std::vector<unsigned char> mask_of(const Matches& m, const std::vector<std::size
   return mask;
 }
 
-MatchesLeft without(const Matches& m, const MatchPriors& priors,
-                    const std::vector<std::size_t>& some) {
+MatchesLeft only(const Matches& m, const MatchPriors& priors, std::vector<std::size_t> rows) {
   MatchesLeft left;
   left.priors = priors;
   left.priors.scores.clear();
-  const std::vector<unsigned char> is_left_out = mask_of(m, some);
-  for (std::size_t i = 0; i < m.size; ++i) {
-    if (is_left_out[i]) continue;
-    left.rows.push_back(i);
-    if (!priors.scores.empty()) left.priors.scores.push_back(priors.scores[i]);
+  if (!priors.scores.empty()) {
+    for (const std::size_t i : rows) left.priors.scores.push_back(priors.scores[i]);
   }
-  left.m = chosen_matches(m, left.rows);
+  left.m = chosen_matches(m, rows);
+  left.rows = std::move(rows);
   return left;
+}
+
+MatchesLeft without(const Matches& m, const MatchPriors& priors,
+                    const std::vector<std::size_t>& some) {
+  const std::vector<unsigned char> is_left_out = mask_of(m, some);
+  std::vector<std::size_t> rows;
+  for (std::size_t i = 0; i < m.size; ++i) {
+    if (!is_left_out[i]) rows.push_back(i);
+  }
+  return only(m, priors, std::move(rows));
 }
 
 std::vector<double> residuals_under(const RobustResult& answer, const Matches& m,

@@ -15,12 +15,15 @@ namespace epi360 {
 // One for each match: whether it is among the chosen.
 std::vector<unsigned char> mask_of(const Matches& m, const std::vector<std::size_t>& chosen);
 
-// The other matches of a pair, their rows in it, and what is known of them.
+// Some matches of a pair, their rows in it, and what is known of them.
 struct MatchesLeft {
   std::vector<std::size_t> rows;
   Matches m;
   MatchPriors priors;
 };
+MatchesLeft only(const Matches& m, const MatchPriors& priors, std::vector<std::size_t> rows);
+
+// The other ones.
 MatchesLeft without(const Matches& m, const MatchPriors& priors,
                     const std::vector<std::size_t>& some);
 

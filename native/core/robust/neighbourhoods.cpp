@@ -159,4 +159,21 @@ std::vector<double> region_weights(const Matches& m) {
   return votes;
 }
 
+std::vector<std::size_t> one_of_each_region(const Matches& m) {
+  const double chord = 2.0 * std::sin(0.5 * kRegion), squared = chord * chord;
+  std::vector<std::size_t> chosen;  // sorted by y
+  for (const Index i : order_of(m.y1, m.size)) {
+    if (!(m.weight[i] > 0.0)) continue;
+    bool is_new = true;
+    for (std::size_t k = chosen.size(); is_new && k-- > 0;) {
+      const std::size_t j = chosen[k];
+      if (m.y1[i] - m.y1[j] >= chord) break;
+      is_new = (view1(m, i) - view1(m, j)).squaredNorm() > squared ||
+               (view2(m, i) - view2(m, j)).squaredNorm() > squared;
+    }
+    if (is_new) chosen.push_back(i);
+  }
+  return chosen;
+}
+
 }  // namespace epi360

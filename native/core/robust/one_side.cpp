@@ -32,6 +32,8 @@ constexpr double kSaysMost = 10.0;
 // The search among the others: samples, the least share that a pose is taken to explain, and the
 // angle between its direction and that of the answer from which on they are asked in earnest.
 constexpr int kMostSamples = 50;
+// Most samples beside all inliers: they find a pose that explains a third of what is left.
+constexpr int kMostBesideAll = 1000;
 constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
 // Both directions differ by so much, and so many standard deviations of both; and the others have
 // this share of the regions of the answer.
@@ -196,9 +198,18 @@ bool signs_agree(const MatchesLeft& left, const RobustResult& all) {
   return deviations > kSignsAgree || (deviations > kFewSignsAgree && along > kMostSigns * count);
 }
 
+// The turn that an answer is, be it of a part of what its matches lie on; none if it is another
+// one.
+const RelativePose* turn_of(const RobustResult& answer) {
+  if (answer.verdict.status == Status::kPureRotation) return &answer.cam2_from_cam1;
+  if (answer.verdict.status != Status::kConcentratedInliers) return nullptr;
+  return turned_in_part(answer.evidence) ? &answer.alternatives.front() : nullptr;
+}
+
 bool turn_contradicts(const Matches& m, const std::vector<std::size_t>& side,
                       const MatchesLeft& left, const std::vector<std::size_t>& agreeing,
-                      const RobustResult& others, const RobustResult& all) {
+                      const RelativePose& turn, const RobustResult& others,
+                      const RobustResult& all) {
   // What is fixed to the camera says that it has not even turned.
   std::size_t num_fixed = 0;
   for (const std::size_t k : standing_still(left.m, others.threshold)) {
@@ -208,13 +219,21 @@ bool turn_contradicts(const Matches& m, const std::vector<std::size_t>& side,
   if (signs_agree(left, all)) return false;
   std::vector<double> moved, still;
   for (const std::size_t i : side) {
-    moved.push_back(squared_parallax(m, others.cam2_from_cam1, i));
+    moved.push_back(squared_parallax(m, turn, i));
   }
   for (const std::size_t k : agreeing) {
-    still.push_back(squared_parallax(left.m, others.cam2_from_cam1, k));
+    still.push_back(squared_parallax(left.m, turn, k));
   }
   return value_at(std::move(moved), 0.5) >
          kCannotStandStill * kCannotStandStill * value_at(std::move(still), 0.9);
+}
+
+std::vector<std::size_t> inliers_of(const RobustResult& answer) {
+  std::vector<std::size_t> inliers;
+  for (std::size_t i = 0; i < answer.inlier.size(); ++i) {
+    if (answer.inlier[i]) inliers.push_back(i);
+  }
+  return inliers;
 }
 
 }  // namespace
@@ -241,29 +260,43 @@ std::vector<std::vector<std::size_t>> sides_that_say_most(
   return sides;
 }
 
-std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
-                                            const MatchPriors& priors, std::uint64_t seed,
-                                            const RobustResult& answer) {
-  std::vector<std::vector<std::size_t>> sides =
-      sides_that_say_most(m, options.residual, answer.cam2_from_cam1, answer.inlier);
-  for (std::vector<std::size_t>& side : sides) {
-    if (may_contradict(m, options, priors, seed, answer, side)) return std::move(side);
+std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
+                               const MatchPriors& priors, std::uint64_t seed,
+                               const RobustResult& answer) {
+  std::vector<Side> asked;
+  for (std::vector<std::size_t>& side :
+       sides_that_say_most(m, options.residual, answer.cam2_from_cam1, answer.inlier)) {
+    if (!may_contradict(m, options, priors, seed, answer, side)) continue;
+    asked.push_back({std::move(side), false});
+    break;
   }
-  return {};
+  if (covers_little(answer.evidence)) asked.push_back({inliers_of(answer), true});
+  return asked;
 }
 
-bool contradicts(const Matches& m, const std::vector<std::size_t>& side, const MatchesLeft& left,
+RobustOptions options_without(const Side& side, RobustOptions options) {
+  if (side.is_all) {
+    options.max_iterations = std::min(options.max_iterations, kMostBesideAll);
+    options.min_iterations = std::min(options.min_iterations, options.max_iterations);
+  }
+  return options;
+}
+
+bool contradicts(const Matches& m, const Side& side, const MatchesLeft& left,
                  const RobustResult& others, const RobustResult& all) {
   std::vector<std::size_t> agreeing;
   for (std::size_t i = 0; i < left.m.size; ++i) {
     if (others.inlier[i]) agreeing.push_back(i);
   }
   if (!are_all_around(left.m, agreeing)) return false;
-  if (others.verdict.status == Status::kPureRotation) {
-    return turn_contradicts(m, side, left, agreeing, others, all);
+  if (const RelativePose* turn = turn_of(others)) {
+    return turn_contradicts(m, side.rows, left, agreeing, *turn, others, all);
   }
   if (!has_translation(others.verdict.status)) return false;
-  if (others.evidence.num_regions < kLeastRegions * all.evidence.num_regions) return false;
+  // All inliers may lie on one large thing, which has as many regions as it likes.
+  if (!side.is_all && others.evidence.num_regions < kLeastRegions * all.evidence.num_regions) {
+    return false;
+  }
   const double sigma =
       std::hypot(direction_sigma(others.covariance), direction_sigma(all.covariance));
   const auto apart = [&](const RelativePose& pose) {

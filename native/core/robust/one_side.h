@@ -22,17 +22,27 @@ std::vector<std::vector<std::size_t>> sides_that_say_most(const Matches& m, Resi
                                                           const RelativePose& pose,
                                                           const std::vector<unsigned char>& inlier);
 
-// Inliers of a pose on one side of the camera that alone say where it moved, if a short search
-// among all other matches finds another direction; none otherwise.
-std::vector<std::size_t> contradicting_side(const Matches& m, const RobustOptions& options,
-                                            const MatchPriors& priors, std::uint64_t seed,
-                                            const RobustResult& answer);
+// Inliers on one side, and whether these are all inliers.
+struct Side {
+  std::vector<std::size_t> rows;
+  bool is_all = false;
+};
+
+// The sides without which a pose is asked for again: one that alone says where the camera moved, if
+// a short search among all other matches finds another direction; and all inliers, if they cover
+// little of what the matches cover.
+std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
+                               const MatchPriors& priors, std::uint64_t seed,
+                               const RobustResult& answer);
+
+// How long others are searched for a pose.
+RobustOptions options_without(const Side& side, RobustOptions options);
 
 // Whether the answer of the others, `left`, speaks against that of all matches: a pose around the
 // camera with another direction; or a turn, of which not even the sign of the parallax of the
 // others agrees with that pose, and beside which the side moved more than anything that stands
 // still may.
-bool contradicts(const Matches& m, const std::vector<std::size_t>& side, const MatchesLeft& left,
+bool contradicts(const Matches& m, const Side& side, const MatchesLeft& left,
                  const RobustResult& others, const RobustResult& all);
 
 }  // namespace epi360

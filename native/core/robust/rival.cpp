@@ -44,14 +44,14 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
     return Rival{c.cam2_from_cam1, c.loss, candidates.lead(c, best)};
   };
   for (const Candidate& c : candidates.all()) {  // descending evidence
-    if (same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
+    const bool is_distinct = differ(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection);
+    if (!is_distinct || same_pose(pose, c.cam2_from_cam1, kNearby, kNearby)) {
       bool is_new = is_other(pose, c.cam2_from_cam1);
       for (const Rival& known : rivals.nearby) {
         is_new = is_new && is_other(known.cam2_from_cam1, c.cam2_from_cam1);
       }
       if (is_new) rivals.nearby.push_back(as_rival(c));
-    } else if (!rivals.distant &&
-               differ(pose, c.cam2_from_cam1, kDistinctRotation, kDistinctDirection)) {
+    } else if (!rivals.distant) {
       rivals.distant = as_rival(c);
     }
   }

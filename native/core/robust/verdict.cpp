@@ -63,7 +63,10 @@ constexpr double kPatchRelativeSpread = 0.2;  // of that of all matches
 // Measured on real pairs: directions are wrong under about 3 times the noise, good from 6 to 7.
 constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
-constexpr double kTiltRejected = 5.0;     // standard deviations
+// What turns with the camera lies on so much of what all matches cover, or of what the inliers of a
+// pose do that explains them as well: wrong matches alone would not lie along its epipolar curves.
+constexpr double kTurnedShare = 0.5, kTurnedOfPose = 0.7;
+constexpr double kTiltRejected = 5.0;  // standard deviations
 
 // Log-odds from standard deviations: those of the likelihoods of a Gaussian, the odds of what is
 // accepted at the limit of a test.
@@ -99,6 +102,10 @@ double log_odds_by_noise(const Evidence& e) {
   return kAcceptedLogOdds + kLogOddsPerNoise * std::log(e.noise / (kMostNoise * e.max_noise));
 }
 
+// What inliers say that crowd, and that one match of each region does not confirm, is as likely as
+// not.
+double log_odds_of_crowd(const Evidence& e) { return e.is_only_crowd ? 0.0 : Evidence::kInfinity; }
+
 bool is_chance(const Evidence& e) {
   return e.log10_false_alarms > kFalseAlarms || e.chance > kLargestChance;
 }
@@ -113,8 +120,8 @@ bool is_mirrored_turn(const Evidence& e) {
 
 double log_odds_of_pose(const Evidence& e) {
   if (e.chance > kLargestChance || is_mirrored(e) || is_mirrored_turn(e)) return -kCertain;
-  return bounded(std::min(
-      {log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms), log_odds_by_noise(e)}));
+  return bounded(std::min({log_odds_by_regions(e), log_odds_by_chance(e.log10_false_alarms),
+                           log_odds_by_noise(e), log_odds_of_crowd(e)}));
 }
 
 // Of a rotation that the inliers do not reject, against background alone.
@@ -200,9 +207,10 @@ Status status_of(const Evidence& e) {
   if (is_patch(e)) return Status::kConcentratedInliers;
   if (rotation) {
     if (!beats(found(x) + x.rotation, x.nothing)) return Status::kTooFewInliers;
-    return e.turn_sigma > kUnknownRotation ? Status::kConcentratedInliers : Status::kPureRotation;
+    const bool is_known = e.turn_sigma <= kUnknownRotation && !turned_in_part(e);
+    return is_known ? Status::kPureRotation : Status::kConcentratedInliers;
   }
-  if (is_undetermined(e)) return Status::kConcentratedInliers;
+  if (is_undetermined(e) || e.is_only_crowd) return Status::kConcentratedInliers;
   if (!beats(found(x), x.nothing)) return Status::kTooFewInliers;
   if (!beats(found(x), x.rival)) return Status::kPlanarAmbiguous;
   return found(x) >= kAccepted ? Status::kOk : Status::kTooFewInliers;
@@ -258,6 +266,8 @@ const char* name_of(WarningCode code) {
       return "motion_beside";
     case WarningCode::kOneSide:
       return "one_side";
+    case WarningCode::kOnlyCrowd:
+      return "only_crowd";
     case WarningCode::kFixedContent:
       break;
   }
@@ -282,6 +292,13 @@ bool rotation_explains(const Evidence& e) {
 bool lacks_direction(const Evidence& e) {
   return rotation_explains(e) && e.rotation_rejection >= kRotationRejected &&
          e.direction_sigma > kUnknownDirection;
+}
+
+bool covers_little(const Evidence& e) { return e.coverage < kPartialCoverage * e.match_coverage; }
+
+bool turned_in_part(const Evidence& e) {
+  return e.coverage < kTurnedShare * e.match_coverage &&
+         e.coverage < kTurnedOfPose * e.pose_coverage;
 }
 
 bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallParallax * e.scale; }
@@ -348,6 +365,10 @@ Verdict judge(const Evidence& e) {
   }
   if (is_refused_for_noise(e)) warn(WarningCode::kMuchNoise, e.noise, e.max_noise);
   const bool has_pose = has_translation(verdict.status);
+  if (verdict.status == Status::kConcentratedInliers) {
+    if (e.is_only_crowd) warn(WarningCode::kOnlyCrowd, e.support, e.num_regions);
+    if (turned_in_part(e)) warn(WarningCode::kPartialCoverage, e.coverage, e.match_coverage);
+  }
   if (!has_pose && verdict.status != Status::kPureRotation) return verdict;
   const bool is_on_one_side =
       e.displaced_rejection >= kRotationRejected && e.rotation_rejection < kRotationRejected;
@@ -358,7 +379,7 @@ Verdict judge(const Evidence& e) {
   if (has_pose && e.parallax < kCertainParallax * e.scale) {
     warn(WarningCode::kLittleParallax, e.parallax, e.scale);
   }
-  if (e.coverage < kPartialCoverage * e.match_coverage) {
+  if (covers_little(e)) {
     warn(WarningCode::kPartialCoverage, e.coverage, e.match_coverage);
   }
   if (has_pose && e.tilt > kTiltRejected * e.tilt_sigma) {

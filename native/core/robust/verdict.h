@@ -28,6 +28,7 @@ enum class WarningCode {
   kCopies,
   kMotionBeside,
   kOneSide,
+  kOnlyCrowd,
   kFixedContent
 };
 
@@ -37,11 +38,11 @@ const char* name_of(WarningCode code);
 
 // A warning and the two numbers that it compares: missing matches of all; parallax and noise;
 // coverage by inliers and by all matches; noise and its limit; matches behind a camera and inliers;
-// matches of a mirrored turn and inliers;
-// tilt against gravity and its standard deviation; matches that a rotation leaves displaced and
-// those that it explains; copies that were left out of all; matches of a motion and those that
-// stand still beside it; matches on one side that say another motion, and inliers of the others;
-// matches that are fixed to the camera of all.
+// matches of a mirrored turn and inliers; tilt against gravity and its standard deviation; matches
+// that a rotation leaves displaced and those that it explains; copies that were left out of all;
+// matches of a motion and those that stand still beside it; matches on one side that say another
+// motion, and inliers of the others; inliers that crowd, and regions that agree with them; matches
+// that are fixed to the camera of all.
 struct Warning {
   WarningCode code;
   double value, reference;
@@ -86,6 +87,8 @@ struct Evidence {
 
   // Standard deviation of the rotation alone, where it is the answer, over all its components.
   double turn_sigma = 0.0;
+  // Share of the sphere's cells with an inlier of the pose, where a rotation is the answer.
+  double pose_coverage = 0.0;
 
   // Standard deviations of rotation and direction, over all their components.
   double rotation_sigma = 0.0, direction_sigma = 0.0;
@@ -115,6 +118,8 @@ struct Evidence {
   // Matches on one side of the camera that were left out, since they say another motion than all
   // others, whose answer this is.
   int num_contradicting = 0;
+  // Whether the inliers crowd on a few regions, and one match of each region says something else.
+  bool is_only_crowd = false;
 
   // Where the inliers of the answer are: how many are no copies; one minus the length of their mean
   // bearing and the same of all matches; shares of the sphere's cells with an inlier and with a
@@ -157,6 +162,13 @@ bool rotation_explains(const Evidence& evidence);
 // Whether the inliers reject that the camera only turned, and yet do not know where it moved: then
 // this pose is a poor one, and another may be better.
 bool lacks_direction(const Evidence& evidence);
+
+// Whether the inliers lie on less than half of what the matches lie on.
+bool covers_little(const Evidence& evidence);
+
+// Whether what turned is a small part of what the matches and the inliers of the pose lie on. A
+// camera that turns sees all of it turn, while something that moves along turns by itself.
+bool turned_in_part(const Evidence& evidence);
 
 // Whether the parallax is so near the noise that a rotation alone must be tried.
 bool has_hardly_any_parallax(const Evidence& evidence);

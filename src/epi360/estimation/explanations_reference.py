@@ -58,6 +58,7 @@ class PairEvidence:
     rival_probability: float = 1.0
     rival_regions: float = math.nan
     num_contradicting: int = 0
+    is_only_crowd: bool = False
     only_pose: float = 0.0
     only_rival: float = 0.0
     plane_share: float = 0.0
@@ -107,7 +108,8 @@ def _log_odds_of_pose(e: PairEvidence) -> float:
     if e.chance > LARGEST_CHANCE or is_mirrored:
         return -CERTAIN
     chance = _by_chance(e.log10_false_alarms)
-    return _bounded(min(log_odds_by_regions(e), chance, _by_noise(e)))
+    crowd = 0.0 if e.is_only_crowd else math.inf
+    return _bounded(min(log_odds_by_regions(e), chance, _by_noise(e), crowd))
 
 
 def _log_odds_of_rotation(e: PairEvidence) -> float:

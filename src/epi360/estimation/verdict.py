@@ -84,6 +84,11 @@ def _sentence(warning: _core.Warning) -> str:
             f"{value:.0f} matches on one side of the camera say another motion than all others: "
             "something passes by, or a part of the place repeats itself"
         )
+    if warning.code == "only_crowd":
+        return (
+            f"the {value:.0f} inliers crowd on a few things, and one match of each region does not "
+            "confirm their pose: what has most texture may move, or stand elsewhere, too"
+        )
     if warning.code == "little_parallax":
         return (
             f"the median parallax is only {value / reference:.1f} times the noise: "
