@@ -26,6 +26,7 @@ CLOUDS_ABOVE, CLOUDS_DRIFT = 0.6, 0.05  # sine of their elevation; over their he
 CARRIED_DEG = 40.0  # around straight down
 CAR_DEG = 30.0  # around what passes
 CAR_M = 3.0  # to a car that drives by
+TRAM_M, CLUMP, CLUMP_M, CORNER_NOISE_RAD = 4.0, 10, 0.03, np.radians(0.2)  # to a tram; corners
 AHEAD_DEG, SWAY_DEG, TURN_DEG = 60.0, 2.5, 6.0  # around who walks ahead, who sways; of the camera
 
 
@@ -86,6 +87,27 @@ def _driven_by(rng: np.random.Generator, *, num: int, step_m: float) -> CameraMa
     return _disturbed(
         rng, np.concatenate([first, _unit(car)]), np.concatenate([second, later]), pose
     )
+
+
+def _beside_tram(rng: np.random.Generator, *, num: int, step_m: float) -> CameraMatches:
+    """A street, of a camera that moves on beside a tram which is about as fast.
+
+    The tram has more corners than all the rest, in clumps of ten, as detectors of corners find
+    them on windows and letters.
+    """
+    turn = rotation_from_vector(np.radians(8.0 * rng.random()) * _unit(rng.normal(size=(1, 3)))[0])
+    step = step_m * _unit(rng.normal([[1.0, 0.0, 0.0]], [[0.0, 0.03, 0.15]]))[0]
+    pose = Pose(turn, -turn @ step)
+    street = rng.uniform([-30.0, -8.0, -30.0], [30.0, 1.6, 30.0], (1000, 3))
+    street = street[np.hypot(street[:, 0], street[:, 2]) > CAR_M][:150]
+    tram = rng.uniform([-4.0, -1.0, TRAM_M], [4.0, 2.0, TRAM_M], (num // CLUMP, 3))
+    tram = np.repeat(tram, CLUMP, axis=0)
+    tram += rng.normal(0.0, CLUMP_M, tram.shape)
+    went = np.array([step_m * rng.uniform(0.8, 1.1), 0.0, 0.0])
+    first, second = _seen(rng, street, pose)
+    later = _unit((tram + went - step) @ turn.T)
+    bearings = np.concatenate([first, _unit(tram)]), np.concatenate([second, later])
+    return _disturbed(rng, *bearings, pose, CORNER_NOISE_RAD)
 
 
 def _followed(rng: np.random.Generator, *, num: int) -> CameraMatches:
@@ -171,9 +193,15 @@ def _bent(rng: np.random.Generator, bearings: Array, strength: float) -> Array:
     return _unit(bearings + strength * NOISE_RAD * _across(bearings, field))
 
 
-def _disturbed(rng: np.random.Generator, first: Array, second: Array, pose: Pose) -> CameraMatches:
+def _disturbed(
+    rng: np.random.Generator,
+    first: Array,
+    second: Array,
+    pose: Pose,
+    noise_rad: float = NOISE_RAD,
+) -> CameraMatches:
     noisy = [
-        _unit(each + NOISE_RAD * _across(each, rng.normal(size=each.shape)))
+        _unit(each + noise_rad * _across(each, rng.normal(size=each.shape)))
         for each in (first, second)
     ]
     return CameraMatches(noisy[0], noisy[1], pose)
@@ -206,6 +234,11 @@ CAMERAS: dict[str, Callable[[np.random.Generator], CameraMatches]] = {
         f"step of {step_m} m, {n} on a car": partial(_driven_by, num=n, step_m=step_m)
         for step_m in (0.1, 0.3, 1.0)
         for n in (100, 250)
+    },
+    **{
+        f"step of {step_m} m, {n} on a tram": partial(_beside_tram, num=n, step_m=step_m)
+        for step_m in (1.0, 3.0)
+        for n in (200, 400)
     },
     **{f"step, {n} walk ahead": partial(_followed, num=n) for n in (100, 200, 300)},
     **{f"step, {p} % near": partial(_far_away, near_share=p / 100) for p in (10, 20, 40)},

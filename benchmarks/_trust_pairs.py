@@ -64,8 +64,8 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class _PeerTask:
-    """Matches of one pair for COLMAP."""
+class GivenPair:
+    """Matches of one pair, and its true pose."""
 
     set: str
     pair: str
@@ -154,7 +154,7 @@ def images_of(folder: Path, camera: Path | None) -> ImageSet:
     return find_images(folder, camera=None if camera is None else str(camera))
 
 
-def _alone(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
+def _alone(plan: Plan, tasks: Iterable[GivenPair]) -> Iterator[Judged]:
     """Verdicts on each pair by its matches alone."""
     with ProcessPoolExecutor(plan.jobs) as pool:
         judge = partial(_judge_alone, has_gravity=False, seed=plan.seed)
@@ -228,11 +228,11 @@ def _found_pose(verdict: Verdict) -> Pose:
     return verdict.cam2_from_cam1 if verdict.status != "too_few_inliers" else verdict.doubted
 
 
-def _peer_tasks(name: str, output: Path, truth_of: TruthOf) -> Iterator[_PeerTask]:
+def _peer_tasks(name: str, output: Path, truth_of: TruthOf) -> Iterator[GivenPair]:
     graph = load_matches(output)
     for pair in graph.pairs:
         image1, image2 = (graph.images[one] for one in (pair.image1, pair.image2))
-        yield _PeerTask(
+        yield GivenPair(
             name,
             f"{pair.image1} {pair.image2}",
             Matches(
@@ -270,23 +270,26 @@ def learned_verdicts(plan: Plan) -> Iterator[Judged]:
                 pixels = [camera.pixels_from_bearings(each) for each in both]
                 truth = truth_of(name1, name2)
                 found = Matches(camera, camera, pixels[0], pixels[1])
-                tasks.append(_PeerTask(f"learned {ratio:g}", f"{name1} {name2}", found, truth))
+                tasks.append(GivenPair(f"learned {ratio:g}", f"{name1} {name2}", found, truth))
                 pairs.append(MatchedPair(name1, name2, kept))
-            yield from _learned_at(plan, tasks)
+            yield from given_pair_verdicts(plan, tasks, gravities=(False, True))
             graph = MatchGraph({"panorama": camera}, images, tuple(pairs))
             yield from _given_verdicts(plan, f"learned {ratio:g}", graph, panoramas, truth_of)
 
 
-def _learned_at(plan: Plan, tasks: list[_PeerTask]) -> Iterator[Judged]:
+def given_pair_verdicts(
+    plan: Plan, tasks: list[GivenPair], *, gravities: tuple[bool, ...] = (False,)
+) -> Iterator[Judged]:
+    """Verdicts on each pair by its matches, with gravity or without, and those of COLMAP."""
     with ProcessPoolExecutor(plan.jobs) as pool:
-        for has_gravity in (False, True):
+        for has_gravity in gravities:
             judge = partial(_judge_alone, has_gravity=has_gravity, seed=plan.seed)
             yield from pool.map(judge, tasks, chunksize=8)
     if plan.with_peer:
         yield from _peer_verdicts(plan, tasks)
 
 
-def _judge_alone(task: _PeerTask, *, has_gravity: bool, seed: int) -> Judged:
+def _judge_alone(task: GivenPair, *, has_gravity: bool, seed: int) -> Judged:
     matches = task.matches
     result = estimate_relative_pose(
         matches.camera1.bearings_from_pixels(matches.keypoints1),
@@ -319,7 +322,7 @@ def judged_result(
     )
 
 
-def _peer_verdicts(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
+def _peer_verdicts(plan: Plan, tasks: Iterable[GivenPair]) -> Iterator[Judged]:
     """COLMAP at each gate on the same matches."""
     listed = list(tasks)
     with ProcessPoolExecutor(plan.jobs) as pool:
@@ -328,7 +331,7 @@ def _peer_verdicts(plan: Plan, tasks: Iterable[_PeerTask]) -> Iterator[Judged]:
             yield from pool.map(judge, listed, chunksize=8)
 
 
-def _judge_peer(task: _PeerTask, *, gate_px: float, seed: int) -> Judged:
+def _judge_peer(task: GivenPair, *, gate_px: float, seed: int) -> Judged:
     peer = Pycolmap(Path(), max_error_px=gate_px)
     found = peer.from_matches(task.matches, seed)
     return Judged(

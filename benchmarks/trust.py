@@ -23,6 +23,7 @@ from _machine import fact_lines, load_average, machine_facts
 from _picture import Entry, add_picture_option, check_picture, panel_of, write_picture
 from _summary import markdown_table, text_table
 from _trust_coherence import coherence_rows
+from _trust_corners import corner_verdicts
 from _trust_lone import PAIR, few_verdicts, pair_verdicts, small_verdicts, tour_pair_verdicts
 from _trust_pairs import (
     FOLDER,
@@ -59,6 +60,7 @@ PACKAGES = ("epi360", "pycolmap", "numpy", "opencv-python-headless")
 PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "zind": zind_verdicts,
     "learned": learned_verdicts,
+    "corners": corner_verdicts,
     "tours": tour_verdicts,
     "given": given_verdicts,
     "pairs": pair_verdicts,
@@ -67,7 +69,7 @@ PAIR_SETS: dict[str, Callable[[Plan], Iterator[Judged]]] = {
     "small": small_verdicts,
 }
 SETS = (*PAIR_SETS, "cells", "degenerate", "cameras")
-NEEDS_DATA = ("zind", "learned", "pairs")
+NEEDS_DATA = ("zind", "learned", "corners", "pairs")
 
 
 def main() -> int:

@@ -84,6 +84,10 @@ void bind_testimony(nb::module_& m) {
       [](Bearings b1, Bearings b2) { return taken(region_weights(to_matches(b1, b2))); },
       "bearings1"_a, "bearings2"_a);
   m.def(
+      "one_of_each_region",
+      [](Bearings b1, Bearings b2) { return one_of_each_region(to_matches(b1, b2)); },
+      "bearings1"_a, "bearings2"_a);
+  m.def(
       "upright_poses",
       [](Bearings b1, Bearings b2, Vector3 gravity1, Vector3 gravity2, int most) {
         const auto direction = [](const Vector3& g) { return Eigen::Vector3d(g(0), g(1), g(2)); };

@@ -60,6 +60,16 @@ def past_a_car(seed, num_car, step_m):
     return seen(street, car, [1.5, 0.0, 0.0], step, rng, num_wrong=80)
 
 
+def past_a_long_tram(seed):
+    """A street, and a tram as long as half of the horizon, a little faster than the camera."""
+    rng = np.random.default_rng(seed)
+    street = rng.uniform([-30.0, -8.0, -30.0], [30.0, 1.6, 30.0], (1000, 3))
+    street = street[np.hypot(street[:, 0], street[:, 2]) > 3.0][:150]
+    tram = rng.uniform([-4.0, -1.0, 3.9], [4.0, 2.0, 4.1], (200, 3))
+    step = 3.0 * unit(rng.normal([[1.0, 0.0, 0.0]], [[0.0, 0.03, 0.1]]))[0]
+    return seen(street, tram, [3.3, 0.0, 0.0], step, rng, num_wrong=45)
+
+
 def is_right(pose, truth, within_deg=10.0):
     return rotation_error_deg(pose, truth) < 3.0 and translation_error_deg(pose, truth) < within_deg
 
@@ -125,6 +135,19 @@ def test_beside_a_turn_what_moved_far_more_is_said_to_be_beside_it():
         assert result.status != "ok"
         named += any(ONE_SIDE in each for each in result.warnings)
     assert named >= 4
+
+
+def test_what_is_all_around_is_asked_where_the_inliers_cover_little():
+    """The tram has most of the matches and of the regions, but not of the sphere."""
+    wrong = named = 0
+    for seed in range(20):
+        b1, b2, pose = past_a_long_tram(seed)
+        result = estimate_relative_pose(b1, b2, options=IMAGE_OPTIONS)
+        wrong += result.status == "ok" and not is_right(result.cam2_from_cam1, pose)
+        if any(ONE_SIDE in each for each in result.warnings):
+            assert result.status == "planar_ambiguous" and result.probability <= 0.5
+            named += is_right(result.cam2_from_cam1, pose)
+    assert named >= 3 and wrong <= 7  # before, 0 and 10
 
 
 @pytest.mark.parametrize(("num_tram", "step_m"), [(60, 0.06), (0, 0.06), (0, 0.4)])

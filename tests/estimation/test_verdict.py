@@ -58,6 +58,10 @@ UNKNOWN_DIRECTION = {"rotation_rejection": 9.0, "direction_sigma": 26 * DEGREE}
         (ROTATION | {"rotation_log10_false_alarms": -2.0}, "ok"),
         (ROTATION | {"log10_false_alarms": 5.0}, "pure_rotation"),
         (ROTATION | {"rotation_rejection": 3.9}, "pure_rotation"),
+        # A part that turned: of all matches, and of the inliers of the pose
+        (ROTATION | {"coverage": 0.44, "pose_coverage": 0.64}, CONCENTRATED),
+        (ROTATION | {"coverage": 0.46, "pose_coverage": 0.8}, "pure_rotation"),
+        (ROTATION | {"coverage": 0.44, "pose_coverage": 0.62}, "pure_rotation"),
         (ROTATION | {"rotation_rejection": 4.1}, "ok"),
         (ROTATION | {"rotation_log_ratio": 35.0}, "too_few_inliers"),
         (ROTATION | {"rotation_log_ratio": 35.8}, "pure_rotation"),
@@ -158,6 +162,10 @@ def test_the_graver_status_wins(changes, status):
         ({"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
         ({"coverage": 0.46}, {}),
         (ROTATION | {"coverage": 0.44}, {"partial_coverage": (0.44, 0.9)}),
+        (
+            ROTATION | {"coverage": 0.44, "pose_coverage": 0.8},
+            {"partial_coverage": (0.44, 0.9)},
+        ),
         (DISPLACED, {"displaced": (21.0, 59.0)}),
         (DISPLACED | {"displaced_rejection": 3.9}, {}),
         (DISPLACED | {"rotation_rejection": 4.1}, {}),

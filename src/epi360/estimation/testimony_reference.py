@@ -126,12 +126,27 @@ def epipole_trust(
 
 def region_votes(bearings1: Array, bearings2: Array) -> Array:
     """Votes (N,) of matches of which each region has one."""
+    return np.asarray(1.0 / _in_one_region(bearings1, bearings2).sum(axis=1))
+
+
+def one_of_each_region(bearings1: Array, bearings2: Array) -> list[int]:
+    """Rows of matches of which no two are one region; from the top of view 1 to its bottom."""
+    near = _in_one_region(bearings1, bearings2)
+    chosen: list[int] = []
+    for row in np.argsort(bearings1[:, 1], kind="stable"):
+        if not near[row, chosen].any():
+            chosen.append(int(row))
+    return chosen
+
+
+def _in_one_region(bearings1: Array, bearings2: Array) -> Mask:
+    """Which matches (N, N) lie near each other in both views."""
     chord = 2.0 * np.sin(0.5 * REGION_RAD)
 
     def near(b: Array) -> Mask:
         return np.asarray(np.linalg.norm(b[:, None] - b[None], axis=2) <= chord)
 
-    return np.asarray(1.0 / (near(bearings1) & near(bearings2)).sum(axis=1))
+    return near(bearings1) & near(bearings2)
 
 
 def votes_of(bearings1: Array, bearings2: Array, gravity: Gravity | None) -> Array:
