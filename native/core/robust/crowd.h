@@ -6,7 +6,11 @@
 // of the matches, and hardly any of the regions.
 #pragma once
 
+#include "core/matches.h"
 #include "core/robust/estimate.h"
+#include "core/robust/matches_left.h"
+#include "core/robust/options.h"
+#include "core/robust/random.h"
 #include "core/robust/verdict.h"
 
 namespace epi360 {
@@ -14,7 +18,16 @@ namespace epi360 {
 // Whether the inliers are a far larger share of the matches than of the regions.
 bool inliers_crowd(const Evidence& evidence);
 
-// Whether the answer of one match of each region is the pose of all matches.
-bool regions_confirm(const RobustResult& regions, const RobustResult& all);
+// One match of each region, of some thousand matches at the most.
+MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, Random& random);
+
+// How long these are searched: wrong matches, each of which is a region, are most of them.
+RobustOptions options_of_regions(RobustOptions options);
+
+// Whether the answer of one match of each region, `few`, is a turn, or another pose than that of
+// all matches which explains more of them, and not by chance. If they say nothing, that says
+// nothing of the pose.
+bool regions_contradict(const Matches& few, Residual residual, const RobustResult& regions,
+                        const RobustResult& all);
 
 }  // namespace epi360

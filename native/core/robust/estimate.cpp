@@ -6,6 +6,7 @@
 #include <numeric>
 #include <utility>
 
+#include "core/robust/around_camera.h"
 #include "core/robust/conclusion.h"
 #include "core/robust/covariance.h"
 #include "core/robust/crowd.h"
@@ -15,8 +16,8 @@
 #include "core/robust/inliers.h"
 #include "core/robust/leverage.h"
 #include "core/robust/matches_left.h"
-#include "core/robust/neighbourhoods.h"
 #include "core/robust/one_side.h"
+#include "core/robust/random.h"
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
@@ -43,6 +44,7 @@ constexpr double kChanceRange = 2.0 * kDegree;
 // and is no more than so much less likely after that.
 constexpr int kFirstSearch = 4, kMostBesideScores = 2000;
 constexpr double kCompetingSupport = 0.25, kCompetingEvidence = 30.0;
+constexpr double kMoreThanChance = 3.0;  // times
 constexpr double kMostlyOwn = 0.5;   // share of a rival's matches that the pose does not explain
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 
@@ -447,12 +449,24 @@ class Estimate {
     r.evidence.mirrored_turn = weight_of_mirrored_turn(m_, r.cam2_from_cam1, r.threshold);
   }
 
+  // Share of the cells with an inlier of the pose that was found, if far more of these than chance
+  // explains do not agree with the rotation, and what agrees lies on one side.
+  double coverage_beside(const RotationFit& rotation) const {
+    const RobustResult& r = result_;
+    const double beside = static_cast<double>(r.evidence.support) - rotation.support;
+    if (!(beside > kMoreThanChance * wrong_inliers())) return 0.0;
+    std::vector<std::size_t> agreeing;
+    for (std::size_t i = 0; i < m_.size; ++i) {
+      if (rotation.residuals[i] < r.threshold) agreeing.push_back(i);
+    }
+    if (are_all_around(m_, agreeing)) return 0.0;
+    return extents(m_, r.inlier.data()).chosen.coverage;
+  }
+
   void set_rotation(RotationFit rotation) {
     RobustResult& r = result_;
     r.cam2_from_cam1 = {rotation.R, Eigen::Vector3d::UnitZ()};
-    if (r.evidence.support > 0) {
-      r.evidence.pose_coverage = extents(m_, r.inlier.data()).chosen.coverage;
-    }
+    r.evidence.pose_coverage = coverage_beside(rotation);
     r.residuals = std::move(rotation.residuals);
     for (std::size_t i = 0; i < m_.size; ++i) r.inlier[i] = r.residuals[i] < r.threshold;
     const Uncertainty uncertainty = rotation_uncertainty(m_, r.inlier, r.residuals);
@@ -496,15 +510,16 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
 }
 
 // The answer of all matches; where it is a pose whose inliers crowd, one match of each region is
-// asked as well.
+// asked whether it says something else.
 RobustResult estimate_confirmed(const Matches& m, const RobustOptions& options,
                                 const MatchPriors& priors, std::uint64_t seed) {
   RobustResult result = estimate_all(m, options, priors, seed);
   if (worth(result) < 2 || !inliers_crowd(result.evidence)) return result;
-  const MatchesLeft few = only(m, priors, one_of_each_region(m));
-  const RobustResult regions = estimate_all(few.m, options, few.priors, seed);
+  Random random(seed);
+  const MatchesLeft few = one_for_each_region(m, priors, random);
+  const RobustResult regions = estimate_all(few.m, options_of_regions(options), few.priors, seed);
   result.num_iterations += regions.num_iterations;
-  result.evidence.is_only_crowd = !regions_confirm(regions, result);
+  result.evidence.is_only_crowd = regions_contradict(few.m, options.residual, regions, result);
   return result;
 }
 
@@ -523,14 +538,19 @@ RobustResult without_one_side(const Matches& m, const RobustOptions& options,
   if (result.verdict.status != Status::kOk) return result;
   for (const Side& side : sides_to_ask(m, options, priors, seed, result)) {
     const MatchesLeft left = without(m, priors, side.rows);
-    const RobustOptions asked = options_without(side, options);
-    RobustResult others = concluded(left.m, asked, left.priors, seed, rows);
+    RobustResult others =
+        estimate_confirmed(left.m, options_beside(side, options), left.priors, seed);
     result.num_iterations += others.num_iterations;
-    if (!contradicts(m, side, left, others, result)) continue;
+    RobustResult alone = others;
+    conclude(left.m, options, rows, priors.max_noise, alone);
+    if (!contradicts(m, side, left, alone, result)) continue;
     others.num_iterations = result.num_iterations;
     others.evidence.num_contradicting = static_cast<int>(side.rows.size());
     conclude(left.m, options, rows, priors.max_noise, others);
-    others.alternatives.insert(others.alternatives.begin(), result.cam2_from_cam1);
+    // What is said first of a turn in part is the turn.
+    const bool has_answer = others.verdict.status != Status::kConcentratedInliers;
+    others.alternatives.insert(has_answer ? others.alternatives.begin() : others.alternatives.end(),
+                               result.cam2_from_cam1);
     return on_all(m, left, std::move(others), options.residual);
   }
   return result;

@@ -5,6 +5,8 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <map>
+#include <numeric>
 #include <utility>
 
 #include "core/constants.h"
@@ -161,18 +163,26 @@ std::vector<double> region_weights(const Matches& m) {
 
 std::vector<std::size_t> one_of_each_region(const Matches& m) {
   const double chord = 2.0 * std::sin(0.5 * kRegion), squared = chord * chord;
-  std::vector<std::size_t> chosen;  // sorted by y
-  for (const Index i : order_of(m.y1, m.size)) {
-    if (!(m.weight[i] > 0.0)) continue;
-    bool is_new = true;
-    for (std::size_t k = chosen.size(); is_new && k-- > 0;) {
-      const std::size_t j = chosen[k];
-      if (m.y1[i] - m.y1[j] >= chord) break;
-      is_new = (view1(m, i) - view1(m, j)).squaredNorm() > squared ||
-               (view2(m, i) - view2(m, j)).squaredNorm() > squared;
-    }
-    if (is_new) chosen.push_back(i);
+  std::vector<std::size_t> heaviest(m.size), chosen;
+  std::iota(heaviest.begin(), heaviest.end(), std::size_t{0});
+  std::stable_sort(heaviest.begin(), heaviest.end(),
+                   [&](std::size_t a, std::size_t b) { return m.weight[a] > m.weight[b]; });
+  std::multimap<double, std::size_t> by_height;  // of those that are chosen
+  for (const std::size_t i : heaviest) {
+    if (!(m.weight[i] > 0.0)) break;
+    const auto end = by_height.upper_bound(m.y1[i] + chord);
+    const bool is_known =
+        std::any_of(by_height.lower_bound(m.y1[i] - chord), end,
+                    [&](const std::pair<double, std::size_t>& one) {
+                      const std::size_t j = one.second;
+                      return (view1(m, i) - view1(m, j)).squaredNorm() <= squared &&
+                             (view2(m, i) - view2(m, j)).squaredNorm() <= squared;
+                    });
+    if (is_known) continue;
+    by_height.emplace(m.y1[i], i);
+    chosen.push_back(i);
   }
+  std::sort(chosen.begin(), chosen.end());
   return chosen;
 }
 

@@ -21,7 +21,8 @@ Exchange exchanged_partners(const Matches& m, int view, double reach);
 // together they weigh less than one match.
 std::vector<double> region_weights(const Matches& m);
 
-// One match of each region, of which all others lie near one of these in both views.
+// One match of each region, the heaviest and of these the first one: all others lie near one of
+// these in both views, and none of these near another one. In ascending order.
 std::vector<std::size_t> one_of_each_region(const Matches& m);
 
 }  // namespace epi360

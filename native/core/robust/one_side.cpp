@@ -32,8 +32,10 @@ constexpr double kSaysMost = 10.0;
 // The search among the others: samples, the least share that a pose is taken to explain, and the
 // angle between its direction and that of the answer from which on they are asked in earnest.
 constexpr int kMostSamples = 50;
-// Most samples beside all inliers: they find a pose that explains a third of what is left.
+// Beside all inliers so many samples, of which nine in ten times one is of a pose that explains 0.3
+// of what is left; and so many inliers, over those of the answer.
 constexpr int kMostBesideAll = 1000;
+constexpr double kLeastBesideAll = 0.3;
 constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
 // Both directions differ by so much, and so many standard deviations of both; and the others have
 // this share of the regions of the answer.
@@ -274,7 +276,7 @@ std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
   return asked;
 }
 
-RobustOptions options_without(const Side& side, RobustOptions options) {
+RobustOptions options_beside(const Side& side, RobustOptions options) {
   if (side.is_all) {
     options.max_iterations = std::min(options.max_iterations, kMostBesideAll);
     options.min_iterations = std::min(options.min_iterations, options.max_iterations);
@@ -289,6 +291,8 @@ bool contradicts(const Matches& m, const Side& side, const MatchesLeft& left,
     if (others.inlier[i]) agreeing.push_back(i);
   }
   if (!are_all_around(left.m, agreeing)) return false;
+  const auto least = kLeastBesideAll * static_cast<double>(side.rows.size());
+  if (side.is_all && static_cast<double>(agreeing.size()) < least) return false;
   if (const RelativePose* turn = turn_of(others)) {
     return turn_contradicts(m, side.rows, left, agreeing, *turn, others, all);
   }

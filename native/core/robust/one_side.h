@@ -22,7 +22,7 @@ std::vector<std::vector<std::size_t>> sides_that_say_most(const Matches& m, Resi
                                                           const RelativePose& pose,
                                                           const std::vector<unsigned char>& inlier);
 
-// Inliers on one side, and whether these are all inliers.
+// Inliers that the others are asked without: those on one side, or all of them.
 struct Side {
   std::vector<std::size_t> rows;
   bool is_all = false;
@@ -35,8 +35,8 @@ std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
                                const MatchPriors& priors, std::uint64_t seed,
                                const RobustResult& answer);
 
-// How long others are searched for a pose.
-RobustOptions options_without(const Side& side, RobustOptions options);
+// The options for the matches beside a side: beside all inliers a shorter search.
+RobustOptions options_beside(const Side& side, RobustOptions options);
 
 // Whether the answer of the others, `left`, speaks against that of all matches: a pose around the
 // camera with another direction; or a turn, of which not even the sign of the parallax of the

@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kDistinct = 4.0;  // standard deviations
 constexpr double kDistinctRotation = 3.0 * kDegree, kDistinctDirection = 8.0 * kDegree;
-// A pose so near by is the same answer: with the uncertainty of both, neither is 10 degrees wrong.
+// A pose so near by, or within the uncertainty, is the same answer, less well known.
 constexpr double kNearby = 8.0 * kDegree;
 
 }  // namespace
@@ -61,9 +61,10 @@ Rivals find_rivals(const Matches& m, Candidates& candidates, const RelativePose&
 Eigen::Matrix<double, 5, 5> second_moment(const RelativePose& pose, const RelativePose& other,
                                           double probability) {
   const Eigen::AngleAxisd turn(other.R * pose.R.transpose());
+  const Eigen::Vector2d aside = tangent_basis(pose.t).transpose() * other.t;
+  const double angle = std::atan2(aside.norm(), other.t.dot(pose.t));
   Eigen::Matrix<double, 5, 1> apart;
-  apart << turn.angle() * turn.axis(),
-      tangent_basis(pose.t).transpose() * other.t / other.t.dot(pose.t);
+  apart << turn.angle() * turn.axis(), angle / std::max(aside.norm(), 1e-12) * aside;
   return probability * apart * apart.transpose();
 }
 

@@ -18,8 +18,8 @@ struct Rival {
 };
 
 struct Rivals {
-  // The likeliest one that is another motion, and those that are the same motion to a few degrees,
-  // the likeliest first.
+  // The likeliest one that is another motion, and those that are the same motion to a few degrees
+  // or to its uncertainty, the likeliest first.
   std::optional<Rival> distant;
   std::vector<Rival> nearby;
   double plane_share = 0.0;  // of the inliers on one plane

@@ -63,10 +63,8 @@ constexpr double kPatchRelativeSpread = 0.2;  // of that of all matches
 // Measured on real pairs: directions are wrong under about 3 times the noise, good from 6 to 7.
 constexpr double kCertainParallax = 6.0;
 constexpr double kPartialCoverage = 0.5;  // of what all matches cover
-// What turns with the camera lies on so much of what all matches cover, or of what the inliers of a
-// pose do that explains them as well: wrong matches alone would not lie along its epipolar curves.
-constexpr double kTurnedShare = 0.5, kTurnedOfPose = 0.7;
-constexpr double kTiltRejected = 5.0;  // standard deviations
+constexpr double kTurnedOfPose = 0.7;     // of what the inliers of a pose cover that may be right
+constexpr double kTiltRejected = 5.0;     // standard deviations
 
 // Log-odds from standard deviations: those of the likelihoods of a Gaussian, the odds of what is
 // accepted at the limit of a test.
@@ -102,8 +100,8 @@ double log_odds_by_noise(const Evidence& e) {
   return kAcceptedLogOdds + kLogOddsPerNoise * std::log(e.noise / (kMostNoise * e.max_noise));
 }
 
-// What inliers say that crowd, and that one match of each region does not confirm, is as likely as
-// not.
+// Of what inliers say that crowd, where one match of each region says something else: which of both
+// is right, nothing tells.
 double log_odds_of_crowd(const Evidence& e) { return e.is_only_crowd ? 0.0 : Evidence::kInfinity; }
 
 bool is_chance(const Evidence& e) {
@@ -297,8 +295,7 @@ bool lacks_direction(const Evidence& e) {
 bool covers_little(const Evidence& e) { return e.coverage < kPartialCoverage * e.match_coverage; }
 
 bool turned_in_part(const Evidence& e) {
-  return e.coverage < kTurnedShare * e.match_coverage &&
-         e.coverage < kTurnedOfPose * e.pose_coverage;
+  return covers_little(e) && e.coverage < kTurnedOfPose * e.pose_coverage;
 }
 
 bool has_hardly_any_parallax(const Evidence& e) { return e.parallax < kSmallParallax * e.scale; }

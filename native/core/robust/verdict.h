@@ -87,7 +87,8 @@ struct Evidence {
 
   // Standard deviation of the rotation alone, where it is the answer, over all its components.
   double turn_sigma = 0.0;
-  // Share of the sphere's cells with an inlier of the pose, where a rotation is the answer.
+  // Where that rotation agrees with one side only, and far more than chance with a pose beside it:
+  // share of the sphere's cells with an inlier of the pose.
   double pose_coverage = 0.0;
 
   // Standard deviations of rotation and direction, over all their components.
@@ -166,7 +167,7 @@ bool lacks_direction(const Evidence& evidence);
 // Whether the inliers lie on less than half of what the matches lie on.
 bool covers_little(const Evidence& evidence);
 
-// Whether what turned is a small part of what the matches and the inliers of the pose lie on. A
+// Whether what turned is a small part of what the matches and the inliers of a pose lie on. A
 // camera that turns sees all of it turn, while something that moves along turns by itself.
 bool turned_in_part(const Evidence& evidence);
 

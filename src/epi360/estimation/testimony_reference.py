@@ -130,12 +130,12 @@ def region_votes(bearings1: Array, bearings2: Array) -> Array:
 
 
 def one_of_each_region(bearings1: Array, bearings2: Array) -> list[int]:
-    """Rows of matches of which no two are one region; from the top of view 1 to its bottom."""
+    """Rows of the first matches of which no two are one region."""
     near = _in_one_region(bearings1, bearings2)
     chosen: list[int] = []
-    for row in np.argsort(bearings1[:, 1], kind="stable"):
+    for row in range(len(near)):
         if not near[row, chosen].any():
-            chosen.append(int(row))
+            chosen.append(row)
     return chosen
 
 

@@ -86,8 +86,8 @@ def _sentence(warning: _core.Warning) -> str:
         )
     if warning.code == "only_crowd":
         return (
-            f"the {value:.0f} inliers crowd on a few things, and one match of each region does not "
-            "confirm their pose: what has most texture may move, or stand elsewhere, too"
+            f"the {value:.0f} inliers crowd on a few things, and one match of each region says "
+            "another motion: what has most texture may move, or stand elsewhere"
         )
     if warning.code == "little_parallax":
         return (

@@ -44,8 +44,9 @@ STATUS_SENTENCES: dict[Status, str] = {
         "the more likely is shown; use images that share more of the scene"
     ),
     "concentrated_inliers": (
-        "the matches that agree cover too small a part of the sphere for a trustworthy pose; "
-        "use images that share more of the surroundings"
+        "the matches that agree are on too small a part of the surroundings for a trustworthy "
+        "pose, or on a few things with most of the key points that the rest contradicts; use "
+        "images that share more of the surroundings, or mask what moves"
     ),
     "another_place": (
         "the matches agree on a pose, but too little of what both cameras must see around them "
