@@ -73,6 +73,19 @@ def test_a_car_that_has_more_matches_than_the_scene_is_left_out(seed, num_fixed,
     assert f"{num_fixed} of {100 + num_fixed} matches stand still" in result.warnings[0]
 
 
+# Before, all were rotations of 0 degrees.
+@pytest.mark.parametrize("moved", [True, False])
+@pytest.mark.parametrize("seed", range(6))
+def test_an_operator_is_left_out_among_as_many_wrong_matches_as_right_ones(seed, moved):
+    b1, b2, pose = with_fixed_content(seed, num_fixed=250, moved=moved)
+    rng = np.random.default_rng(seed)
+    wrong = anywhere(120, rng), anywhere(120, rng)
+    b1, b2 = np.concatenate([b1, wrong[0]]), np.concatenate([b2, wrong[1]])
+    result = epi360.estimate_relative_pose(b1, b2)
+    assert result.status == ("ok" if moved else "pure_rotation") and says_fixed(result)
+    assert errors_deg(result, pose)[0] < 0.5
+
+
 @pytest.mark.parametrize("num_fixed", [200, 400])
 @pytest.mark.parametrize("seed", range(3))
 def test_in_a_cabin_all_around_the_motion_is_an_alternative(seed, num_fixed):

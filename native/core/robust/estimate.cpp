@@ -570,7 +570,7 @@ RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& optio
   result.num_iterations = other.num_iterations;
   other.evidence.num_fixed = static_cast<int>(fixed.size());
   conclude(left.m, options, rows, priors.max_noise, other);
-  const OthersSay say = others_say(m, fixed, left, other, options.residual);
+  const OthersSay say = others_say(m, fixed, left, result, other, options.residual);
   if (say == OthersSay::kFixed) return on_all(m, left, std::move(other), options.residual);
   if (say == OthersSay::kPose && result.verdict.status == Status::kPureRotation) {
     const auto agreeing = std::count(other.inlier.begin(), other.inlier.end(), 1);

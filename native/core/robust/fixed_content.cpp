@@ -19,6 +19,10 @@ constexpr double kSurrounds = 1.5;
 constexpr double kCompeting = 4.0;
 // The others are asked if they are at least a fifth as many as those that stand still.
 constexpr double kFewestBeside = 0.2;
+// Share of the others that must agree with their answer, which is believed by itself, beside a
+// camera that seems to stand still; and where two poses compete, as beside a tripod that two rooms
+// show.
+constexpr double kLeastBesideStill = 0.25, kLeastBesidePoses = 0.5;
 
 // Whether some matches lie around the camera, and others in a smaller part of what it sees. A pole
 // is a corner of many cells, and two poles have no mean bearing: either measure will do.
@@ -59,7 +63,8 @@ std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answe
 }
 
 OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
-                     const MatchesLeft& left, const RobustResult& answer, Residual residual) {
+                     const MatchesLeft& left, const RobustResult& first, const RobustResult& answer,
+                     Residual residual) {
   const Status status = answer.verdict.status;
   if (status != Status::kOk && status != Status::kPureRotation) return OthersSay::kNothing;
   const Matches still = chosen_matches(m, fixed);
@@ -69,7 +74,10 @@ OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
     moved += !(std::abs(residuals[i]) < answer.threshold);
   if (2 * moved <= still.size) return OthersSay::kNothing;
   const auto agreeing = std::count(answer.inlier.begin(), answer.inlier.end(), 1);
-  if (2 * static_cast<std::size_t>(agreeing) <= left.m.size) return OthersSay::kNothing;
+  const bool has_stood = first.verdict.status == Status::kPureRotation;
+  const double least =
+      (has_stood ? kLeastBesideStill : kLeastBesidePoses) * static_cast<double>(left.m.size);
+  if (static_cast<double>(agreeing) <= least) return OthersSay::kNothing;
   const Extent where = extents(m, mask_of(m, fixed).data()).chosen;
   if (surround(extents(left.m, answer.inlier.data()).chosen, where)) return OthersSay::kFixed;
   return status == Status::kOk ? OthersSay::kPose : OthersSay::kNothing;

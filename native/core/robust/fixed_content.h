@@ -23,11 +23,13 @@ std::vector<std::size_t> standing_still(const Matches& m, double gate);
 // be one of two poses: they may be fixed to the camera. None where the others are not worth asking.
 std::vector<std::size_t> maybe_fixed(const Matches& m, const RobustResult& answer);
 
-// What the answer of the others says, if it is a pose or a rotation that most of the others agree
-// with, and under which most of those would have moved: that those are fixed, because its inliers
-// surround the camera more than they do; or a pose, and nothing tells which of both has moved.
+// What the answer of the others says, if it is a pose or a rotation that many of the others agree
+// with (the first answer tells how many), and under which most of those would have moved: that
+// those are fixed, because its inliers surround the camera more than they do; or a pose, and
+// nothing tells which of both has moved.
 enum class OthersSay { kNothing, kPose, kFixed };
 OthersSay others_say(const Matches& m, const std::vector<std::size_t>& fixed,
-                     const MatchesLeft& left, const RobustResult& answer, Residual residual);
+                     const MatchesLeft& left, const RobustResult& first, const RobustResult& answer,
+                     Residual residual);
 
 }  // namespace epi360
