@@ -209,6 +209,7 @@ def test_the_core_finds_the_same_explanations_of_any_evidence():
             "rival_probability": rng.uniform(),
             "rival_regions": rng.choice([np.nan, rng.normal(0.0, 8.0)]),
             "num_contradicting": int(rng.integers(0, 3) == 0),
+            "is_only_crowd": bool(rng.integers(0, 4) == 0),
             "only_pose": float(rng.integers(0, 60)),
             "only_rival": float(rng.integers(0, 60)),
             "behind": float(rng.integers(0, 15)),

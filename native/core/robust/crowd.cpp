@@ -21,8 +21,8 @@ constexpr double kSamePose = 10.0 * kDegree;
 // What a search of so few samples finds by chance explains a sixth of the regions; motions that are
 // there, beside a tram, 0.4 and more.
 constexpr double kLeastOfRegions = 0.3;
-constexpr std::size_t kMostAsked = 4000;
-constexpr int kMostOfRegions = 400;
+constexpr std::size_t kMostAsked = 4000;  // matches of which regions are made
+constexpr int kMostOfRegions = 400;       // samples
 
 }  // namespace
 
@@ -44,10 +44,8 @@ MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, Ran
   return few;
 }
 
-RobustOptions options_of_regions(RobustOptions options) {
-  options.max_iterations = std::min(options.max_iterations, kMostOfRegions);
-  options.min_iterations = std::min(options.min_iterations, options.max_iterations);
-  return options;
+RobustOptions options_of_regions(const RobustOptions& options) {
+  return with_most_samples(options, kMostOfRegions);
 }
 
 bool regions_contradict(const Matches& few, Residual residual, const RobustResult& regions,

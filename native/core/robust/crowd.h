@@ -22,7 +22,7 @@ bool inliers_crowd(const Evidence& evidence);
 MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, Random& random);
 
 // How long these are searched: wrong matches, each of which is a region, are most of them.
-RobustOptions options_of_regions(RobustOptions options);
+RobustOptions options_of_regions(const RobustOptions& options);
 
 // Whether the answer of one match of each region, `few`, is a turn, or another pose than that of
 // all matches which explains more of them, and not by chance. If they say nothing, that says

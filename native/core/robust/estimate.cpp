@@ -44,7 +44,8 @@ constexpr double kChanceRange = 2.0 * kDegree;
 // and is no more than so much less likely after that.
 constexpr int kFirstSearch = 4, kMostBesideScores = 2000;
 constexpr double kCompetingSupport = 0.25, kCompetingEvidence = 30.0;
-constexpr double kMoreThanChance = 3.0;  // times
+// Times that inliers of a pose beside a rotation must be more than wrong matches explain.
+constexpr double kMoreThanChance = 3.0;
 constexpr double kMostlyOwn = 0.5;   // share of a rival's matches that the pose does not explain
 constexpr double kConfident = 0.99;  // a pose more probable than this is not looked for again
 

@@ -276,12 +276,8 @@ std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
   return asked;
 }
 
-RobustOptions options_beside(const Side& side, RobustOptions options) {
-  if (side.is_all) {
-    options.max_iterations = std::min(options.max_iterations, kMostBesideAll);
-    options.min_iterations = std::min(options.min_iterations, options.max_iterations);
-  }
-  return options;
+RobustOptions options_beside(const Side& side, const RobustOptions& options) {
+  return side.is_all ? with_most_samples(options, kMostBesideAll) : options;
 }
 
 bool contradicts(const Matches& m, const Side& side, const MatchesLeft& left,

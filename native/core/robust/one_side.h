@@ -36,7 +36,7 @@ std::vector<Side> sides_to_ask(const Matches& m, const RobustOptions& options,
                                const RobustResult& answer);
 
 // The options for the matches beside a side: beside all inliers a shorter search.
-RobustOptions options_beside(const Side& side, RobustOptions options);
+RobustOptions options_beside(const Side& side, const RobustOptions& options);
 
 // Whether the answer of the others, `left`, speaks against that of all matches: a pose around the
 // camera with another direction; or a turn, of which not even the sign of the parallax of the

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstddef>
 #include <vector>
 
@@ -23,6 +24,13 @@ struct RobustOptions {
   // Standard deviation of what neighbouring matches are wrong by together, over that of one match.
   double shared_error = 0.0;
 };
+
+// The same, with so many samples at the most.
+inline RobustOptions with_most_samples(RobustOptions options, int most) {
+  options.max_iterations = std::min(options.max_iterations, most);
+  options.min_iterations = std::min(options.min_iterations, options.max_iterations);
+  return options;
+}
 
 // What is known about the matches beyond their bearings.
 struct MatchPriors {
