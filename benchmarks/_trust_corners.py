@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from _data import Matches, read_poses
+from _trust_lone import CLIPS
 from _trust_pairs import GivenPair, Plan, given_pair_verdicts
 from _trust_records import Judged
 from numpy.typing import NDArray
 
 from epi360.cameras import Equirectangular
 
-CLIPS = ("Tram", "Walking_Girl")  # in the first a tram moves along
 STEP = 2  # of all frames so many apart, every pair
 NUM_CORNERS, LARGEST_RATIO = 4000, 0.85
 

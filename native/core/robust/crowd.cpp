@@ -10,6 +10,7 @@
 #include "core/pose.h"
 #include "core/robust/inliers.h"
 #include "core/robust/neighbourhoods.h"
+#include "core/robust/random.h"
 
 namespace epi360 {
 namespace {
@@ -30,18 +31,17 @@ bool inliers_crowd(const Evidence& e) {
   return e.support * e.all_regions > kCrowd * e.num_regions * e.num_effective;
 }
 
-MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, Random& random) {
+MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, std::uint64_t seed) {
+  if (m.size <= kMostAsked) return only(m, priors, one_of_each_region(m));
+  Random random(seed);
   std::vector<std::size_t> asked(m.size);
   std::iota(asked.begin(), asked.end(), std::size_t{0});
-  if (m.size > kMostAsked) {
-    random.choose(asked, 0, kMostAsked);
-    asked.resize(kMostAsked);
-    std::sort(asked.begin(), asked.end());
-  }
-  const MatchesLeft some = only(m, priors, std::move(asked));
-  MatchesLeft few = only(some.m, some.priors, one_of_each_region(some.m));
-  for (std::size_t& row : few.rows) row = some.rows[row];
-  return few;
+  random.choose(asked, 0, kMostAsked);
+  asked.resize(kMostAsked);
+  std::sort(asked.begin(), asked.end());
+  std::vector<std::size_t> rows = one_of_each_region(chosen_matches(m, asked));
+  for (std::size_t& row : rows) row = asked[row];
+  return only(m, priors, std::move(rows));
 }
 
 RobustOptions options_of_regions(const RobustOptions& options) {

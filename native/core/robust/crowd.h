@@ -6,11 +6,12 @@
 // of the matches, and hardly any of the regions.
 #pragma once
 
+#include <cstdint>
+
 #include "core/matches.h"
 #include "core/robust/estimate.h"
 #include "core/robust/matches_left.h"
 #include "core/robust/options.h"
-#include "core/robust/random.h"
 #include "core/robust/verdict.h"
 
 namespace epi360 {
@@ -19,7 +20,7 @@ namespace epi360 {
 bool inliers_crowd(const Evidence& evidence);
 
 // One match of each region, of some thousand matches at the most.
-MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, Random& random);
+MatchesLeft one_for_each_region(const Matches& m, const MatchPriors& priors, std::uint64_t seed);
 
 // How long these are searched: wrong matches, each of which is a region, are most of them.
 RobustOptions options_of_regions(const RobustOptions& options);

@@ -17,7 +17,6 @@
 #include "core/robust/leverage.h"
 #include "core/robust/matches_left.h"
 #include "core/robust/one_side.h"
-#include "core/robust/random.h"
 #include "core/robust/rival.h"
 #include "core/robust/rival_search.h"
 #include "core/robust/rotation_search.h"
@@ -515,19 +514,12 @@ RobustResult estimate_all(const Matches& m, const RobustOptions& options, const 
 RobustResult estimate_confirmed(const Matches& m, const RobustOptions& options,
                                 const MatchPriors& priors, std::uint64_t seed) {
   RobustResult result = estimate_all(m, options, priors, seed);
-  if (worth(result) < 2 || !inliers_crowd(result.evidence)) return result;
-  Random random(seed);
-  const MatchesLeft few = one_for_each_region(m, priors, random);
+  const bool has_pose = judge(result.evidence).status == Status::kOk;
+  if (!has_pose || !inliers_crowd(result.evidence)) return result;
+  const MatchesLeft few = one_for_each_region(m, priors, seed);
   const RobustResult regions = estimate_all(few.m, options_of_regions(options), few.priors, seed);
   result.num_iterations += regions.num_iterations;
   result.evidence.is_only_crowd = regions_contradict(few.m, options.residual, regions, result);
-  return result;
-}
-
-RobustResult concluded(const Matches& m, const RobustOptions& options, const MatchPriors& priors,
-                       std::uint64_t seed, const RowCounts& rows) {
-  RobustResult result = estimate_confirmed(m, options, priors, seed);
-  conclude(m, options, rows, priors.max_noise, result);
   return result;
 }
 
@@ -562,7 +554,8 @@ RobustResult without_one_side(const Matches& m, const RobustOptions& options,
 RobustResult estimate_relative_pose(const Matches& m, const RobustOptions& options,
                                     const MatchPriors& priors, std::uint64_t seed,
                                     const RowCounts& rows) {
-  RobustResult result = concluded(m, options, priors, seed, rows);
+  RobustResult result = estimate_confirmed(m, options, priors, seed);
+  conclude(m, options, rows, priors.max_noise, result);
   const std::vector<std::size_t> fixed = maybe_fixed(m, result);
   if (fixed.empty()) return without_one_side(m, options, priors, seed, rows, std::move(result));
   const MatchesLeft left = without(m, priors, fixed);

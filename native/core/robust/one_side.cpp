@@ -32,11 +32,11 @@ constexpr double kSaysMost = 10.0;
 // The search among the others: samples, the least share that a pose is taken to explain, and the
 // angle between its direction and that of the answer from which on they are asked in earnest.
 constexpr int kMostSamples = 50;
+constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
 // Beside all inliers so many samples, of which nine in ten times one is of a pose that explains 0.3
 // of what is left; and so many inliers, over those of the answer.
 constexpr int kMostBesideAll = 1000;
 constexpr double kLeastBesideAll = 0.3;
-constexpr double kHalfOfInliers = 0.5, kLeastSearched = 0.3, kMayContradict = 8.0 * kDegree;
 // Both directions differ by so much, and so many standard deviations of both; and the others have
 // this share of the regions of the answer.
 constexpr double kContradicts = 10.0 * kDegree, kDeviationsApart = 4.0, kLeastRegions = 0.6;
@@ -200,8 +200,7 @@ bool signs_agree(const MatchesLeft& left, const RobustResult& all) {
   return deviations > kSignsAgree || (deviations > kFewSignsAgree && along > kMostSigns * count);
 }
 
-// The turn that an answer is, be it of a part of what its matches lie on; none if it is another
-// one.
+// The turn that an answer says, be it that of a part, which is then its first alternative.
 const RelativePose* turn_of(const RobustResult& answer) {
   if (answer.verdict.status == Status::kPureRotation) return &answer.cam2_from_cam1;
   if (answer.verdict.status != Status::kConcentratedInliers) return nullptr;
@@ -282,10 +281,7 @@ RobustOptions options_beside(const Side& side, const RobustOptions& options) {
 
 bool contradicts(const Matches& m, const Side& side, const MatchesLeft& left,
                  const RobustResult& others, const RobustResult& all) {
-  std::vector<std::size_t> agreeing;
-  for (std::size_t i = 0; i < left.m.size; ++i) {
-    if (others.inlier[i]) agreeing.push_back(i);
-  }
+  const std::vector<std::size_t> agreeing = inliers_of(others);
   if (!are_all_around(left.m, agreeing)) return false;
   const auto least = kLeastBesideAll * static_cast<double>(side.rows.size());
   if (side.is_all && static_cast<double>(agreeing.size()) < least) return false;
