@@ -20,6 +20,45 @@ from epi360.poses import Pose
 _HAS_TRANSLATION = ("ok", "planar_ambiguous")
 # What the warning of too much noise asks, by which it is known.
 NOISE_QUESTION = "do the cameras belong to these images, in this order?"
+# What warnings say that need no more than the two numbers which they compare.
+_SENTENCES = {
+    "missing_matches": (
+        "{value:.0f} of {reference:.0f} "
+        f"{MISSING_MATCHES} (NaN, as of pixels outside their image, or weight 0)"
+    ),
+    "fixed_content": (
+        "{value:.0f} of {reference:.0f} matches stand still in the images while the camera moved: "
+        "something is fixed to the camera, and they were left out"
+    ),
+    "motion_beside": (
+        "{value:.0f} matches agree that the camera has moved, and {reference:.0f} stand still in "
+        "the images: these may be fixed to it, as a car is, and the motion is the first alternative"
+    ),
+    "one_side": (
+        "{value:.0f} matches on one side of the camera say another motion than all others: "
+        "something passes by, or a part of the place repeats itself"
+    ),
+    "only_crowd": (
+        "the {value:.0f} inliers crowd on a few things, and one match of each region says another "
+        "motion: what has most texture may move, or stand elsewhere"
+    ),
+    "mirrored": (
+        "besides the {reference:.0f} inliers {value:.0f} matches fit the epipolar geometry, but "
+        "lie behind a camera: one of the images may be mirrored"
+    ),
+    "mirrored_turn": (
+        "besides the {reference:.0f} inliers of a step {value:.0f} matches behind the camera say "
+        "that it has only turned, and that one of the images is mirrored"
+    ),
+    "displaced": (
+        "besides the {reference:.0f} inliers {value:.0f} matches, all on one side of the camera, "
+        "moved as if it had taken a step: the others may be far away, or something passes by"
+    ),
+    "partial_coverage": (
+        "inliers cover {value:.0%} of the sphere, all matches {reference:.0%}: part of the scene "
+        "may move or repeat itself"
+    ),
+}
 
 
 def result_of(answer: _core.PairResult) -> RelativePoseResult:
@@ -61,64 +100,19 @@ def _explanations(found: _core.Explanations) -> Explanations:
 
 def _sentence(warning: _core.Warning) -> str:
     value, reference = warning.value, warning.reference
-    if warning.code == "missing_matches":
-        return (
-            f"{value:.0f} of {reference:.0f} {MISSING_MATCHES} (NaN, as of pixels outside their "
-            "image, or weight 0)"
-        )
+    if warning.code in _SENTENCES:
+        return _SENTENCES[warning.code].format(value=value, reference=reference)
     if warning.code == "copies":
         return copies_sentence(int(value), int(reference))
-    if warning.code == "fixed_content":
-        return (
-            f"{value:.0f} of {reference:.0f} matches stand still in the images while the camera "
-            "moved: something is fixed to the camera, and they were left out"
-        )
-    if warning.code == "motion_beside":
-        return (
-            f"{value:.0f} matches agree that the camera has moved, and {reference:.0f} stand still "
-            "in the images: these may be fixed to it, as a car is, and the motion is the first "
-            "alternative"
-        )
-    if warning.code == "one_side":
-        return (
-            f"{value:.0f} matches on one side of the camera say another motion than all others: "
-            "something passes by, or a part of the place repeats itself"
-        )
-    if warning.code == "only_crowd":
-        return (
-            f"the {value:.0f} inliers crowd on a few things, and one match of each region says "
-            "another motion: what has most texture may move, or stand elsewhere"
-        )
     if warning.code == "little_parallax":
         return (
             f"the median parallax is only {value / reference:.1f} times the noise: "
             "the direction of the translation is uncertain, the rotation is not"
         )
-    if warning.code == "mirrored":
-        return (
-            f"besides the {reference:.0f} inliers {value:.0f} matches fit the epipolar geometry, "
-            "but lie behind a camera: one of the images may be mirrored"
-        )
-    if warning.code == "mirrored_turn":
-        return (
-            f"besides the {reference:.0f} inliers of a step {value:.0f} matches behind the camera "
-            "say that it has only turned, and that one of the images is mirrored"
-        )
     if warning.code == "against_gravity":
         return (
             f"the pose tilts the cameras by {np.degrees(value):.1f} degrees against the given "
             f"gravity, which is good to {np.degrees(reference):.2g}: one of both is wrong"
-        )
-    if warning.code == "displaced":
-        return (
-            f"besides the {reference:.0f} inliers {value:.0f} matches, all on one side of the "
-            "camera, moved as if it had taken a step: the others may be far away, or something "
-            "passes by"
-        )
-    if warning.code == "partial_coverage":
-        return (
-            f"inliers cover {value:.0%} of the sphere, all matches {reference:.0%}: "
-            "part of the scene may move or repeat itself"
         )
     if warning.code == "much_noise":
         return _noise_sentence(float(np.degrees(value)), "degrees")
